@@ -7,11 +7,12 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import short
+from ..checks import listed, short
 from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
 from ..expr.fields import ExprLike
 from ..expr.lie.base import check_element
+from ..expr.rate import changing
 from ..units import Quantity, same_unit
 
 
@@ -57,6 +58,18 @@ def pose(owner: str, name: str, value: ExprLike) -> Expr:
     T = of_shape(owner, name, value, (4, 4))
     check_element(owner, name, T)
     return T
+
+
+def constant(owner: str, name: str, value: Expr) -> Expr:
+    """The argument itself. Raises ModelError where it depends on time, states or controls."""
+    leaves = changing(value)
+    if leaves:
+        raise ModelError(
+            f"{owner} expects {name} not to change with the motion, got {short(value)}, which depends on "
+            f"{listed([leaf.name for leaf in leaves])}: how that moves would be left out.\n"
+            "  fix: a joint, such as joints.Prismatic, for what moves; a Parameter for what is chosen"
+        )
+    return value
 
 
 def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:

@@ -7,6 +7,8 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 2, for [
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
@@ -16,8 +18,10 @@ from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, c
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
 from ..expr.lie import twist as join
+from ..expr.rate import changing, rates_by_name
 from ..units import kilograms, metres
-from .arguments import of_shape, pose
+from .arguments import constant, of_shape, pose
+from .inner_motion import InnerMotion, MovingMass, momentum_of, motion_of
 
 #: How far, relative to the largest entry, an inertia tensor may be from symmetric, positive and triangular.
 _ROUND_OFF = 1e-9
@@ -33,46 +37,116 @@ class SpatialInertia:
     checked to belong to a real body; what depends on states is the user's business. Points and thin rods, whose tensor
     is only semi-definite, are bodies: they can be merged with others. Only `acceleration` refuses them.
 
+    Where centre or inertia depend on time or on states, masses move within the body. Their momentum relative to it
+    counts in all that is computed of the body: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is what the body takes
+    beyond a rigid one, see `inner_motion`. Where the mass changes, mass leaves the body (or joins it), and takes its
+    momentum along: there are no such terms, and the forces of what leaves are yours, the thrust and `flight.burning`.
+
     Args:
         mass: kg, ().
         center_of_mass: m, (3,), in the frame; its origin unless given.
         inertia: kg m2, (3, 3), about the centre of mass.
         physical: False takes numbers that no body has as they are.
+        rates: of the states that centre and inertia depend on, as those of a System; zero for what stays as it is. A
+            centre that moves needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds the
+            rates of its further states.
+        mass_leaves: whether what changes centre and inertia is mass that leaves; unless given, whether the mass changes.
 
     Raises:
         ShapeError: a value of another shape.
         ModelError: a mass that is not positive; an entry that is not finite; a tensor that is not symmetric, has a
-            negative principal moment, or one above the sum of the other two.
+            negative principal moment, or one above the sum of the other two; a mass that changes and does not leave.
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), section 2.13, for M.
     """
 
     def __init__(
         self,
-        *,
-        mass: ExprLike,
+        *positional: Any,
+        mass: ExprLike = None,  # type: ignore[assignment]
         center_of_mass: ExprLike = (0.0, 0.0, 0.0),
-        inertia: ExprLike,
+        inertia: ExprLike = None,  # type: ignore[assignment]
         physical: bool = True,
+        rates: Mapping[Any, ExprLike] | None = None,
+        mass_leaves: bool | None = None,
     ) -> None:
+        if positional:
+            raise ModelError(
+                "SpatialInertia takes its arguments by name: SpatialInertia(mass=..., center_of_mass=..., inertia=...)"
+            )
         self.mass, self.center_of_mass, self.inertia = _parts_of(mass, center_of_mass, inertia)
         self.physical = physical
         if physical:
             _check(_known(self.mass), _known(self.center_of_mass), _known(self.inertia))
+        if mass_leaves is False and changing(self.mass):
+            raise ModelError(
+                f"SpatialInertia expects a mass that does not change where mass_leaves=False, got {self.mass!r}: mass "
+                "comes from somewhere and goes somewhere, with its momentum"
+            )
+        #: The masses that move in the body; those of bodies that are merged stand side by side.
+        self._moving: tuple[MovingMass, ...] = ()
+        #: The poses that `in_frame` has brought it by.
+        self._poses: tuple[Expr, ...] = ()
+        leaves = bool(changing(self.mass)) if mass_leaves is None else mass_leaves
+        if not leaves and changing(self.center_of_mass, self.inertia):
+            own = MovingMass(self.mass, self.center_of_mass, self.inertia, rates_by_name(rates or {}))
+            self._moving = (own,)
 
     @classmethod
-    def about_origin(cls, *, mass: ExprLike, center_of_mass: ExprLike, inertia: ExprLike) -> SpatialInertia:
+    def about_origin(
+        cls,
+        *,
+        mass: ExprLike,
+        center_of_mass: ExprLike,
+        inertia: ExprLike,
+        rates: Mapping[Any, ExprLike] | None = None,
+        mass_leaves: bool | None = None,
+    ) -> SpatialInertia:
         """The body whose `inertia` (3, 3) is given about the frame's ORIGIN, in its axes: $I_c = I_o + m [c]x [c]x$.
 
+        Args:
+            mass, center_of_mass, rates, mass_leaves: as of the constructor.
+            inertia: about the origin.
         Raises:
             ShapeError, ModelError: as the constructor; a tensor too small for the mass at its distance is unphysical.
         """
-        m, c, tensor = _parts_of(mass, center_of_mass, inertia)
-        return cls._derived(m, c, tensor - _steiner(m, c))
+        m, c, tensor = canonicalize_all(_parts_of(mass, center_of_mass, inertia))
+        (tensor,) = canonicalize_all([tensor - _steiner(m, c)])
+        return cls(mass=m, center_of_mass=c, inertia=tensor, rates=rates, mass_leaves=mass_leaves)
 
     @classmethod
-    def _derived(cls, mass: Expr, center_of_mass: Expr, inertia: Expr, physical: bool = True) -> SpatialInertia:
+    def _derived(
+        cls,
+        parts: tuple[Expr, Expr, Expr],
+        physical: bool,
+        moving: tuple[MovingMass, ...],
+        poses: tuple[Expr, ...],
+    ) -> SpatialInertia:
         """Constants are folded, so that they are checked and print as numbers."""
-        m, c, tensor = canonicalize_all([mass, center_of_mass, inertia])
-        return cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical)
+        m, c, tensor = canonicalize_all(parts)
+        found = cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical, mass_leaves=True)
+        found._moving, found._poses = moving, poses
+        return found
+
+    def with_rates(self, rates: Mapping[Any, ExprLike]) -> SpatialInertia:
+        """The same body, where the rates of further states are known; those that it has stay.
+
+        Args:
+            rates: as of the constructor.
+        Raises: ModelError for keys that are neither states nor names.
+        """
+        found = copy.copy(self)
+        found._moving = tuple(part.knowing(rates_by_name(rates)) for part in self._moving)
+        return found
+
+    @property
+    def inner_motion(self) -> InnerMotion | None:
+        """What masses that move in the body do to it; None where nothing moves.
+
+        Raises: ModelError for rates that are not known, or a body that `in_frame` brought by a pose that changes.
+        """
+        for T in self._poses:
+            constant("in_frame", "T", T)
+        return motion_of(self._moving)
 
     def __repr__(self) -> str:
         return f"SpatialInertia(mass={self.mass!r}, center_of_mass={self.center_of_mass!r}, inertia={self.inertia!r})"
@@ -85,19 +159,30 @@ class SpatialInertia:
         return Block([[self.mass * np.eye(3), -moment], [moment, about_origin]])
 
     def momentum(self, V: ExprLike) -> Expr:
-        """$M V = [p; L]$ (6,) of a twist V (6,): $p = m (v + w x c)$, $L = I_c w + c x p$; N s, N m s.
+        """$[p; L]$ (6,) of a twist V (6,): $p = m (v + w x c + c')$, $L = I_c w + c x p$; N s, N m s.
 
-        Raises: ShapeError for an argument of another shape.
+        It is M V, and the momentum of masses that move in the body.
+
+        Raises: ShapeError for an argument of another shape; ModelError for rates that are not known.
         """
         v, w = _velocities("momentum", V)
         p = self.mass * self._velocity_of_center(v, w)
-        return wrench(force=p, torque=self._with_arm(self.inertia @ w, p))
+        rigid = wrench(force=p, torque=self._with_arm(self.inertia @ w, p))
+        relative = momentum_of(self._moving)
+        return rigid if relative is None else rigid + relative[0]
 
     def kinetic_energy(self, V: ExprLike) -> Expr:
-        """$(m |v + w x c|^2 + w . I_c w) / 2$ () of a twist V (6,), J. Raises ShapeError."""
+        """$(m |v + w x c + c'|^2 + w . I_c w) / 2$ () of a twist V (6,), J.
+
+        What masses that move in the body have relative to their common centre is not in it: nobody knows their paths.
+
+        Raises: ShapeError; ModelError for rates that are not known.
+        """
         v, w = _velocities("kinetic_energy", V)
         u = self._velocity_of_center(v, w)
-        return 0.5 * (self.mass * Dot(u, u) + Dot(w, self.inertia @ w))
+        rigid = 0.5 * (self.mass * Dot(u, u) + Dot(w, self.inertia @ w))
+        relative = momentum_of(self._moving)
+        return rigid if relative is None else rigid + Dot(relative[0], V) + relative[1]
 
     def weight(self, T: ExprLike, gravity: ExprLike) -> Expr:
         """The wrench $[m R^T a; c x m R^T a]$ (6,) of a uniform gravity a, at the body's origin in its axes.
@@ -116,15 +201,16 @@ class SpatialInertia:
     def acceleration(self, V: ExprLike, F: ExprLike) -> Expr:
         """$V' = M^-1 (F - ad*_V(M V))$ (6,), Newton and Euler about the centre of mass; no 6x6 matrix is built.
 
-        $w' = I_c^-1 (tau - c x f - w x I_c w)$ and $v' = f/m - w x (v + w x c) - w' x c$. Where the mass burns, F
-        contains the thrust, which is what the leaving gas takes along.
+        $w' = I_c^-1 (tau - c x f - w x I_c w)$ and $v' = f/m - w x (v + w x c) - w' x c$. Where masses move in the body
+        their X is taken off F, see `inner_motion`. Where mass leaves it, F contains the thrust and all else that the
+        leaving mass exerts (Meshchersky); M is that of the mass there is.
 
         Args:
             V: the body's twist (6,).
             F: the sum of all wrenches on it (6,).
         Raises:
             ShapeError: an argument of another shape.
-            ModelError: the inertia tensor is constant and singular.
+            ModelError: the inertia tensor is constant and singular; rates that are not known.
         """
         tensor = _known(self.inertia)
         if tensor is not None and np.linalg.eigvalsh(tensor)[0] <= _ROUND_OFF * np.max(np.abs(tensor), initial=0.0):
@@ -135,6 +221,9 @@ class SpatialInertia:
             )
         v, w = _velocities("acceleration", V)
         wrench_on_it = of_shape("acceleration", "F", F, (6,))
+        inner = self.inner_motion
+        if inner is not None:
+            wrench_on_it = wrench_on_it - inner.wrench(w)
         f, tau = linear(wrench_on_it), angular(wrench_on_it)
         turning = Solve(self.inertia, self._with_arm(tau, -f) - Cross(w, self.inertia @ w))
         moving = f / self.mass - Cross(w, self._velocity_of_center(v, w))
@@ -143,7 +232,8 @@ class SpatialInertia:
     def in_frame(self, T: ExprLike) -> SpatialInertia:
         """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
 
-        T must be constant while the body moves: frame a is fixed to the body, too.
+        Frame a is fixed to the body, too, wherever the body accelerates: T does not change then. Otherwise accelerations
+        and forces of the body are refused; its matrix is that of the moment.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
@@ -151,7 +241,13 @@ class SpatialInertia:
         """
         T_ab = pose("in_frame", "T", T)
         R = T_ab[:3, :3]
-        return self._derived(self.mass, Act(T_ab, self.center_of_mass), R @ self.inertia @ R.T, self.physical)
+
+        def moved(c: Expr, tensor: Expr) -> tuple[Expr, Expr]:
+            return Act(T_ab, c), R @ tensor @ R.T
+
+        masses = tuple(MovingMass(p.mass, *moved(p.center_of_mass, p.inertia), p.rates) for p in self._moving)
+        own = (self.mass, *moved(self.center_of_mass, self.inertia))
+        return self._derived(own, self.physical, masses, (*self._poses, T_ab))
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
@@ -160,16 +256,18 @@ class SpatialInertia:
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
-        physical = self.physical and other.physical
+        physical, moving = self.physical and other.physical, self._moving + other._moving
+        poses = self._poses + other._poses
         for body, massless in ((self, other), (other, self)):
             if isinstance(massless.mass, Constant) and not massless.mass.value:  # two of them have no centre
-                return self._derived(body.mass, body.center_of_mass, self.inertia + other.inertia, physical)
+                parts = body.mass, body.center_of_mass, self.inertia + other.inertia
+                return self._derived(parts, physical, moving, poses)
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
         apart = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
         tensor = self.inertia + other.inertia + _steiner(reduced, apart)
-        return self._derived(m, c, tensor, physical)
+        return self._derived((m, c, tensor), physical, moving, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):

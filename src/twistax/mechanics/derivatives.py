@@ -159,10 +159,14 @@ class _Perturbed:
             T = segment.link.transform(place)
             known = self._first(i, segment, T) if segment.before < 0 else self._next(i, segment, T, moving)
             moving.append(known)
-        self._spreads = [Spread.of(s.body, own.T, own.V) for s, own in zip(segments, moving, strict=True)]
+        self._spreads = [Spread.of(s, own.T, own.V) for s, own in zip(segments, moving, strict=True)]
         self._F: list[Expr] = []
-        for own, spread, pushed in zip(moving, self._spreads, outside(owner, mechanism, wrenches), strict=True):
-            F = spread.inertia(own.A) + AdjointDual(own.V, spread.inertia(own.V))
+        pushes = outside(owner, mechanism, wrenches)
+        for segment, own, spread, pushed in zip(segments, moving, self._spreads, pushes, strict=True):
+            F, inner = spread.inertia(own.A) + AdjointDual(own.V, spread.inertia(own.V)), segment.inner_motion
+            if inner is not None:
+                w = own.T[:3, :3].T @ angular(own.V)
+                F = F + CoadjointAction(own.T, inner.wrench(w))
             self._F.append(F if pushed is None else F - CoadjointAction(own.T, pushed))
         for i in reversed(range(len(segments))):
             before = segments[i].before

@@ -11,11 +11,13 @@ from ..checks import reals
 from ..errors import ModelError
 from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
-from .arguments import told
+from .arguments import constant, told
 
 #: Numbers only: they become bounds of states and controls.
 _LIMITS = ("lower", "upper", "speed")
 _AMOUNTS = ("armature", "damping", "friction", "stiffness", "rest", "gear", "friction_speed")
+#: What carries momentum.
+_INERTIAS = ("armature",)
 _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 
@@ -39,10 +41,10 @@ class Drive:
         speed: largest absolute velocity; None for none.
         effort: largest absolute control, or the pair of the least and the largest control; None for none.
 
-        Limits are numbers. The others are numbers or expressions.
+        Limits are numbers. The others are numbers or expressions; the armature does not change with the motion.
     Raises:
         ModelError: something other than a number or scalar expression; a negative value where that means nothing;
-            bounds that exclude each other.
+            bounds that exclude each other; an armature that depends on time, states or controls.
     """
 
     armature: ExprLike = 0.0
@@ -62,6 +64,8 @@ class Drive:
             value = getattr(self, name)
             expr = value if isinstance(value, Expr) else Constant(reals(f"Drive: {name}", value, ModelError))
             self._check(name, expr.value if isinstance(expr, Constant) else None, expr.shape)
+            if name in _INERTIAS:
+                constant("Drive", name, expr)
         for name in _LIMITS:
             limit = getattr(self, name)
             if limit is not None:

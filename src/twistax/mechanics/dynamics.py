@@ -18,7 +18,7 @@ from ..expr.lie import CoadjointAction
 from .arguments import of_shape
 from .inertia_frames import in_frame, mirrored
 from .mechanism import Mechanism, Positions
-from .motion import Moving, acceleration_of_base, inertia_of, motion
+from .motion import ZERO, Moving, acceleration_of_base, inertia_of, motion
 
 #: Wrenches (6,) by the names of the frames they act in, at their origins and in their axes.
 Wrenches = Mapping[str, ExprLike]
@@ -38,7 +38,9 @@ def inverse_dynamics(
 
     The recursive Newton-Euler algorithm (RNEA). From base to tips the motion, from tips to base
 
-        $F = M B + ad*_W(M W) - F_given + sum Ad*_T F_after, tau = H^T F$
+        $F = M B + ad*_W(M W) + X - F_given + sum Ad*_T F_after, tau = H^T F$
+
+    with X what masses that move within bodies take, see `inner_motion`.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5.
 
@@ -63,18 +65,20 @@ def carried_wrenches(
     qd: ExprLike | None,
     qdd: Expr,
     wrenches: Wrenches | None,
-    gravity: Expr | None = None,
+    *,
+    of_velocities: bool = False,
 ) -> list[Expr]:
-    """F (6,) of every segment, in its frame: what its joint has to give."""
+    """F (6,) of every segment, in its frame: what its joint has to give; or of that only what vanishes with qd."""
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     accelerations: list[Expr] = []
     needed: list[Expr] = []
     for each, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
         before = each.segment.before
-        base = acceleration_of_base(mechanism.gravity if gravity is None else gravity)
+        base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
         B = each.carried(base if before < 0 else accelerations[before])
         accelerations.append(B + mechanism.along(each.segment, qdd))
-        needed.append(_less(each.inertia @ accelerations[-1] + each.gyroscopic, pushed))
+        own = each.gyroscopic if of_velocities else each.needed
+        needed.append(_less(each.inertia @ accelerations[-1] + own, pushed))
     for i in reversed(range(len(moving))):
         if moving[i].segment.before >= 0:
             needed[moving[i].segment.before] += CoadjointAction(moving[i].T, needed[i])
@@ -105,6 +109,8 @@ def bias_forces(
 def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     """$g(q) = b(q, 0)$ (n,), N or N m: the forces of the joints that hold the mechanism at rest.
 
+    Those of masses that move within bodies are in it.
+
     Raises as `inverse_dynamics` does.
     """
     checked("gravity_forces", mechanism)
@@ -112,13 +118,12 @@ def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """$c(q, qd) = C(q, qd) qd$ (n,), N or N m: Coriolis and centrifugal forces, no gravity.
+    """$c(q, qd) = C(q, qd) qd$ (n,), N or N m: Coriolis and centrifugal forces, all that vanishes at rest.
 
     Raises as `inverse_dynamics` does.
     """
     owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
-    weightless = Constant(np.zeros(3))
-    return _gathered(mechanism, carried_wrenches(owner, mechanism, q, qd, still, None, weightless), still)
+    return _gathered(mechanism, carried_wrenches(owner, mechanism, q, qd, still, None, of_velocities=True), still)
 
 
 def forward_dynamics(
@@ -156,7 +161,7 @@ def forward_dynamics(
         return SolvePositive(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     I = [each.inertia for each in moving]
-    b = [_less(each.gyroscopic, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
+    b = [_less(each.needed, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []
     for i in reversed(range(len(moving))):
         hinges.append(_Hinge(moving[i], I[i], b[i], forces))

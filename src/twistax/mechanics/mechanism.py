@@ -339,6 +339,7 @@ class Mechanism:
         controls: Collection[str] | None = None,
         forces: ExprLike | None = None,
         wrenches: Mapping[str, ExprLike] | None = None,
+        rates: Mapping[State | str, ExprLike] | None = None,
         outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None = None,
         constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
     ) -> System:
@@ -352,16 +353,18 @@ class Mechanism:
                 "tau", one entry a freedom, in the order of the joints named. None named, none made.
             forces: further forces of the joints (n,), N or N m, such as those of a feedback.
             wrenches: what acts on the mechanism from outside, by frame.
+            rates: of further states, such as those that the inertia of a body depends on.
             outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else. Outputs may be a function
                 f(qdd, tau) that gives them: of the accelerations (n,) of the motion, and of all that motors, springs,
                 friction and `forces` exert on the joints (n,), N or N m.
         Raises:
-            ModelError: a joint or frame that is not known; a mechanism in which nothing moves.
+            ModelError: a joint or frame that is not known; a mechanism in which nothing moves; rates of the
+                mechanism's own states, or of states that a body depends on and that are not known.
             ShapeError: an argument of another shape.
         """
         from .mechanism_system import system_of
 
-        return system_of(self, controls, forces, wrenches, outputs, constraints)
+        return system_of(self, controls, forces, wrenches, rates, outputs, constraints)
 
 
 class Chain(Mechanism):

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
-from ..checks import callable_with
+from ..checks import callable_with, listed
 from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Expr, State
 from ..expr.fields import ExprLike
+from ..expr.rate import rates_by_name
 from ..system import System
 from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics
@@ -21,12 +23,15 @@ def system_of(
     controls: Collection[str] | None,
     forces: ExprLike | None,
     wrenches: Wrenches | None,
+    rates: Mapping[State | str, ExprLike] | None,
     outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
     constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
 ) -> System:
     """What `Mechanism.system` does."""
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
+    further = rates_by_name(rates or {})
+    mechanism = _with_rates(mechanism, further) if further else mechanism
     controls = mechanism.driven if controls is None else controls
     driven = mechanism.freedoms(controls)
     tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
@@ -53,13 +58,29 @@ def system_of(
     if mechanism.loops:
         moved, sped = ClosedLoops(mechanism).corrections
         corrections = {**_kinematics(mechanism, places, moved), mechanism.qd: sped}
+    motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations}
+    twice = [state.name for state in motion if state.name in further]
+    if twice:
+        raise ModelError(
+            f"system expects rates of further states, got {listed(twice)}, the motion of the mechanism itself.\n"
+            "  fix: put what acts on it into forces or wrenches"
+        )
     return System(
-        rates={**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations},
+        rates={**motion, **(rates or {})},
         outputs=outputs,
         constraints=constraints,
         corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
     )
+
+
+def _with_rates(mechanism: Mechanism, rates: Mapping[str, Expr]) -> Mechanism:
+    """A copy whose bodies know the rates of states that they depend on."""
+    links = [
+        link if link.body is None else dataclasses.replace(link, body=link.body.with_rates(rates))
+        for link in mechanism.links
+    ]
+    return mechanism.replace(links=links)
 
 
 def _kinematics(mechanism: Mechanism, places: list[Expr], qd: Expr) -> dict[Any, Expr]:

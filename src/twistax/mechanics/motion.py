@@ -52,11 +52,18 @@ class Moving:
 
     @property
     def gyroscopic(self) -> Expr:
-        """ad*_W(M W) (6,)."""
+        """ad*_W(M W) (6,), and what turns masses that move in the body with it: what vanishes with w."""
         if self.segment.body is None:
             return _NO_WRENCH
         W = twist(linear=ZERO, angular=self.w)
-        return AdjointDual(W, self.inertia @ W)
+        rigid, inner = AdjointDual(W, self.inertia @ W), self.segment.inner_motion
+        return rigid if inner is None else rigid + inner.turning @ self.w
+
+    @property
+    def needed(self) -> Expr:
+        """The wrench (6,) that the body takes where its B is zero."""
+        inner = self.segment.inner_motion
+        return self.gyroscopic if inner is None else self.gyroscopic + inner.still
 
     def carried(self, B_before: Expr) -> Expr:
         """The acceleration (6,) of the segment while its joint has none."""

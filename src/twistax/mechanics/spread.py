@@ -6,7 +6,8 @@ Of a body with mass m, centre c, second moment of mass Sigma about the origin an
     B x = V x* I x - I (V x x) + x x* I V = 2 [-p x b; -(w x Sigma b) - h x (v x b)]    of x = [a; b],
 
 p the linear momentum: the terms with a cancel, and those with b are joined by Jacobi's identity and by
-J [w] + [w] J + [J w] = tr(J) [w]. So B is 12 numbers in place of 36.
+J [w] + [w] J + [J w] = tr(J) [w]. So B is 12 numbers in place of 36. Masses that move within the body need the wrench
+X = X_0 + X_1 w, and add X_1 b to B x; the upper half of X_1 is -2 [m c'], that of their momentum.
 """
 
 from __future__ import annotations
@@ -16,8 +17,8 @@ from typing import NamedTuple
 import numpy as np
 
 from ..expr import Constant, Cross, Dot, Expr, Outer, Trace
-from ..expr.lie import Act, Hat, angular, linear, twist
-from .bodies import SpatialInertia
+from ..expr.lie import Act, CoadjointAction, Hat, angular, linear, twist
+from .tree import Segment
 
 
 class Spread(NamedTuple):
@@ -27,19 +28,23 @@ class Spread(NamedTuple):
     moment: Expr  # h (3,)
     second: Expr  # Sigma (3, 3)
     momentum: Expr  # p (3,)
-    turning: Expr  # -[w] Sigma - [h][v] (3, 3)
+    turning: Expr  # -[w] Sigma - [h][v], and half of what X_1 has of moments (3, 3)
 
     @classmethod
-    def of(cls, body: SpatialInertia | None, T: Expr, V: Expr) -> Spread:
-        """A body, T its pose and V its twist in the frame."""
+    def of(cls, segment: Segment, T: Expr, V: Expr) -> Spread:
+        """Of a segment's body, T its pose and V its twist in the frame."""
+        body, inner = segment.body, segment.inner_motion
         if body is None:
             return cls(*(Constant(np.zeros(shape)) for shape in ((), (3,), (3, 3), (3,), (3, 3))))
         own = 0.5 * Trace(body.inertia) * np.eye(3) - body.inertia
         R, c = T[:3, :3], Act(T, body.center_of_mass)
         second, h = R @ own @ R.T + body.mass * Outer(c, c), body.mass * c
         v, w = linear(V), angular(V)
-        turning = Dot(h, v) * np.eye(3) - Outer(v, h) - Hat(w) @ second
-        return cls(body.mass, h, second, body.mass * v + Cross(w, h), turning)
+        turning, p = Dot(h, v) * np.eye(3) - Outer(v, h) - Hat(w) @ second, body.mass * v + Cross(w, h)
+        if inner is not None:
+            p = p + R @ linear(inner.momentum)
+            turning = turning + 0.5 * CoadjointAction(T, inner.turning)[3:] @ R.T
+        return cls(body.mass, h, second, p, turning)
 
     def plus(self, other: Spread) -> Spread:
         return Spread(*(a + b for a, b in zip(self, other, strict=True)))

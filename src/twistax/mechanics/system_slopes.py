@@ -58,5 +58,7 @@ def _numbers(mechanism: Mechanism) -> list[Expr]:
         link, body = segment.link, segment.body
         found += [link.mount, link.joint.motion_subspace]
         found += [] if body is None else [body.mass, body.center_of_mass, body.inertia]
+        inner = segment.inner_motion
+        found += [] if inner is None else [inner.still, inner.turning]
         found += [] if link.drive.rotor is None else [link.drive.rotor]
     return found

@@ -18,9 +18,10 @@ from ..expr import Constant, Expr, canonicalize_all
 from ..expr.lie import Act, Compose, Pose
 from ..expr.lie.elements import parts_of_pose
 from ..view import Shape
-from .arguments import pose, told
+from .arguments import constant, pose, told
 from .bodies import SpatialInertia
 from .drives import Drive
+from .inner_motion import InnerMotion
 from .joints import Joint
 
 
@@ -63,8 +64,8 @@ class Link:
         mimic: the joint it follows, if it does not move on its own.
         shapes: what it looks like in its frame, for `solution.show`; the ellipsoid of its inertia unless given.
     Raises:
-        ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose; a
-            follower with a position on a group.
+        ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose, or one that
+            depends on time, states or controls; a follower with a position on a group.
         ShapeError: mount is not of shape (4, 4).
     """
 
@@ -89,7 +90,8 @@ class Link:
                 f"Link expects mimic to be a Mimic, of a joint with one freedom, got {self.mimic!r} of {self.joint!r}"
             )
         object.__setattr__(self, "shapes", shapes_of("Link", self.shapes))
-        object.__setattr__(self, "mount", pose("Link", "mount", self.mount))
+        owner = f"Link {self.name or self.joint.name!r}"
+        object.__setattr__(self, "mount", constant(owner, "mount", pose("Link", "mount", self.mount)))
         object.__setattr__(self, "name", self.name or self.joint.name)
 
     def transform(self, position: Expr) -> Expr:
@@ -133,6 +135,11 @@ class Segment:
     def ratio(self) -> float:
         """Of a follower that to its leader, else 1."""
         return 1.0 if self.link.mimic is None else self.link.mimic.ratio
+
+    @functools.cached_property
+    def inner_motion(self) -> InnerMotion | None:
+        """What masses that move in the body do to it; None where nothing moves. Raises ModelError for unknown rates."""
+        return None if self.body is None else self.body.inner_motion
 
     def scaled(self, value: Expr) -> Expr:
         """The value times the ratio; of what moves by itself the value as it is."""

@@ -143,7 +143,8 @@ class Vehicle:
         """V' (6,) of a body under gravity and a wrench.
 
         Args:
-            body: mass, centre of mass and inertia in body axes, of the mass there is.
+            body: mass, centre of mass and inertia in body axes, of the mass there is. What masses that move in it do is
+                counted; what mass that leaves it does belongs to wrench, see `SpatialInertia`.
             wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
         Raises:
             ModelError: body is no SpatialInertia.
@@ -166,13 +167,17 @@ class Vehicle:
 
         Args:
             body, wrench: as of `acceleration`.
-            rates: of further states.
+            rates: of further states; where body depends on them its masses move by these.
             outputs: beside those of `outputs()`.
             more: what `System` takes.
         Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states, or an
             output of a name that it has.
         """
-        motion: dict[State | str, ExprLike] = {self.pose: self.twist, self.twist: self.acceleration(body, wrench)}
+        of_kind("Vehicle", "body", body, SpatialInertia)
+        motion: dict[State | str, ExprLike] = {
+            self.pose: self.twist,
+            self.twist: self.acceleration(body.with_rates(rates or {}), wrench),
+        }
         if self.turbulence is not None and self._gust is not None:
             motion[self.turbulence.state] = self._gust.state_rate
         given = {state if isinstance(state, str) else state.name for state in rates or {}}

@@ -1,0 +1,194 @@
+"""The rate of an expression along a motion: how fast its value changes as time runs and states move."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..errors import ModelError, OperationError, ShapeError
+from ..groups import Euclidean
+from .fields import ExprLike
+from .graph import evaluate_all, leaves_of, postorder, substitute
+from .leaves import Constant, Control, Leaf, State, Time
+from .node import Expr, Shape, to_expr
+
+
+class _Placeholder(Leaf):
+    """A leaf that moves, inside the body of a Rate."""
+
+    abstract = True
+
+    def __init__(self, depth: int, number: int, of: Leaf) -> None:
+        # Of several Rates, one inside of another, the outer one has the larger depth: their leaves stay apart.
+        self._declare(f"r_{depth}.{number}", of.shape, group=getattr(of, "group", None))
+
+    def static_key(self) -> tuple[Any, ...]:
+        return (self.name, self.shape, repr(self.__dict__["group"]))
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        group = self.__dict__["group"]
+        return group is not None and not isinstance(group, Euclidean)
+
+
+class Rate(Expr):
+    """$de/dt$ of an expression e, by forward differentiation: the sum of its derivatives times the rates of its leaves.
+
+    Shape: that of the expression. Time has the rate 1, parameters and constants have none. The rate of a state on a
+    group is its body velocity, as in the rates of a System. A rate of a rate is the second derivative. Units: those of
+    the expression, per second.
+
+    Args:
+        operand: the expression.
+        rates: of the states and controls that it depends on, by leaf or by name; more do no harm.
+    Attributes:
+        body: the operand, with other leaves in place of those that move.
+        placeholders: these.
+    Raises:
+        ModelError: the operand depends on a state or control whose rate is not there.
+        ShapeError: a rate of another shape than that of its leaf, or of its body velocity.
+    Source: A. Griewank, A. Walther, Evaluating Derivatives (2008), chapter 3.
+    """
+
+    body: Expr
+    placeholders: tuple[Expr, ...]
+    cases = (
+        (lambda cls, x, v: cls(x[0] * x[1] ** 2 * x, {x: v}), {"x": [0.3, -0.4, 0.8], "v": [1.0, 2.0, -0.5]}),
+        (
+            lambda cls, x, v, a: cls(cls(x * x[0], {x: v}), {x: v, v: a}),
+            {"x": [0.3, -0.4], "v": [1.0, 2.0], "a": [0.2, 0.7]},
+        ),
+    )
+
+    def __new__(cls, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> Any:
+        expr = to_expr(operand)
+        expr.check_shape()
+        pairs = list(_moving(expr, rates_by_name(rates or {})))
+        depth = 1 + max((node.__dict__["depth"] for node in postorder(expr) if isinstance(node, Rate)), default=0)
+        placeholders = tuple(_Placeholder(depth, k, leaf) for k, (leaf, _) in enumerate(pairs))
+        body = substitute(expr, {leaf.key(): own for (leaf, _), own in zip(pairs, placeholders, strict=True)})
+        node = object.__new__(cls)
+        leaves, velocities = tuple(leaf for leaf, _ in pairs), tuple(rate for _, rate in pairs)
+        node._fill(body, placeholders, depth, (*leaves, *velocities))
+        return node
+
+    def __init__(self, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> None:
+        """Everything is done by `__new__`: the fields are not the arguments."""
+
+    def _fill(self, body: Expr, placeholders: tuple[Expr, ...], depth: int, along: tuple[Expr, ...]) -> None:
+        self.__dict__.update(body=body, placeholders=placeholders, depth=depth, along=along)
+        self._seal()
+
+    def replace(self, **changes: Any) -> Rate:
+        raise OperationError(f"a Rate has no fields to replace, got {', '.join(changes)}.\n  fix: build another one")
+
+    @property
+    def _captured(self) -> list[Leaf]:
+        """The leaves of the body that do not move."""
+        own = {placeholder.key() for placeholder in self.placeholders}
+        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
+
+    def children(self) -> list[Expr]:
+        return [*self.__dict__["along"], *self._captured]
+
+    def child_names(self) -> list[str]:
+        count = len(self.placeholders)
+        moving = [f"{what}[{k}]" for what in ("leaves", "rates") for k in range(count)]
+        return moving + ["body"] * len(self._captured)
+
+    def outline(self) -> list[tuple[str, Expr]]:
+        return [("body", self.body), *zip(self.child_names(), self.__dict__["along"], strict=False)]
+
+    def with_children(self, children: list[Expr]) -> Rate:
+        along = children[: len(self.__dict__["along"])]
+        pairs = zip(self._captured, children[len(along) :], strict=True)
+        exchange = {old.key(): new for old, new in pairs if old.key() != new.key()}
+        body = substitute(self.body, exchange) if exchange else self.body
+        if body is self.body and all(a is b for a, b in zip(along, self.__dict__["along"], strict=True)):
+            return self
+        copy = object.__new__(Rate)
+        copy._fill(body, self.placeholders, self.__dict__["depth"], tuple(along))
+        return copy
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return self.body.check_shape()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        count = len(self.placeholders)
+        leaves, rates, captured = values[:count], values[count : 2 * count], values[2 * count :]
+        scope = {leaf.key(): value for leaf, value in zip(self._captured, captured, strict=True)}
+
+        def value(*moving: jax.Array) -> jax.Array:
+            own = scope | {placeholder.key(): v for placeholder, v in zip(self.placeholders, moving, strict=True)}
+            return evaluate_all([self.body], lambda leaf: own[leaf.key()])[0]
+
+        if not count:
+            return jnp.zeros_like(value())
+        velocities = [_ambient(*each) for each in zip(self.placeholders, leaves, rates, strict=True)]
+        return jax.jvp(value, tuple(leaves), tuple(velocities))[1]
+
+    def simplify(self) -> Expr:
+        """The body is simplified."""
+        body = self.body.canonicalize()
+        if body is self.body:
+            return self
+        copy = object.__new__(Rate)
+        copy._fill(body, self.placeholders, self.__dict__["depth"], self.__dict__["along"])
+        return copy
+
+    def to_text(self, *operands: str) -> str:
+        count = len(self.placeholders)
+        moving = (f"{placeholder.name}={operand}" for placeholder, operand in zip(self.placeholders, operands))  # type: ignore[attr-defined]
+        rates = (f"{placeholder.name}'={operand}" for placeholder, operand in zip(self.placeholders, operands[count:]))  # type: ignore[attr-defined]
+        return f"Rate({', '.join([repr(self.body), *moving, *rates])})"
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\frac{{d}}{{dt}}\left({self.body.latex()}\right)"
+
+
+def rates_by_name(rates: Mapping[Any, ExprLike]) -> dict[str, Expr]:
+    """The rates of states and controls by name. Raises ModelError for something else as a key, or no expression."""
+    found: dict[str, Expr] = {}
+    for key, rate in rates.items():
+        name = key if isinstance(key, str) else getattr(key, "name", None)
+        if not isinstance(name, str) or not isinstance(key, (str, State, Control)):
+            raise ModelError(f"rates are known by states, controls or their names, got {key!r}")
+        found[name] = to_expr(rate)
+    return found
+
+
+def changing(*roots: Expr) -> list[Leaf]:
+    """The leaves whose values change along a motion: time, states and controls, each once."""
+    leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if isinstance(leaf, (Time, State, Control))}
+    return list(leaves.values())
+
+
+def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]]:
+    """The leaves that move, with their rates."""
+    for leaf in changing(expr):
+        if isinstance(leaf, Time):
+            yield leaf, Constant(1.0)
+            continue
+        if leaf.name not in rates:
+            kind = type(leaf).__name__.lower()
+            raise ModelError(
+                f"Rate: the expression depends on the {kind} {leaf.name!r}, whose rate is not known.\n"
+                f"  fix: rates={{{leaf.name!r}: its rate}}; zero for what stays as it is"
+            )
+        rate, group = rates[leaf.name], getattr(leaf, "group", None)
+        wanted = leaf.shape if group is None or isinstance(group, Euclidean) else (group.dimension,)
+        if rate.shape != wanted:
+            raise ShapeError(f"Rate expects the rate of {leaf.name!r} with shape {wanted}, got {rate.shape}")
+        if not (isinstance(rate, Constant) and not rate.value.any()):
+            yield leaf, rate
+
+
+def _ambient(placeholder: Expr, value: jax.Array, rate: jax.Array) -> jax.Array:
+    """The rate of the array that is a leaf's value."""
+    group = placeholder.__dict__["group"]
+    if group is None or isinstance(group, Euclidean):
+        return rate
+    moved = lambda s: group.retract(value, s * rate)  # noqa: E731
+    return jax.jvp(moved, (jnp.zeros((), value.dtype),), (jnp.ones((), value.dtype),))[1]

@@ -1,0 +1,108 @@
+"""Masses that move within a body as is known beforehand, such as a boom that deploys: what they do to its motion.
+
+A body of constant mass m has a centre c and an inertia I about it that change, in its frame, while the axes of the
+frame turn with w. Its parts have no angular momentum about its centre of mass relative to these axes, as where they
+move towards and away from it; bodies of which that is wrong are written as several that are merged. Then
+
+    p = m (v + w x c + c')                        L = I w + c x p,
+    F = M V' + ad*_V(M V) + X,                    X = [f; I' w + c x f],    f = m (2 w x c' + c''),
+
+with ' the rate in the frame. X is $X_0 + X_1 w$, and both add up over bodies that are merged.
+
+Mass that leaves a body takes its momentum along: it makes no such terms, see `SpatialInertia`.
+
+Source: P. Hughes, Spacecraft Attitude Dynamics (1986), chapter 3; L. Meirovitch, Methods of Analytical Dynamics (1970),
+section 12.2, for mass that leaves.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from ..errors import ModelError
+from ..expr import Constant, Control, Cross, Dot, Expr, Rate, State, Vstack
+from ..expr.lie import Hat, wrench
+from ..expr.rate import changing
+
+
+class MovingMass(NamedTuple):
+    """A body of constant mass whose centre or inertia changes, in a frame, with the rates of what it depends on."""
+
+    mass: Expr
+    center_of_mass: Expr
+    inertia: Expr
+    rates: Mapping[str, Expr]
+
+    def knowing(self, rates: Mapping[str, Expr]) -> MovingMass:
+        """With further rates; those that are there stay."""
+        return self._replace(rates={**rates, **self.rates})
+
+    def rate(self, expr: Expr) -> Expr | None:
+        """The rate of an expression; None where it does not change. Raises ModelError where it is not known."""
+        leaves = changing(expr)
+        unknown = [leaf for leaf in leaves if isinstance(leaf, (State, Control)) and leaf.name not in self.rates]
+        if unknown:
+            kind, name = type(unknown[0]).__name__.lower(), unknown[0].name
+            raise ModelError(
+                f"the centre of mass or the inertia of a body depends on the {kind} {name!r}, whose rate is not known: "
+                "masses that move in a body carry momentum.\n"
+                f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero for what stays as it is, or "
+                "mass_leaves=True where the change is that of mass that leaves the body"
+            )
+        found = Rate(expr, self.rates)
+        return found if found.placeholders else None
+
+
+class InnerMotion(NamedTuple):
+    """What the parts of a body that move in it do to it: six-vectors at its origin, in its axes."""
+
+    momentum: Expr  # [m c'; c x m c'] (6,)
+    energy: Expr  # m |c'|^2 / 2 ()
+    still: Expr  # X_0 (6,)
+    turning: Expr  # X_1 (6, 3)
+
+    def wrench(self, w: Expr) -> Expr:
+        """X (6,): what it takes beyond what a rigid body would take."""
+        return self.still + self.turning @ w
+
+
+def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
+    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None where none moves."""
+    found: list[tuple[Expr, Expr]] = []
+    for part in parts:
+        velocity = part.rate(part.center_of_mass)
+        if velocity is not None:
+            p = part.mass * velocity
+            found.append((wrench(force=p, torque=Cross(part.center_of_mass, p)), 0.5 * Dot(p, velocity)))
+    if not found:
+        return None
+    momenta, energies = zip(*found, strict=True)
+    return sum(momenta[1:], momenta[0]), sum(energies[1:], energies[0])
+
+
+def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
+    """What the parts of a body do to it; None where nothing changes."""
+    found: list[tuple[Expr, Expr]] = []
+    for part in parts:
+        velocity, tensor_rate = part.rate(part.center_of_mass), part.rate(part.inertia)
+        still, turning = list[Expr](), list[Expr]()
+        if velocity is not None:
+            m, c = part.mass, part.center_of_mass
+            acceleration = part.rate(velocity)
+            across = -2.0 * m * Hat(velocity)
+            turning.append(Vstack(across, Hat(c) @ across))
+            if acceleration is not None:
+                still.append(wrench(force=m * acceleration, torque=Cross(c, m * acceleration)))
+        if tensor_rate is not None:
+            turning.append(Vstack(Constant(np.zeros((3, 3))), tensor_rate))
+        if turning:
+            zero = Constant(np.zeros(6))
+            found.append((sum(still[1:], still[0]) if still else zero, sum(turning[1:], turning[0])))
+    if not found:
+        return None
+    momentum, energy = momentum_of(parts) or (Constant(np.zeros(6)), Constant(0.0))
+    stills, turnings = zip(*found, strict=True)
+    return InnerMotion(momentum, energy, sum(stills[1:], stills[0]), sum(turnings[1:], turnings[0]))
