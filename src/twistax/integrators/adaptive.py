@@ -137,7 +137,7 @@ class AdaptiveSteps(Steps):
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
         """The packed state at a time up to the end of a step."""
         share = (t - step.begin) / step.h
-        moved = stepper.method.between(stepper.dynamics, read(step.y), step.h, step.slopes, share)
+        moved = stepper.between(read(step.y), step.h, step.slopes, share)
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
@@ -215,7 +215,7 @@ class AdaptiveSteps(Steps):
 
         def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
             tried = jnp.where((now.t < t) & (now.code == 0), now.tried, self.bound)
-            return tried, now.t, (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
+            return tried, stepper.clock(now.t), (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
 
         return self.meter.along(
             lambda now, most: self._tries(t, stepper, packing, now, most),
@@ -333,10 +333,10 @@ class AdaptiveSteps(Steps):
         if limits.size > 1:
             # Rates may have jumped where a step ended at a limit; at saved times they do not.
             at_limit = (limits == now.t).any() & ~now.rejected
-            field, stored = stepper.field(now.t, step), packing.carry(now.carry)
+            stored = packing.carry(now.carry)
             resumed = jax.lax.cond(
                 at_limit,
-                lambda: ravel_pytree(stepper.method.resume(field, now.t, before, stored))[0],
+                lambda: ravel_pytree(stepper.resume(now.t, before, stored, step))[0],
                 lambda: now.carry,
             )
             evaluations = evaluations + jnp.where(at_limit, stepper.method.resume_evaluations, 0)

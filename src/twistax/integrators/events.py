@@ -133,6 +133,7 @@ class Watch:
 
     def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Any) -> jax.Array:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
+        start, h, t = stepper.clock(start), stepper.clock(h), stepper.clock(t)
         x, u = stepper.stored.value(opened(y)), stepper.field(start, h).controls(t)
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])

@@ -35,12 +35,13 @@ from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
-from .rows import Stops, filled
+from .rows import Stops, filled, limits_of
 from .run import Result
 from .solution import Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import FixedSteps, Steps, check_saves, ended_well, fixed_steps, span_of
+from .steps import FixedSteps, Steps, ended_well
 from .tableaus import DOP853, RK4
+from .times import check_saves, direction_of, fixed_steps, span_of
 from .tolerances import tolerances_of
 
 
@@ -79,7 +80,7 @@ def integrate(
 
     Args:
         x0: the start, a dict by state name. Its precision is that of the whole integration.
-        t0, t1: start and end in s, t1 >= t0.
+        t0, t1: start and end in s; with t1 < t0 it goes backward in time, and save_at falls.
         dt: fixed steps: their length in s; (t1 - t0) / dt is rounded to whole steps and dt adjusted. With rtol: the
             first step to try; chosen if left out.
         steps: the number of fixed steps, instead of dt.
@@ -90,7 +91,7 @@ def integrate(
         method: an object like `RKMK(tableau)`. Left out: RKMK(RK4) with fixed steps, with tolerances
             RKMK(DOP853, Ambient()), which the report advises.
         control: how steps follow from errors, a `StepControl`, and how many there may be.
-        jumps: sorted times at which u, or the system itself, jumps; steps chosen by tolerances end there. Tables bring
+        jumps: sorted times at which u, or the system itself, jumps; steps end there. Tables bring
             their own.
         u: the controls: a dict of arrays, which are held, or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
             traceable function of t that returns the dict and is called at stage times. A function is part of the
@@ -150,7 +151,8 @@ def integrate(
         with metered(told) as meter:
             found = rollout(dataclasses.replace(taken, meter=meter), stepper, plan.x)
     if is_traced((t0, t1, save_at)):
-        found = _inside(found, jnp.asarray(plan.t0), jnp.asarray(t1, plan.t0.dtype), jnp.asarray(plan.ts))
+        times = (plan.t0, jnp.asarray(t1, plan.t0.dtype), plan.ts)
+        found = _inside(found, *(jnp.asarray(stepper.clock(t)) for t in times))
     return solution_of(stepper, taken, found, plan.ts, save_at is None, throw)
 
 
@@ -208,45 +210,64 @@ def planned(
     if span is not None:
         need_held("t1", np.asarray(span[1]), inputs.dtype)
         if isinstance(controls, ByName):
-            controls.check_span(*span)
+            controls.check_span(min(span), max(span))
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
     watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(jnp.asarray(inputs.t))
-    stepper = Stepper(dynamics, method, signals, dict(inputs.params), within=adaptive, inward=jumps is not None)
-    taken: AdaptiveSteps | FixedSteps
+    direction = direction_of(t0, t1, dtype)
+    stepper = Stepper(
+        dynamics, method, signals, dict(inputs.params), within=True, inward=jumps is not None, direction=direction
+    )
+    # From here on times are those of the clock of the loop over steps, which goes forward.
+    start, end, span = _on_clock(direction, t0, t1, span, dtype)
     saves, count = save_at, np.asarray(0)
     if save_at is not None:
-        known = check_saves(save_at, span)
+        known = check_saves(save_at, None if span is None else (float(t0), float(t1)))
         count = np.asarray(len(save_at))
+        saves = (jnp if is_traced((direction, save_at)) else np).asarray(save_at)
+        # In the precision they came in, which says how exact they are.
+        saves = saves if saves.dtype.kind == "f" else saves.astype(dtype)
+        saves = direction.astype(saves.dtype) * saves
         if known and not traced and not is_tracing():
             # A polynomial is asked for as far as the time has come: never for what fills up the rows.
-            beyond = np.inf if between is Between.POLYNOMIAL else t1
-            saves = filled(save_at, beyond, sum(value.size for value in x.values()))
+            beyond = np.inf if between is Between.POLYNOMIAL else end
+            saves = filled(saves, beyond, sum(value.size for value in x.values()))
+    limits = limits_of(start, end, jumps, signals, direction)
+    taken: AdaptiveSteps | FixedSteps
     if adaptive:
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
         _ = method.error_order  # a method without an error estimate says so here
         if between is Between.POLYNOMIAL:
             method.need_polynomial()
-        stops = Stops.given(inputs.t, t1, saves, count, jumps, signals)
+        stops = Stops.given(limits, start, saves, count)
         if dt is not None:
             need_held("dt", real_array("dt", dt), dtype)
         first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)
-        taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, between, watch)
+        taken = AdaptiveSteps(start, first, stops, tolerances, control or StepControl(), dense, between, watch)
     else:
         polynomial = between if between is Between.POLYNOMIAL else None
-        for name, value in (("jumps", jumps), ("control", control), ("between", polynomial)):
+        for name, value in (("control", control), ("between", polynomial)):
             if value is not None:
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
+        taken = fixed_steps(
+            start, end, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch, limits=limits
+        )
     times = [t1] if save_at is None else save_at
     ts = (jnp if is_traced(times) else np).asarray(times, dtype)
     return Plan(stepper, taken, x, inputs.t, ts, traced)
+
+
+def _on_clock(direction: Any, t0: Any, t1: Any, span: Any, dtype: Any) -> tuple[Any, Any, tuple[float, float] | None]:
+    """Start and end on the clock of the loop over steps, and as plain numbers where they are known."""
+    array: Any = np if span else jnp
+    start, end = (direction * array.asarray(t, dtype) for t in (t0, t1))
+    return start, end, span and (float(direction) * span[0], float(direction) * span[1])
 
 
 def _flag(name: str, value: Any) -> None:
@@ -333,13 +354,14 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
     if known and throw and not ended_well(result):
         end = found.end or {name: value[0] for name, value in xs.items()}
         raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, end)))
+    t_end = stepper.clock(outcome.t)
     if end_only:
         if not known:
             xs = {name: _or_nan(ended_well(outcome.code), value) for name, value in xs.items()}
         if known:
-            ts = ts if result is Result.SUCCESS else np.asarray(outcome.t)[None]
+            ts = ts if result is Result.SUCCESS else np.asarray(t_end)[None]
         elif watching:
-            ts = jnp.where(outcome.code == Result.EVENT.value, outcome.t, ts[-1])[None]
+            ts = jnp.where(outcome.code == Result.EVENT.value, t_end, ts[-1])[None]
     else:
         # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
         unknown = is_traced((found, ts))
@@ -352,7 +374,7 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
             end = found.end or {}
             if not known:
                 end = {name: _or_nan(ended_well(outcome.code), value) for name, value in end.items()}
-            ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, outcome.t, end)
+            ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, t_end, end)
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)
     return Solution(

@@ -17,6 +17,7 @@ from ..lowering.scalar.loops import Filling, Repeated, repeat
 from ..lowering.scalar.primitive import Derived, call_program
 from ..lowering.small_call import inside_small_call, small_call
 from .charts import Blocks
+from .grid import Grid
 from .method import Attempt, Carry, Stepper
 
 Now = TypeVar("Now")
@@ -60,35 +61,33 @@ def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
 
 
 class KernelSteps(NamedTuple):
-    """Equal steps of a method on a system, with inputs of some types, all in one call."""
+    """Steps of fixed lengths of a method on a system, with inputs of some types, all in one call."""
 
     repeated: Repeated  # the step on flat arrays
     evaluations: int  # of the right-hand side in a step
 
     def run(
-        self, stepper: Stepper, t0: jax.Array, h: jax.Array, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
+        self, stepper: Stepper, grid: Grid, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
     ) -> tuple[Blocks, Carry, jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
         state, structure = jax.tree.flatten((y, carry))
-        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
+        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), state)
         y, carry = jax.tree.unflatten(structure, found)
         return y, carry, count
 
 
-def kernel_steps(
-    stepper: Stepper, t0: jax.Array, h: jax.Array, number: jax.Array, y: Blocks, carry: Carry
-) -> KernelSteps | None:
-    """Equal steps in one kernel; `number` is that of a step, for its type."""
-    leaves, structure = jax.tree.flatten((number, (t0, h, stepper), (y, carry)))
+def kernel_steps(stepper: Stepper, grid: Grid, number: jax.Array, y: Blocks, carry: Carry) -> KernelSteps | None:
+    """Steps of a grid in one kernel; `number` is that of a step, for its type."""
+    leaves, structure = jax.tree.flatten((number, (grid, stepper), (y, carry)))
     types, count = _types(leaves), len(jax.tree.leaves((y, carry)))
 
     def make() -> KernelSteps | None:
         attempts: list[Attempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
-            k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
-            t, own = t0 + k.astype(t0.dtype) * h, stepper.in_arrays
-            attempts.append(own.method.follow(own.field(t, h), t, y, carry, h))
+            k, (grid, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
+            t, h = grid.step(k)
+            attempts.append(stepper.in_arrays.follow(t, y, carry, h))
             return jax.tree.leaves((attempts[-1].y, attempts[-1].carry))
 
         repeated = stepper.dynamics.backend.repeated(step, types, count)

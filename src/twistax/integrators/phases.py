@@ -26,7 +26,8 @@ from .phased_solution import PhasedSolution
 from .run import Result
 from .solution import Solution
 from .step_control import StepControl
-from .steps import check_saves, ended_well
+from .steps import ended_well
+from .times import check_saves
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -247,13 +248,18 @@ def _checked(
 
 
 def _limit(phase: Phase, t: Any) -> Any:
-    """When the phase ends at the latest."""
-    if phase.t1 is not None:
-        return phase.t1
-    if is_traced((t, phase.duration)):
+    """When the phase ends at the latest. Raises InputError for an end before its start; NaN where that is traced."""
+    if is_traced((t, phase.t1, phase.duration)):
         t = jnp.asarray(t)
-        return t + jnp.asarray(phase.duration, t.dtype)
-    return float(t) + float(phase.duration)
+        end = t + jnp.asarray(phase.duration, t.dtype) if phase.t1 is None else jnp.asarray(phase.t1, t.dtype)
+        return jnp.where(end < t, jnp.nan, end)
+    end = float(t) + float(phase.duration) if phase.t1 is None else phase.t1
+    if float(end) < float(t):
+        raise InputError(
+            f"the phase ends at {float(end):g}, before its start at {float(t):g}.\n"
+            "  fix: phases go forward in time; tx.integrate alone goes backward"
+        )
+    return end
 
 
 def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event: bool) -> Any:

@@ -65,7 +65,7 @@ class Dense(NamedTuple):
 
 def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
     def states(stepper: Stepper, trail: Trail, ts: jax.Array) -> Arrays:
-        stored = stepper.stored
+        stored, ts = stepper.stored, stepper.clock(ts)
         last = jnp.maximum(trail.steps - 1, 0)
         before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
         k = jnp.clip(before, 0, last)
@@ -139,7 +139,7 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
 
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
     """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
-    start, end, times = float(start), float(end), np.ravel(ts)
+    (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
     room = 1e-6 * (end - start)
     outside = ~((times >= start - room) & (times <= end + room))
     if outside.any():
@@ -230,7 +230,7 @@ class Solution(Ended):
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):
-            known = np.asarray(trail.t)
+            known = np.asarray(self.dense.stepper.clock(trail.t))
             need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
         found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
@@ -307,7 +307,7 @@ _FAR = 2.0
 def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
     """The error for an integration that ended early at the state x."""
     stepper, steps, outcome = jax.tree.map(jnp.asarray, (stepper, steps, outcome))
-    result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
+    result, t, h = Result(int(outcome.code)), float(stepper.clock(outcome.t)), float(outcome.h)
     last = "last state"
     if result is Result.NON_FINITE:
         last = "last finite state"
@@ -335,7 +335,7 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> Inte
 
 def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> tuple[str, str, str]:
     """What happened in the step from x whose end is not finite, the likely cause and what to do."""
-    t, h = outcome.t, outcome.h
+    t, h = stepper.clock(outcome.t), stepper.clock(outcome.h)
     field = stepper.field(t, h)
     rates, moved = field(t, x), stepper.method.step(field, t, x, h)
     # The end may be finite and the rate there not.
@@ -355,11 +355,11 @@ def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays)
     far = max((name for name in turns if name in bad), key=turns.__getitem__, default=None)
     if far is not None and turns[far] > _FAR:
         cause = (
-            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
+            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {abs(float(h)):.6g} s, too far for one step: "
             "exponential coordinates hold half a turn as polynomials, a full one in closed form"
         )
         return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
-    cause, fix = (said.format(h=float(h)) for said in steps.too_long)
+    cause, fix = (said.format(h=abs(float(h))) for said in steps.too_long)
     return what, cause, fix
 
 
@@ -383,4 +383,4 @@ def _turns(stepper: Stepper, rates: Arrays, h: jax.Array) -> dict[str, float]:
                 angular[name] = rates[name]
             elif isinstance(group, SpecialEuclidean):
                 angular[name] = group.order.split(rates[name])[1]
-    return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}
+    return {name: abs(float(h)) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}
