@@ -37,7 +37,7 @@ from .rkmk import RKMK
 from .rollout import Rollout, rollout
 from .rows import Stops, filled, limits_of
 from .run import Result
-from .solution import Dense, Solution, Stats, failure
+from .solution import Crossings, Dense, Solution, Stats, failure
 from .step_control import StepControl
 from .steps import FixedSteps, Steps, ended_well
 from .tableaus import DOP853, RK4
@@ -64,6 +64,7 @@ def integrate(
     between: Between = Between.STEP,
     dense: bool = False,
     event: Any = None,
+    max_crossings: Any = None,
     throw: bool = True,
     progress: Any = None,
 ) -> Solution:
@@ -106,8 +107,10 @@ def integrate(
             their number is then part of the compiled program.
         event: an `Event`, or a list of them: the integration ends at the first root of any condition, with
             `Result.EVENT`, which is no failure; `Solution.event` is its number. With save_at the last row is then where
-            it ended, besides the saved times before it. Derivatives of the time and the state there are those
-            of the implicit function theorem.
+            it ended, besides the saved times before it. Those with terminal=False do not end it: `Solution.crossings`
+            has them. Derivatives of the times and the states there are those of the implicit function theorem.
+        max_crossings: how many crossings `Solution.crossings` has room for, all events together; with one more the
+            integration ends, with `Result.MAX_CROSSINGS`. 128 if left out.
         throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
         progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
             with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256
@@ -141,6 +144,7 @@ def integrate(
         between=between,
         dense=dense,
         event=event,
+        max_crossings=max_crossings,
     )
     _flag("throw", throw)
     stepper, taken = plan.stepper, plan.steps
@@ -186,6 +190,7 @@ def planned(
     between: Any = Between.STEP,
     dense: Any = False,
     event: Any = None,
+    max_crossings: Any = None,
 ) -> Plan:
     """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
     need_compiled("integrate", dynamics)
@@ -212,7 +217,9 @@ def planned(
         if isinstance(controls, ByName):
             controls.check_span(min(span), max(span))
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
-    watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
+    if event is None and max_crossings is not None:
+        raise InputError("max_crossings is for events that do not end the integration, but event is left out")
+    watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals, max_crossings)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(jnp.asarray(inputs.t))
@@ -345,7 +352,8 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 
 def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, xs, watching, known = found.outcome, found.xs, steps.watch is not None, not is_traced(found.outcome)
+    outcome, xs, known = found.outcome, found.xs, not is_traced(found.outcome)
+    watching = steps.watch is not None and any(steps.watch.terminal)
     code, tried, accepted, evaluations, _, _ = outcome
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)
@@ -378,5 +386,13 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)
     return Solution(
-        ts if isinstance(ts, jax.Array) else jax.device_put(ts), xs, stats, result, dense, found.event, stepper
+        ts if isinstance(ts, jax.Array) else jax.device_put(ts),
+        xs,
+        stats,
+        result,
+        dense,
+        found.event,
+        stepper,
+        found.at_start,
+        None if found.crossings is None else Crossings.of(stepper, found.crossings),
     )

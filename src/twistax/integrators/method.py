@@ -133,6 +133,10 @@ class Method(ABC):
         """The step of `advance`, after a step that left `carry`. Pure and traceable."""
         return Attempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        """The step of `follow` with the slopes that `between` reads, where the method has it."""
+        return self.follow(field, t, y, carry, h)
+
     # ---- steps chosen by tolerances ------------------------------------------------------------------------------
 
     #: Evaluations of the right-hand side in `resume`.
@@ -278,10 +282,10 @@ class Stepper:
         field, t, h = self._in_s(t, h)
         return self.method.advance(field, t, y, h)
 
-    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
-        """The same, after a step that left `carry`."""
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> Attempt:
+        """The same, after a step that left `carry`; with the slopes of the step, if it has any, where it is sampled."""
         field, t, h = self._in_s(t, h)
-        return self.method.follow(field, t, y, carry, h)
+        return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
 
     def rate(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The rate in s at the start of a step of about length h."""

@@ -17,6 +17,7 @@ from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import precision
 from ..system import free_name
 from ..units import same_unit, seconds
+from .events import Event
 from .integrate import integrate
 from .interpolant import Between
 from .links import Link, check_link, linked
@@ -156,14 +157,14 @@ def integrate_phases(
                 jumps=phase.jumps,
                 u=_first(phase.u, shared),
                 params={name: value for name, value in own.items() if name in has},
-                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, phase.event is not None),
+                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, _by_event(phase)),
                 between=between,
                 dense=dense,
                 event=phase.event,
                 throw=throw,
                 progress=None if told is None else _share(told, index, len(phases)),
             )
-            if phase.event is not None:
+            if _by_event(phase):
                 solution = _met(solution, limit, throw)
         begun, starts, done = [*begun, t], [*starts, x], [*done, solution]
         good = ended_well(solution.code)
@@ -245,6 +246,12 @@ def _checked(
         if unknown and not (what == "params" and any(map(callable, found))):
             raise InputError(f"unknown key {unknown[0]!r} in {what}; all phases have: {listed(there, unknown[0])}")
     return found
+
+
+def _by_event(phase: Phase) -> bool:
+    """Whether an event ends the phase."""
+    events = phase.event if isinstance(phase.event, (list, tuple)) else [phase.event]
+    return any(isinstance(event, Event) and event.terminal for event in events)
 
 
 def _limit(phase: Phase, t: Any) -> Any:

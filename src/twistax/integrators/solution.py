@@ -21,6 +21,7 @@ from ..lowering.inputs import is_finite
 from ..plots import chosen, draw, group_of, panels
 from ..units import same_unit, seconds
 from .charts import Blocks, Exponential, StateCoordinates
+from .meeting import CrossingRows
 from .method import Stepper, jitted
 from .run import Outcome, Result, Trail
 from .steps import Steps
@@ -50,6 +51,39 @@ class Stats:
         if name not in self.__dict__:
             raise InputError(f"stats has no {name!r}; the counts are: {listed(self.__dict__, name)}")
         return self.__dict__[name]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Crossings:
+    """Where conditions of events that do not end the integration became zero, in the order of their times.
+
+    Under jit and in batches there are rows for `max_crossings` of them; those beyond the count are NaN.
+
+    Attributes:
+        ts: (n,) times in s.
+        xs: states by name, leading axis n.
+        events: (n,) the number of the event of each, as it was given; -1 beyond the count.
+        directions: (n,) 1 where the condition rises along the integration, -1 where it falls; 0 beyond the count.
+        count: how many there are.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    events: jax.Array
+    directions: jax.Array
+    count: Any
+
+    @classmethod
+    def of(cls, stepper: Stepper, rows: CrossingRows) -> Crossings:
+        """Those of a rollout; where numbers are known without the rows beyond the count."""
+        directions = (rows.which >= 0) * (2 * rows.rises.astype(rows.which.dtype) - 1)
+        found = cls(stepper.clock(rows.ts), rows.xs, rows.which, directions, rows.count)
+        if is_traced(rows):
+            return found
+        count = int(rows.count)
+        cut = jax.tree.map(lambda a: np.asarray(a)[:count], dataclasses.replace(found, count=()))
+        return dataclasses.replace(jax.device_put(cut), count=count)
 
 
 class Dense(NamedTuple):
@@ -160,6 +194,8 @@ class Solution(Ended):
         dense: what `evaluate` reads, with dense=True; else None.
         which: the number of the event that stopped it, -1 for none; None where none was watched for.
         stepper: the method, the system and the inputs that led here.
+        at_start: (m,) of each event whether its condition was zero or past it at the start; None without events.
+        crossings: the `Crossings` of events that do not end the integration; None where there are none.
     """
 
     ts: jax.Array
@@ -169,6 +205,8 @@ class Solution(Ended):
     dense: Dense | None = None
     which: Any = None
     stepper: Any = None
+    at_start: Any = None
+    crossings: Crossings | None = None
 
     def __repr__(self) -> str:
         shapes = {name: np.shape(value) for name, value in {"ts": self.ts, **self.xs}.items()}
@@ -318,7 +356,11 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> Inte
     else:
         state = steps.worst(stepper, outcome, x)
         blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
-        if result is Result.MAX_STEPS:
+        if result is Result.MAX_CROSSINGS:
+            what = f"more than {steps.watch.room} crossings of events that do not end the integration, at t = {t:.6g} s"
+            cause = "conditions that cross zero often, or chatter about it"
+            fix = f"tx.integrate(..., max_crossings=...), which is {steps.watch.room}"
+        elif result is Result.MAX_STEPS:
             what = f"{int(outcome.tried)} steps ran out{blame}"
             cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
             fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"

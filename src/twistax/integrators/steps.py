@@ -16,7 +16,8 @@ from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .grid import Grid, Splits
-from .kernels import beside, kernel_steps
+from .kernels import kernel_steps
+from .meeting import Stride, halted_code, watched_along
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import first_rows, put, rows
@@ -104,6 +105,7 @@ class _Now(NamedTuple):
     evaluations: jax.Array
     code: jax.Array  # the number of the result so far
     every: Blocks | None  # the states so far if kept
+    slopes: Any  # those of the last step, where conditions are watched and the method has any
     watched: Watched | None
 
 
@@ -146,7 +148,8 @@ class FixedSteps(Steps):
         if self.at is not None:
             stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
         now, found = small_call(FixedSteps._all_steps, self, stepper, y, stops)
-        outcome = Outcome(now.code, now.steps, now.steps, now.evaluations, *self._grid.step(now.steps))
+        evaluations = now.evaluations + (0 if now.watched is None else now.watched.evaluations)
+        outcome = Outcome(now.code, now.steps, now.steps, evaluations, *self._grid.step(now.steps))
         trail = None if now.every is None else self.trail(None, now.steps, now.every)
         saved = None
         if self.at is not None:
@@ -159,15 +162,17 @@ class FixedSteps(Steps):
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
-        watched = None
+        start = _Now(none, y, carry, none, jnp.zeros((), int), every, self._slopes(stepper, y, carry), None)
+        advance = functools.partial(self.advance, stepper, ())
         if self.watch is not None:
-            watched = self.watch.begin(functools.partial(self.advance, stepper, ()), stepper, *self._grid.step(none), y)
-        start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
-        kernel = None if every is not None else kernel_steps(stepper, self._grid, none, y, carry)
+            watched = self.watch.begin(advance, stepper, *self._grid.step(none), y)
+            start = start._replace(watched=watched, code=halted_code(watched, start.code))
+        kernel = None if every is not None else kernel_steps(stepper, self._grid, none, (y, carry, start.slopes))
 
         def in_kernel(now: _Now, stop: jax.Array) -> _Now:
             assert kernel is not None
-            y, carry, steps = kernel.run(stepper, self._grid, now.steps, stop, now.y, now.carry)
+            state = now.y, now.carry, now.slopes
+            (y, carry, slopes), steps = kernel.run(stepper, self._grid, now.steps, stop, state)
             halted = steps < stop
             tried = steps - now.steps + halted.astype(steps.dtype)
             evaluations = now.evaluations + tried * kernel.evaluations
@@ -175,13 +180,14 @@ class FixedSteps(Steps):
                 steps=steps,
                 y=y,
                 carry=carry,
+                slopes=slopes,
                 evaluations=evaluations,
                 code=jnp.where(halted, Result.NON_FINITE.value, now.code),
             )
 
         def one_step(now: _Now) -> _Now:
             after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
-            return after if now.watched is None else beside(FixedSteps._watched, self, stepper, now, after)
+            return after if now.watched is None else self._watched(advance, stepper, now, after)
 
         def steps_to(now: _Now, stop: jax.Array) -> _Now:
             if kernel is not None and now.watched is None:
@@ -209,7 +215,7 @@ class FixedSteps(Steps):
     def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
         """The next step; the state stays where it fails."""
         t, h = self._grid.step(now.steps)
-        found = stepper.follow(t, now.y, now.carry, h)
+        found = stepper.follow(t, now.y, now.carry, h, now.slopes is not None)
         good = all_finite(found.y)
         code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
         if found.solved is not None:
@@ -218,34 +224,43 @@ class FixedSteps(Steps):
         kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
         steps = now.steps + good.astype(now.steps.dtype)
         every = None if now.every is None else put(now.every, steps, kept)
-        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, now.watched)
-
-    def _watched(self, stepper: Stepper, before: _Now, after: _Now) -> _Now:
-        """After a step, or as before it with what is known of the event that it met."""
-        assert before.watched is not None
-        first, last = before.steps == 0, before.steps + 1 == self.steps
-        t, h = self._grid.step(before.steps)
-        watched = self.watch.after(stepper, t, h, after.y, before.watched, first, last)
-        hit = (after.steps > before.steps) & watched.hits.any()
-        watched = watched._replace(values=jnp.where(hit, before.watched.values, watched.values))
-
-        def pick(old: Any, new: Any) -> Any:
-            return jax.tree.map(lambda a, b: jnp.where(hit, a, b), old, new)
-
-        return after._replace(
-            steps=pick(before.steps, after.steps),
-            y=pick(before.y, after.y),
-            code=jnp.where(hit, Result.EVENT.value, after.code),
-            watched=watched,
+        return _Now(
+            steps,
+            kept,
+            found.carry,
+            now.evaluations + found.evaluations,
+            code,
+            every,
+            now.slopes and found.slopes,
+            now.watched,
         )
+
+    def _slopes(self, stepper: Stepper, y: Blocks, carry: Carry) -> Any:
+        """Room for the slopes of a step, where conditions are watched."""
+        if self.watch is None:
+            return None
+        t, h = self._grid.step(jnp.zeros((), int))
+        return zeros_like(lambda: stepper.follow(t, y, carry, h, sampled=True).slopes)
+
+    def _watched(self, advance: Any, stepper: Stepper, before: _Now, after: _Now) -> _Now:
+        """After a step, or as before it where it meets an event that ends the integration."""
+        assert before.watched is not None
+        t, h = self._grid.step(before.steps)
+        stride = Stride(before.steps, t, h, before.y, after.y, after.slopes)
+        ends = before.steps == 0, before.steps + 1 == self.steps
+        watched = watched_along(self.watch, advance, stepper, stride, before.watched, after.steps > before.steps, ends)
+        code = halted_code(watched, after.code)
+        hit = code != after.code
+        steps, y = jax.tree.map(lambda a, b: jnp.where(hit, a, b), (before.steps, before.y), (after.steps, after.y))
+        return after._replace(steps=steps, y=y, code=code, watched=watched)
 
     def advance(self, stepper: Stepper, carry: Carry, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
-        grid = self._grid.one_step(t, h)
-        kernel = kernel_steps(stepper, grid, none, y, carry)
+        grid, state = self._grid.one_step(t, h), (y, carry, self._slopes(stepper, y, carry))
+        kernel = kernel_steps(stepper, grid, none, state)
         if kernel is None:
             return stepper.advance(t, y, h)
-        moved, _, count = kernel.run(stepper, grid, none, none + 1, y, carry)
+        (moved, _, _), count = kernel.run(stepper, grid, none, none + 1, state)
         return jax.tree.map(lambda a: jnp.where(count > 0, a, jnp.nan), moved)
 
     def steps_of(self, path: None) -> Part:
@@ -269,6 +284,11 @@ class FixedSteps(Steps):
     @property
     def _grid(self) -> Grid:
         return Grid(jnp.asarray(self.t0), jnp.asarray(self.h), self.splits)
+
+
+def zeros_like(function: Any) -> Any:
+    """Zeros of the shapes of what a function would give."""
+    return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(function))
 
 
 def all_finite(tree: Any) -> jax.Array:
