@@ -38,14 +38,14 @@ from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units, view
-    from .integrators import RKMK, CommutatorFree, Event, Magnus, StepControl, integrate
+    from .integrators import RKMK, AtStart, CommutatorFree, Event, Magnus, StepControl, integrate
     from .integrators.controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
     from .integrators.interpolant import Between
     from .integrators.phased_solution import PhasedSolution
     from .integrators.phases import Phase, integrate_phases
     from .integrators.simulator import Simulator, simulator
-    from .integrators.solution import Result, Solution
+    from .integrators.solution import Crossings, Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
@@ -56,7 +56,8 @@ __version__ = "0.2.0.dev0"
 
 # fmt: off
 __all__ = [
-    "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "Between", "CommutatorFree", "Dynamics",
+    "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
+    "Crossings", "Dynamics",
     "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
     "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
     "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
@@ -72,14 +73,14 @@ __all__ += expr.__all__
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
 _LATER = {
     "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units", "view"),
-    ".integrators": ("RKMK", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
+    ".integrators": ("RKMK", "AtStart", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "PiecewisePolynomial", "ZeroOrderHold"),
     ".integrators.interpolant": ("Between",),
     ".integrators.phased_solution": ("PhasedSolution",),
     ".integrators.phases": ("Phase", "integrate_phases"),
     ".integrators.simulator": ("Simulator", "simulator"),
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
-    ".integrators.solution": ("Result", "Solution"),
+    ".integrators.solution": ("Crossings", "Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),

@@ -133,10 +133,9 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         ({"steps": 3}, "give either dt, the length of a step, or steps"),
         ({"dt": 0.0}, "dt must be a positive number of s, got 0.0"),
         ({"dt": np.nan}, "dt must be a positive number of s, got nan"),
-        ({"t1": -1.0}, "t1 = -1 lies before t0 = 0"),
         ({"t1": np.inf}, "t1 must be a finite time in s"),
         ({"dt": None, "steps": 2.5}, "steps must be a whole number of 1 or more, got 2.5"),
-        ({"save_at": [0.5, 0.2]}, "save_at must be sorted, got 0.5 before 0.2"),
+        ({"save_at": [0.5, 0.2]}, "save_at must be sorted from t0 to t1, got 0.5 before 0.2"),
         ({"save_at": [0.5, 1.2]}, r"save_at must lie inside \[t0, t1\] = \[0, 1\], got 1.2"),
         ({"save_at": [-0.1, 0.2]}, "got -0.1"),
         ({"save_at": []}, r"save_at expects times with shape \(n,\)"),
@@ -262,9 +261,9 @@ def test_traced_times_that_make_no_sense_give_nan(how: dict) -> None:
     assert missing(saved(jnp.array([0.5, 2.0]))) == [False, True]
     assert missing(saved(jnp.array([-0.5, 0.5]))) == [True, False]
     assert missing(saved(jnp.array([0.5, 0.2]))) == [True, True]
-    assert missing(saved(jnp.array([0.0]), -1.0)) == [True]
+    assert missing(saved(jnp.array([0.0, 0.5]), -1.0)) == [True, True]
     ends = jax.jit(lambda t1: tx.integrate(dynamics, {"x": 1.0}, t1=t1, u={"F": 0.0}, **how))
-    assert missing(ends(-1.0)) == [True]
+    assert missing(ends(-1.0)) == [False]
     assert missing(ends(np.nan)) == [True]
     assert missing(ends(0.0)) == [False]
 

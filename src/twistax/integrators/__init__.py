@@ -2,7 +2,7 @@
 
 from .commutator_free import CommutatorFree
 from .controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-from .events import Event
+from .events import AtStart, Event
 from .implicit_rkmk import ImplicitRKMK
 from .integrate import integrate
 from .magnus import Magnus

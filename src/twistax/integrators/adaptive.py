@@ -17,12 +17,13 @@ from ..lowering.small_call import held, small_call
 from .charts import Blocks
 from .interpolant import Between
 from .kernels import Packed, beside, kernel_tries
+from .meeting import Stride, halted_code, watched_along
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import Stops, first_rows, put, rows
 from .run import Outcome, Part, Result, Run, Saved, Watched
 from .step_control import Errors, StepControl, first_step
-from .steps import Steps, all_finite
+from .steps import Steps, all_finite, zeros_like
 from .tolerances import Tolerances
 
 #: Steps between words of how far it is, where they are asked for: a word takes as long as some twenty of them.
@@ -44,6 +45,7 @@ class _Path(NamedTuple):
 class _Packing(NamedTuple):
     state: Callable[[jax.Array], Blocks]  # reads what is packed
     carry: Callable[[jax.Array], Carry]
+    slopes: Callable[[jax.Array], Any] | None
 
 
 class _Step(NamedTuple):
@@ -76,6 +78,7 @@ class _Now(NamedTuple):
     last: tuple[jax.Array, jax.Array]  # the start of the last step taken
     path: _Path | None
     every: jax.Array | None
+    slopes: jax.Array | None  # those of the last step tried, where conditions are watched and the method has any
     watched: Watched | None
     rows: Filling | None  # those on polynomials
 
@@ -120,7 +123,13 @@ class AdaptiveSteps(Steps):
         )
         short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
-        outcome = Outcome(code, now.tried, now.accepted, now.evaluations, now.t, now.h)
+        watched, evaluations = now.watched, now.evaluations
+        if watched is not None:
+            evaluations = evaluations + watched.evaluations
+            if watched.crossed is not None:
+                y_rows = jax.vmap(read)(watched.crossed.y.flat)
+                watched = watched._replace(crossed=watched.crossed._replace(y=y_rows))
+        outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
         if stops.ts is not None:
@@ -132,12 +141,12 @@ class AdaptiveSteps(Steps):
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], found)
                 saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
-        return Run(Packed(now.y, read), outcome, saved, now.path, trail, now.watched, carry)
+        return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched, carry)
 
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
         """The packed state at a time up to the end of a step."""
         share = (t - step.begin) / step.h
-        moved = stepper.method.between(stepper.dynamics, read(step.y), step.h, step.slopes, share)
+        moved = stepper.between(read(step.y), step.h, step.slopes, share)
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
@@ -146,7 +155,7 @@ class AdaptiveSteps(Steps):
         stops = self.stops
         bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
         begun, first = beside(AdaptiveSteps._begin, bare, stepper, y)
-        now, packing = self._start(self.t0, y, begun, first)
+        now, packing = self._start(stepper, self.t0, y, begun, first)
         zero, end = jnp.zeros((), int), jnp.asarray(stops.limits[-1])
         if record or self.dense:
             now = now._replace(path=rows(_Path(zero, self.t0, self.t0), self.bound))
@@ -157,7 +166,8 @@ class AdaptiveSteps(Steps):
             now = now._replace(rows=Filling(ts, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
             advance = functools.partial(self.advance, stepper, begun)
-            now = now._replace(watched=self.watch.begin(advance, stepper, self.t0, first, y))
+            watched = self.watch.begin(advance, stepper, self.t0, first, y)
+            now = now._replace(watched=watched, code=halted_code(watched, now.code))
 
         if now.rows is not None or stops.ts is None:
             now = self._to(end, stepper, packing, now)
@@ -175,10 +185,13 @@ class AdaptiveSteps(Steps):
         now, found = first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
         return now, found, Packed(now.carry, begun.read)
 
-    @staticmethod
-    def _start(t: jax.Array, y: Packed, carry: Packed, h: jax.Array) -> tuple[_Now, _Packing]:
+    def _start(self, stepper: Stepper, t: jax.Array, y: Packed, carry: Packed, h: jax.Array) -> tuple[_Now, _Packing]:
         """What the loop carries before its first step, of length h."""
         zero, number = jnp.zeros((), int), jnp.zeros((), t.dtype)
+        slopes, read = None, None
+        if self.watch is not None:
+            room = zeros_like(lambda: stepper.attempt(t, y.open(), carry.open(), h, self.tolerances).slopes)
+            slopes, read = (None, None) if room is None else ravel_pytree(room)
         now = _Now(
             t=t,
             h=h,
@@ -193,10 +206,11 @@ class AdaptiveSteps(Steps):
             last=(t, y.flat),
             path=None,
             every=None,
+            slopes=slopes,
             watched=None,
             rows=None,
         )
-        return now, _Packing(y.read, carry.read)
+        return now, _Packing(y.read, carry.read, read)
 
     def _begin(self, stepper: Stepper, packed: Packed) -> tuple[Packed, jax.Array]:
         """What the method carries at the start, and the first step to try."""
@@ -215,7 +229,7 @@ class AdaptiveSteps(Steps):
 
         def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
             tried = jnp.where((now.t < t) & (now.code == 0), now.tried, self.bound)
-            return tried, now.t, (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
+            return tried, stepper.clock(now.t), (now.t - self.t0) / (self.stops.limits[-1] - self.t0)
 
         return self.meter.along(
             lambda now, most: self._tries(t, stepper, packing, now, most),
@@ -254,7 +268,7 @@ class AdaptiveSteps(Steps):
                     after = after._replace(rows=now.rows.up_to(after.t, row, held(step)))
             if not watched:
                 return after
-            return beside(AdaptiveSteps._watched, self, stepper, now, after, Packed(after.y, packing.state))
+            return self._watched(stepper, packing, now, after)
 
         return jax.lax.while_loop(going, one_round, now)
 
@@ -275,7 +289,7 @@ class AdaptiveSteps(Steps):
             return found, _going(found, t), step if steps.finds_rows else None
 
         row = functools.partial(self._row, stepper, packing.state)
-        return kernel_tries(one_try, row, (self._bare(limits), t), stepper, now)
+        return kernel_tries(one_try, row, (self._bare(limits), t), stepper, now, lambda now: now._replace(slopes=None))
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
         """The same with these limits, without saved times and events: others need no other kernel."""
@@ -283,7 +297,7 @@ class AdaptiveSteps(Steps):
 
     def advance(self, stepper: Stepper, carry: Packed, t: jax.Array, y: Packed, h: jax.Array) -> Packed:
         """A try of unlimited tolerance, as if its end were the next limit."""
-        now, packing = self._start(t, y, carry, jnp.full_like(h, jnp.inf))
+        now, packing = self._start(stepper, t, y, carry, jnp.full_like(h, jnp.inf))
         stops = self.stops._replace(limits=jnp.where(self.stops.limits > t, t + h, self.stops.limits))
         tolerances = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), self.tolerances)
         kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(t, stepper, packing, now)
@@ -292,24 +306,24 @@ class AdaptiveSteps(Steps):
         moved, _ = kernel(now, now.tried, now.tried + 1, None)
         return Packed(jnp.where(moved.accepted > 0, moved.y, jnp.nan), y.read)
 
-    def _watched(self, stepper: Stepper, before: _Now, after: _Now, state: Packed) -> _Now:
-        """After a try to a state, or as before it with what is known of the event it met: the loop halts there."""
+    def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
+        """After a try, or as before it where it meets an event that ends the integration: the loop halts there."""
         assert before.watched is not None
-        good, step, end = after.accepted > before.accepted, after.t - before.t, self.stops.limits[-1]
-        first = before.accepted == 0
-        watched = self.watch.after(stepper, before.t, step, state, before.watched, first, after.t == end)
-        hit = good & watched.hits.any()
-        watched = watched._replace(values=jnp.where(good & ~hit, watched.values, before.watched.values))
+        good, step = after.accepted > before.accepted, after.t - before.t
+        y, end = Packed(before.y, packing.state), Packed(after.y, packing.state)
+        slopes = None if after.slopes is None else Packed(after.slopes, packing.slopes)
+        advance = functools.partial(self.advance, stepper, Packed(before.carry, packing.carry))
+        stride = Stride(before.accepted, before.t, step, y, end, slopes)
+        ends = before.accepted == 0, after.t == self.stops.limits[-1]
+        watched = watched_along(self.watch, advance, stepper, stride, before.watched, good, ends)
+        code = halted_code(watched, after.code)
+        hit = code != after.code
         kept = ("t", "y", "carry", "errors", "accepted", "last")
         old = jax.tree.map(
             lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
         )
-        return after._replace(
-            **dict(zip(kept, old, strict=True)),
-            h=jnp.where(hit, step, after.h),
-            code=jnp.where(hit, Result.EVENT.value, after.code),
-            watched=watched,
-        )
+        h = jnp.where(hit, step, after.h)
+        return after._replace(**dict(zip(kept, old, strict=True)), h=h, code=code, watched=watched)
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now) -> tuple[_Now, _Step | None]:
         """One step, taken or taken back, and what its polynomial is of, where the method has one."""
@@ -333,10 +347,10 @@ class AdaptiveSteps(Steps):
         if limits.size > 1:
             # Rates may have jumped where a step ended at a limit; at saved times they do not.
             at_limit = (limits == now.t).any() & ~now.rejected
-            field, stored = stepper.field(now.t, step), packing.carry(now.carry)
+            stored = packing.carry(now.carry)
             resumed = jax.lax.cond(
                 at_limit,
-                lambda: ravel_pytree(stepper.method.resume(field, now.t, before, stored))[0],
+                lambda: ravel_pytree(stepper.resume(now.t, before, stored, step))[0],
                 lambda: now.carry,
             )
             evaluations = evaluations + jnp.where(at_limit, stepper.method.resume_evaluations, 0)
@@ -383,6 +397,7 @@ class AdaptiveSteps(Steps):
             # A step that is taken back leaves rows that a later one writes again.
             path=path,
             every=None if now.every is None else put(now.every, now.accepted + 1, y),
+            slopes=None if now.slopes is None else ravel_pytree(found.slopes)[0],
             watched=None,
             rows=None,
         )

@@ -1,8 +1,8 @@
-"""The root of a function of one number between two places where its signs differ, one evaluation at a time."""
+"""The root of a function between two places where its signs differ, and an extremum near zero where they are alike."""
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -79,3 +79,79 @@ class Bracket(NamedTuple):
 
 def _nonzero(a: jax.Array) -> jax.Array:
     return jnp.where(a == 0.0, 1.0, a)
+
+
+def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
+    """Where functions of one sign at two neighbouring places may still come to zero between them.
+
+    A parabola through three neighbours has its extremum there, and that is past zero, or nearer to it than half the
+    second difference of the three: what cubic terms may do.
+
+    Args:
+        values: (k, m) of m functions at k places at equal distances, k > 2.
+    Returns:
+        (k - 1, m) whether, for each pair of neighbours; where the extremum lies between them, as a share.
+    """
+    a, b, c = values[:-2], values[1:-1], values[2:]
+    bend, slope = a - 2.0 * b + c, 0.5 * (c - a)
+    place = -slope / _nonzero(bend)
+    toward = (jnp.sign(b) * bend > 0.0) & (jnp.sign(b) * (b + 0.5 * slope * place) <= 0.5 * jnp.abs(bend))
+    none = jnp.zeros_like(toward[:1])
+    # Of the pair that begins with the middle of the three, and of the one that ends with it.
+    after, before = (jnp.concatenate(each) for each in ((none, toward), (toward, none)))
+    shares = jnp.pad(place, ((1, 0), (0, 0))), jnp.pad(place, ((0, 1), (0, 0))) + 1.0
+    after = after & (shares[0] >= 0.0) & (shares[0] <= 1.0)
+    before = before & (shares[1] >= 0.0) & (shares[1] <= 1.0)
+    alike = jnp.sign(values[:-1]) * jnp.sign(values[1:]) > 0.0
+    return alike & (after | before), jnp.where(after, shares[0], shares[1])
+
+
+class Extremum(NamedTuple):
+    """The extremum of a function nearest to zero, between two places on whose outside it is further away.
+
+    `narrowed` interpolates with a parabola, for a few times. Traceable.
+    """
+
+    low: tuple[jax.Array, jax.Array]  # a place, with its value
+    middle: tuple[jax.Array, jax.Array]
+    high: tuple[jax.Array, jax.Array]
+    place: jax.Array  # where to look next
+    past: jax.Array  # whether the function is zero or has the other sign in the middle
+    tries: jax.Array
+
+    @property
+    def done(self) -> jax.Array:
+        """Whether that is known, or was looked for often enough."""
+        return self.past | (self.tries > _LOOKS)
+
+    def narrowed(self, value: jax.Array) -> Extremum:
+        """After the function was found to have a value at the place."""
+        sign, new = jnp.sign(self.low[1]), (self.place, value)
+        past = sign * value <= 0.0
+        first, nearer = self.tries == 0, sign * value < sign * self.middle[1]
+        left = self.place < self.middle[0]
+
+        def pick(condition: jax.Array, one: Any, other: Any) -> Any:
+            return tuple(jnp.where(condition, a, b) for a, b in zip(one, other, strict=True))
+
+        # The middle becomes an end where the new place is nearer to zero, else the new place does.
+        end = pick(nearer, self.middle, new)
+        goes_low = jnp.where(nearer, ~left, left) & ~first
+        goes_high = jnp.where(nearer, left, ~left) & ~first
+        low, high = pick(goes_low, end, self.low), pick(goes_high, end, self.high)
+        middle = pick(nearer | first | past, new, self.middle)
+        return Extremum(low, middle, high, _vertex(low, middle, high), past, self.tries + 1)
+
+
+#: Places at which an extremum is looked for.
+_LOOKS = 5
+
+
+def _vertex(low: Any, middle: Any, high: Any) -> jax.Array:
+    """Where the parabola through three places has its extremum; half way to the further end where it has none there."""
+    (a, fa), (b, fb), (c, fc) = low, middle, high
+    over = (b - a) ** 2 * (fb - fc) - (b - c) ** 2 * (fb - fa)
+    under = (b - a) * (fb - fc) - (b - c) * (fb - fa)
+    found = b - 0.5 * over / _nonzero(under)
+    other = jnp.where(b - a > c - b, 0.5 * (a + b), 0.5 * (b + c))
+    return jnp.where((found > a) & (found < c) & (found != b), found, other)

@@ -33,6 +33,13 @@ def _floats(place: str, value: Any) -> jax.Array:
         return jnp.asarray(given, jax.dtypes.canonicalize_dtype(dtype))
 
 
+def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
+    """The last row whose time is not after t; -1 before the first one."""
+    # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
+    method = "compare_all" if ts.size <= _SHORT else "scan_unrolled"
+    return jnp.searchsorted(ts, t, side="right", method=method) - 1
+
+
 class Table(ABC):
     """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
 
@@ -110,7 +117,7 @@ class Table(ABC):
             within: the step lies between two rows, which are looked up once for all of its times.
         """
         middle, eps = t + 0.5 * h, float(jnp.finfo(t.dtype).eps)
-        rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(h, float(jnp.finfo(t.dtype).tiny))
+        rounding = 8.0 * eps * jnp.abs(middle) / jnp.maximum(jnp.abs(h), float(jnp.finfo(t.dtype).tiny))
         hair = jax.lax.stop_gradient(jnp.clip(rounding, float(np.sqrt(eps)), 1.0))
 
         def inner(time: jax.Array) -> jax.Array:
@@ -147,10 +154,7 @@ class Table(ABC):
 
     def _row(self, t: jax.Array) -> jax.Array:
         """The last row whose time is not after t, of those that begin a piece."""
-        # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
-        method = "compare_all" if self.ts.size <= _SHORT else "scan_unrolled"
-        row = jnp.searchsorted(self.ts, t, side="right", method=method) - 1
-        return jnp.clip(row, 0, self.ts.shape[0] - self.rows)
+        return jnp.clip(row_at(self.ts, t), 0, self.ts.shape[0] - self.rows)
 
 
 class ZeroOrderHold(Table):
@@ -158,8 +162,8 @@ class ZeroOrderHold(Table):
 
     Before ts[0] there is no value: an integration must not begin earlier.
 
-    A step that starts or ends at a jump sees the value within the step at all its stages, so that steps which end at
-    the jumps keep the method's order. A jump inside a step costs accuracy: choose dt so that jumps fall on steps.
+    A step that starts or ends at a jump sees the value within the step at all its stages, and `tx.integrate` ends a
+    step at every jump, so that the method keeps its order.
 
     Args:
         ts: (n,) times in s, increasing.

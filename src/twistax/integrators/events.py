@@ -1,17 +1,18 @@
-"""Conditions that end an integration where they become zero, and the bracketed root where they do."""
+"""Conditions that an integration is watched for, and their values along a step."""
 
 from __future__ import annotations
 
 import dataclasses
+import enum
 import functools
 from collections.abc import Callable, Sequence
-from typing import Any, NamedTuple, TypeAlias
+from typing import Any, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import callable_with, real_array
+from ..checks import callable_with, instance, real_array, whole
 from ..errors import InputError, ModelError
 from ..expr import (
     Constant,
@@ -33,14 +34,11 @@ from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import need_held
-from .bracket import Bracket
-from .charts import Blocks
+from .bracket import near_zero
 from .controls import Signals
 from .kernels import beside, opened
 from .method import Stepper
-from .rows import put
-from .run import Part, Result, Run, Saved, Trail, Watched
-from .steps import Steps
+from .run import Crossed, Watched
 
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
@@ -48,6 +46,27 @@ Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 #: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
 #: of the one at the other end of the step.
 _HAIR = 1e3
+#: Places within a step at which its polynomial is looked at.
+_PLACES = 7
+#: So many crossings have room unless said otherwise.
+_ROOM = 128
+
+
+class AtStart(enum.Enum):
+    """What becomes of an event whose condition is zero at the start, or past zero already.
+
+    It is past zero on the side that the event's direction leads to. Zero means zero up to round-off. Whatever is
+    chosen, `Solution.at_start` says of which events the conditions were zero or past it.
+    """
+
+    #: The event is met at the start: an integration that it ends is over at once. Not where the condition is zero and
+    #: leaves for the other side just after: a body that takes off has not landed.
+    STOP = "met at the start"
+    #: The event is met at the start only where the condition is zero there and goes past it just after, in the
+    #: direction of the event. One of any direction has no such side, and is not met.
+    CROSSING = "met where it crosses zero there"
+    #: It is no event until it has been on the other side.
+    IGNORE = "not met"
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,9 +74,11 @@ class Event:
     """An integration ends where the condition becomes zero: `tx.integrate(..., event=tx.Event(condition))`.
 
     A step during which the sign of the condition changes is taken again up to the root, in its group and to round-off
-    of the time. Two roots within one step are not seen: `tx.StepControl(dtmax=...)` or dt must be shorter than the time
-    between them. A condition that is zero at the start, up to round-off, is no event until it has been something else;
-    one that is zero at the end, up to round-off, is. Where it is NaN it has no sign.
+    of the time. The condition is looked at within each step too, on the polynomial of the step at seven places, or with
+    methods that have none at three places by shorter steps, and where a parabola through three of these comes near
+    zero. So two roots within one step are seen unless the condition turns several times within an eighth of the step.
+    A condition that is zero at the end, up to round-off, is an event. Where it is NaN it has no sign. Backward in time
+    a condition rises where it grows along the integration.
 
     Attributes:
         condition: an expression of shape (): a number; or a condition, which ends it where it begins to hold: where
@@ -65,20 +86,33 @@ class Event:
             a function is part of the compiled program: another one compiles again.
         direction: None: any root; True or 1: only where the condition rises; False or -1: only where it falls. The
             number 0, which other programs read as any root, is refused.
+        terminal: True: the integration ends there. False: it goes on, and `Solution.crossings` has the time, the state
+            and the direction of each crossing.
+        at_start: an `AtStart`. Left out: STOP for conditions that are true or false, which hold at the start or do
+            not, CROSSING for numbers. To go on from where an event ended an integration: `AtStart.IGNORE`.
 
     Raises:
         ModelError: a condition that is neither, or of another shape; another direction, or one for what is true or
-            false, which says itself where it holds.
+            false, which says itself where it holds; another `terminal` or `at_start`.
     """
 
     condition: Any
     direction: Any = None
+    terminal: bool = True
+    at_start: Any = None
 
     def __post_init__(self) -> None:
+        if not isinstance(self.terminal, bool):
+            raise ModelError(f"Event: terminal must be True or False, got {self.terminal!r}")
+        instance(
+            "Event: at_start", self.at_start, AtStart | None, "a tx.AtStart, such as tx.AtStart.IGNORE", ModelError
+        )
+        begins = AtStart.CROSSING
         if isinstance(self.condition, Expr):
             shape = self.condition.check_shape()
             if self.condition.boolean and shape == ():
                 self._take_condition(self.condition)
+                begins = AtStart.STOP
             if shape != ():
                 raise ModelError(f"Event expects a condition of shape (), got {shape}: {self.condition!r}")
         else:
@@ -87,6 +121,8 @@ class Event:
             raise ModelError(
                 f"Event: direction must be None (any), True (rising) or False (falling), got {self.direction!r}"
             )
+        if self.at_start is None:
+            object.__setattr__(self, "at_start", begins)
 
     def _take_condition(self, condition: Expr) -> None:
         if self.direction is not None:
@@ -129,10 +165,14 @@ class Watch:
 
     functions: tuple[Any, ...] = dataclasses.field(metadata={"static": True})  # f(t, x, u, params, *inputs) each
     senses: tuple[int, ...] = dataclasses.field(metadata={"static": True})  # 1, -1, or 0 for both, each
+    terminal: tuple[bool, ...] = dataclasses.field(metadata={"static": True})  # whether each ends the integration
+    at_start: tuple[AtStart, ...] = dataclasses.field(metadata={"static": True})
+    room: int = dataclasses.field(metadata={"static": True})  # for so many crossings
     inputs: Any  # traced values the functions used to close over, so that derivatives find them
 
     def values(self, stepper: Stepper, start: jax.Array, h: jax.Array, t: jax.Array, y: Any) -> jax.Array:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
+        start, h, t = stepper.clock(start), stepper.clock(h), stepper.clock(t)
         x, u = stepper.stored.value(opened(y)), stepper.field(start, h).controls(t)
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
@@ -144,39 +184,91 @@ class Watch:
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        moved = advance(t, y, s)
+        values, met, held, rises = beside(Watch._before, self, stepper, t, y, s, advance(t, y, s))
+        ends = met & np.asarray(self.terminal)
+        none = jnp.zeros((), int)
+        found = Watched(values, held, ends.any(), jnp.argmax(ends), jnp.zeros_like(t), none, jnp.asarray(False))
+        if all(self.terminal):
+            return found
+        crossed = Crossed.none(self.room, t, y)
+        for number, terminal in enumerate(self.terminal):
+            if not terminal:
+                here = Crossed(none, t, h, y, jnp.zeros_like(t), jnp.asarray(number), rises[number], none)
+                crossed, full = crossed.with_one(here, met[number])
+                found = found._replace(full=found.full | full)
+        return found._replace(crossed=crossed)
 
-        return beside(Watch._before, self, stepper, t, y, s, moved)
+    def _before(
+        self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any
+    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+        """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h.
 
-    def _before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> Watched:
-        """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h."""
+        Returns:
+            (m,) each: values to begin with; whether the event is met; whether its condition is zero or past it; whether
+            it rises.
+        """
         now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
-        values = jnp.where(jnp.sign(now) * jnp.sign(soon) < 0.0, soon, now)
-        return Watched(values, jnp.zeros(values.shape, bool), values)
+        senses = np.asarray(self.senses, now.dtype)
+        # What a value may be off by round-off, were it zero, beside what it changes by in the moment.
+        hair = min(_HAIR * float(jnp.finfo(now.dtype).eps) ** 0.5, 0.25)
+        zero = (now == 0.0) | (jnp.abs(now) <= hair * jnp.abs(soon - now))
+        side = jnp.where(zero, jnp.sign(soon), jnp.sign(now))
+        turns = jnp.sign(now) * jnp.sign(soon) < 0.0
+        past = (side * senses > 0.0) & ~zero & ~turns
+        enters = zero & (side * senses > 0.0)
+        leaves = zero & (side * senses < 0.0)
+        stops, crosses = (
+            np.array([each is mode for each in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
+        )
+        met = (stops & (past | zero) & ~leaves) | (crosses & enters)
+        # A crossing just after the start that counts is left to the first step.
+        kept = turns & ~zero & (stops | crosses) & (jnp.sign(soon) * senses > 0.0)
+        noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)
+        return jnp.where(noise, soon, now), met, zero | past, jnp.where(side == 0.0, senses, side) > 0.0
 
-    def _narrowed(
-        self, stepper: Stepper, t: jax.Array, h: jax.Array, moved: Any, number: jax.Array, now: Bracket
-    ) -> Bracket:
-        """The bracket of the root of one condition, after the step from t to its place was taken."""
-        return now.narrowed(self.values(stepper, t, h, t + now.place, moved)[number])
+    def seen(
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, end: Any, inside: Any, old: jax.Array, ends: Any
+    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+        """What the conditions are along a step from y to end, of length h.
 
-    def after(
-        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, before: Watched, first: Any, last: Any
-    ) -> Watched:
-        """Values at the end y of a step from t, and which became zero on the way. Zero at the end counts."""
-        now = self.values(stepper, t, h, t + h, y)
+        Args:
+            inside: the slopes of the step, or without them (k, m) values of the conditions at places within it, at
+                equal distances.
+            old: (m,) the values where it begins.
+            ends: whether it is the first step, and whether it is the last one.
+        Returns:
+            (k + 2, m) values at places at equal distances, zero at the ends where they are zero up to round-off, of
+            NaN the value before; the values to go on with; whether anything may be crossed.
+        """
+        now = self.values(stepper, t, h, t + h, end)
+        if not isinstance(inside, jax.Array):
+            shares = jnp.asarray(np.arange(1, _PLACES + 1) / (_PLACES + 1), h.dtype)
+            start, slopes = opened(y), opened(inside)
+
+            def at(share: jax.Array) -> jax.Array:
+                return self.values(stepper, t, h, t + share * h, stepper.between(start, h, slopes, share))
+
+            inside = jax.vmap(at)(shares)
         hair = _HAIR * float(jnp.finfo(now.dtype).eps)
-        sizes = jnp.abs(before.values), jnp.abs(now)
-        old = jnp.where(first & (sizes[0] <= hair * sizes[1]), 0.0, before.values)
-        now = jnp.where(last & (sizes[1] <= hair * sizes[0]), 0.0, now)
-        wanted = jnp.asarray(self.senses)
-        falls, rises = (old > 0.0) & (now <= 0.0), (old < 0.0) & (now >= 0.0)
-        hits = (falls & (wanted <= 0)) | (rises & (wanted >= 0))
-        now = jnp.where(jnp.isnan(now), before.values, now)
-        return Watched(now, hits, now)
+        first, last = ends
+        low = jnp.where(first & (jnp.abs(old) <= hair * jnp.abs(now)), 0.0, old)
+        high = jnp.where(last & (jnp.abs(now) <= hair * jnp.abs(old)), 0.0, now)
+        rows = [low]
+        for row in [*inside, high]:
+            rows.append(jnp.where(jnp.isnan(row), rows[-1], row))
+        values = jnp.stack(rows)
+        return values, jnp.where(jnp.isnan(now), old, now), (self.hits(values) | near_zero(values)[0]).any()
+
+    def hits(self, values: jax.Array) -> jax.Array:
+        """(k + 1, m) whether the condition crosses zero from a place to the next, in its direction. Zero is past it."""
+        low, high, wanted = values[:-1], values[1:], np.asarray(self.senses)[None]
+        falls, rises = (low > 0.0) & (high <= 0.0), (low < 0.0) & (high >= 0.0)
+        return (falls & (wanted <= 0)) | (rises & (wanted >= 0))
 
 
-def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) -> tuple[Watch, list[Any]]:
+def watch_of(
+    dynamics: Dynamics, event: Any, start: Inputs, signals: Signals, max_crossings: Any
+) -> tuple[Watch, list[Any]]:
     """The conditions that `integrate` was given, and values of functions at the start that are traced.
 
     What was checked once is not checked again. Raises InputError and ModelError.
@@ -220,7 +312,13 @@ def watch_of(dynamics: Dynamics, event: Any, start: Inputs, signals: Signals) ->
             loops.get(key, functools.partial(value_of, number, condition))
         functions.append(condition)
         inputs.append(closed)
-    return Watch(tuple(functions), tuple(e.sense for e in events), tuple(inputs)), values
+    senses, terminal, at_start = zip(*((e.sense, e.terminal, e.at_start) for e in events), strict=True)
+    if max_crossings is not None and all(terminal):
+        raise InputError(
+            "max_crossings is for events that do not end the integration: tx.Event(condition, terminal=False)"
+        )
+    room = _ROOM if max_crossings is None else whole("max_crossings", max_crossings)
+    return Watch(tuple(functions), senses, terminal, at_start, int(room), tuple(inputs)), values
 
 
 def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:
@@ -258,93 +356,3 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, 
         form = opened(*canonicalize_all([condition]))
     (expr,) = canonicalize_all([form])
     return _OfExpression(expr.key(), expr), levels
-
-
-# ---- where in its last step an integration meets an event, and what becomes of it then -----------------------------
-
-
-class Meeting(NamedTuple):
-    """Where an integration meets an event."""
-
-    met: jax.Array  # whether it does
-    which: jax.Array  # the number of the event; -1 for none
-    s: jax.Array  # how far into the step from where the loop halted; zero for none
-    t: jax.Array  # the start of that step
-    evaluations: jax.Array  # of the right-hand side, to find it
-
-
-def locate(steps: Steps, stepper: Stepper, seen: Watched, run: Run) -> Meeting:
-    """The first root in the step that a loop halted before. Traceable, not differentiable."""
-    watch: Watch = steps.watch
-    outcome = run.outcome
-    t, h = outcome.t, outcome.h
-    met = outcome.code == Result.EVENT.value
-    finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
-
-    def root(_: None, entry: tuple[jax.Array, Watched]) -> tuple[None, tuple[jax.Array, jax.Array]]:
-        number, (before, hit, after) = entry
-
-        def narrowed(now: Bracket) -> Bracket:
-            moved = steps.advance(stepper, run.carry, t, run.end, now.place)
-            return beside(Watch._narrowed, watch, stepper, t, h, moved, number, now)
-
-        start = Bracket.between(jnp.zeros_like(h), h, before, after, finest)
-        start = start._replace(done=start.done | ~(met & hit))
-        end = jax.lax.while_loop(lambda now: ~now.done, narrowed, start)
-        return None, (jnp.where(met & hit, end.root, jnp.inf), end.tries)
-
-    _, (roots, tries) = jax.lax.scan(root, None, (jnp.arange(seen.values.size), seen))
-    which = jnp.argmin(roots)
-    cost = (tries.sum() + met.astype(int)) * stepper.method.evaluations_of(stepper.dynamics)
-    return Meeting(met, jnp.where(met, which, -1), jnp.where(met, roots[which], 0.0), t, cost)
-
-
-def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
-    """The same meeting, whose root moves as the condition does with all inputs: by the implicit function theorem."""
-    which = jnp.maximum(meeting.which, 0)
-
-    def value(s: jax.Array) -> jax.Array:
-        values = watch.values(stepper, meeting.t, h, meeting.t + s, stepper.advance(meeting.t, y, s))
-        return jnp.where(meeting.met, values[which], s)
-
-    root = jax.lax.custom_root(
-        value,
-        jax.lax.stop_gradient(meeting.s),
-        lambda function, known: known,
-        lambda slope, change: change / slope(jnp.ones_like(change)),
-    )
-    return meeting._replace(s=root)
-
-
-def to_event(advance: Advance, run: Run, meeting: Meeting) -> Any:
-    """The state at the event, or where the loop came to its end."""
-    return jax.lax.cond(meeting.met, lambda y: advance(meeting.t, y, meeting.s), lambda y: y, run.end)
-
-
-def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
-    """A run that halted before a step, taken on to the event within it, where the state is `moved`."""
-    met, s, outcome = meeting.met, meeting.s, run.outcome
-    one = met.astype(outcome.accepted.dtype)
-    t = jnp.where(met, meeting.t + s, outcome.t)
-    trail = run.trail
-    if trail is not None:
-        last = trail.steps + one
-        trail = Trail(trail.t.at[last].set(jnp.where(met, t, trail.t[last])), put(trail.y, last, moved), last)
-    evaluations = outcome.evaluations + meeting.evaluations
-    outcome = outcome._replace(t=t, tried=outcome.tried + one, accepted=outcome.accepted + one, evaluations=evaluations)
-    return run._replace(end=moved, outcome=outcome, trail=trail)
-
-
-def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, Part]:
-    """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
-    within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
-    reached = jnp.where(meeting.met, saved.asked & (ts <= meeting.t + meeting.s), saved.reached)
-
-    def pick(new: jax.Array, old: jax.Array) -> jax.Array:
-        return jnp.where(within.reshape(within.shape + (1,) * new.ndim), new[None], old)
-
-    ys = jax.tree.map(pick, run.end, saved.y)
-    steps = pick(run.outcome.accepted, saved.steps)
-    h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
-    saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.asked)
-    return saved, Part(pick(meeting.t, parts.t), h)

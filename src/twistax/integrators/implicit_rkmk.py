@@ -162,7 +162,7 @@ class ImplicitRKMK(ChartMethod):
 
         known: _Learned = carry
         start = equations.first_slope()
-        apart = jnp.abs(h - known.h) > _ALIKE * known.h
+        apart = jnp.abs(h - known.h) > _ALIKE * jnp.abs(known.h)
         renewed = apart | (known.last.contraction > _FAST)
         inverses = jax.lax.cond(
             renewed, lambda: Factors.found(self.tableau, equations.start()[1], h), lambda: known.inverses
@@ -185,7 +185,7 @@ class ImplicitRKMK(ChartMethod):
 
     def _guess(self, last: _Last, h: jax.Array) -> jax.Array:
         """The polynomial of the last step, carried on."""
-        known = last.h > 0.0
+        known = last.h != 0.0
         ratio = jnp.where(known, h / jnp.where(known, last.h, 1.0), 0.0)
         powers = combined(self.tableau.polynomial, list(last.Z))
         end = sum(powers)

@@ -34,12 +34,13 @@ from .method import Method, Stepper
 from .projected import need_start_on_manifold, projected
 from .rkmk import RKMK
 from .rollout import Rollout, rollout
-from .rows import Stops, filled
+from .rows import Stops, filled, limits_of
 from .run import Result
-from .solution import Dense, Solution, Stats, failure
+from .solution import Crossings, Dense, Solution, Stats, failure
 from .step_control import StepControl
-from .steps import FixedSteps, Steps, check_saves, ended_well, fixed_steps, span_of
+from .steps import FixedSteps, Steps, ended_well
 from .tableaus import DOP853, RK4
+from .times import check_saves, direction_of, fixed_steps, span_of
 from .tolerances import tolerances_of
 
 
@@ -62,6 +63,7 @@ def integrate(
     between: Between = Between.STEP,
     dense: bool = False,
     event: Any = None,
+    max_crossings: Any = None,
     throw: bool = True,
     progress: Any = None,
 ) -> Solution:
@@ -78,7 +80,7 @@ def integrate(
 
     Args:
         x0: the start, a dict by state name. Its precision is that of the whole integration.
-        t0, t1: start and end in s, t1 >= t0.
+        t0, t1: start and end in s; with t1 < t0 it goes backward in time, and save_at falls.
         dt: fixed steps: their length in s; (t1 - t0) / dt is rounded to whole steps and dt adjusted. With rtol: the
             first step to try; chosen if left out.
         steps: the number of fixed steps, instead of dt.
@@ -89,7 +91,7 @@ def integrate(
         method: an object like `RKMK(tableau)`. Left out: RKMK(RK4) with fixed steps, with tolerances
             RKMK(DOP853, Ambient()), which the report advises.
         control: how steps follow from errors, a `StepControl`, and how many there may be.
-        jumps: sorted times at which u, or the system itself, jumps; steps chosen by tolerances end there. Tables bring
+        jumps: sorted times at which u, or the system itself, jumps; steps end there. Tables bring
             their own.
         u: the controls: a dict of arrays, which are held, or of tables (`ZeroOrderHold`, `FirstOrderHold`); or a
             traceable function of t that returns the dict and is called at stage times. A function is part of the
@@ -104,8 +106,10 @@ def integrate(
             their number is then part of the compiled program.
         event: an `Event`, or a list of them: the integration ends at the first root of any condition, with
             `Result.EVENT`, which is no failure; `Solution.event` is its number. With save_at the last row is then where
-            it ended, besides the saved times before it. Derivatives of the time and the state there are those
-            of the implicit function theorem.
+            it ended, besides the saved times before it. Those with terminal=False do not end it: `Solution.crossings`
+            has them. Derivatives of the times and the states there are those of the implicit function theorem.
+        max_crossings: how many crossings `Solution.crossings` has room for, all events together; with one more the
+            integration ends, with `Result.MAX_CROSSINGS`. 128 if left out.
         throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
         progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
             with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256
@@ -139,6 +143,7 @@ def integrate(
         between=between,
         dense=dense,
         event=event,
+        max_crossings=max_crossings,
     )
     _flag("throw", throw)
     stepper, taken = plan.stepper, plan.steps
@@ -149,7 +154,8 @@ def integrate(
         with metered(told) as meter:
             found = rollout(dataclasses.replace(taken, meter=meter), stepper, plan.x)
     if is_traced((t0, t1, save_at)):
-        found = _inside(found, jnp.asarray(plan.t0), jnp.asarray(t1, plan.t0.dtype), jnp.asarray(plan.ts))
+        times = (plan.t0, jnp.asarray(t1, plan.t0.dtype), plan.ts)
+        found = _inside(found, *(jnp.asarray(stepper.clock(t)) for t in times))
     return solution_of(stepper, taken, found, plan.ts, save_at is None, throw)
 
 
@@ -183,6 +189,7 @@ def planned(
     between: Any = Between.STEP,
     dense: Any = False,
     event: Any = None,
+    max_crossings: Any = None,
 ) -> Plan:
     """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
     need_compiled("integrate", dynamics)
@@ -207,45 +214,66 @@ def planned(
     if span is not None:
         need_held("t1", np.asarray(span[1]), inputs.dtype)
         if isinstance(controls, ByName):
-            controls.check_span(*span)
+            controls.check_span(min(span), max(span))
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
-    watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals)
+    if event is None and max_crossings is not None:
+        raise InputError("max_crossings is for events that do not end the integration, but event is left out")
+    watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals, max_crossings)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):
         signals = signals.opened(jnp.asarray(inputs.t))
-    stepper = Stepper(dynamics, method, signals, dict(inputs.params), within=adaptive, inward=jumps is not None)
-    taken: AdaptiveSteps | FixedSteps
+    direction = direction_of(t0, t1, dtype)
+    stepper = Stepper(
+        dynamics, method, signals, dict(inputs.params), within=True, inward=jumps is not None, direction=direction
+    )
+    # From here on times are those of the clock of the loop over steps, which goes forward.
+    start, end, span = _on_clock(direction, t0, t1, span, dtype)
     saves, count = save_at, np.asarray(0)
     if save_at is not None:
-        known = check_saves(save_at, span)
+        known = check_saves(save_at, None if span is None else (float(t0), float(t1)))
         count = np.asarray(len(save_at))
+        saves = (jnp if is_traced((direction, save_at)) else np).asarray(save_at)
+        # In the precision they came in, which says how exact they are.
+        saves = saves if saves.dtype.kind == "f" else saves.astype(dtype)
+        saves = direction.astype(saves.dtype) * saves
         if known and not traced and not is_tracing():
             # A polynomial is asked for as far as the time has come: never for what fills up the rows.
-            beyond = np.inf if between is Between.POLYNOMIAL else t1
-            saves = filled(save_at, beyond, sum(value.size for value in x.values()))
+            beyond = np.inf if between is Between.POLYNOMIAL else end
+            saves = filled(saves, beyond, sum(value.size for value in x.values()))
+    limits = limits_of(start, end, jumps, signals, direction)
+    taken: AdaptiveSteps | FixedSteps
     if adaptive:
         if steps is not None:
             raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
         _ = method.error_order  # a method without an error estimate says so here
         if between is Between.POLYNOMIAL:
             method.need_polynomial()
-        stops = Stops.given(inputs.t, t1, saves, count, jumps, signals)
+        stops = Stops.given(limits, start, saves, count)
         if dt is not None:
             need_held("dt", real_array("dt", dt), dtype)
         first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
         tolerances = tolerances_of(dynamics, rtol, atol, dtype)
-        taken = AdaptiveSteps(inputs.t, first, stops, tolerances, control or StepControl(), dense, between, watch)
+        taken = AdaptiveSteps(start, first, stops, tolerances, control or StepControl(), dense, between, watch)
     else:
         polynomial = between if between is Between.POLYNOMIAL else None
-        for name, value in (("jumps", jumps), ("control", control), ("between", polynomial)):
+        for name, value in (("control", control), ("between", polynomial)):
             if value is not None:
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        taken = fixed_steps(t0, t1, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch)
+        taken = fixed_steps(
+            start, end, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch, limits=limits
+        )
     times = [t1] if save_at is None else save_at
     ts = (jnp if is_traced(times) else np).asarray(times, dtype)
     return Plan(stepper, taken, x, inputs.t, ts, traced)
+
+
+def _on_clock(direction: Any, t0: Any, t1: Any, span: Any, dtype: Any) -> tuple[Any, Any, tuple[float, float] | None]:
+    """Start and end on the clock of the loop over steps, and as plain numbers where they are known."""
+    array: Any = np if span else jnp
+    start, end = (direction * array.asarray(t, dtype) for t in (t0, t1))
+    return start, end, span and (float(direction) * span[0], float(direction) * span[1])
 
 
 def _flag(name: str, value: Any) -> None:
@@ -318,7 +346,8 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 
 def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, xs, watching, known = found.outcome, found.xs, steps.watch is not None, not is_traced(found.outcome)
+    outcome, xs, known = found.outcome, found.xs, not is_traced(found.outcome)
+    watching = steps.watch is not None and any(steps.watch.terminal)
     code, tried, accepted, evaluations, _, _ = outcome
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)
@@ -327,13 +356,14 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
     if known and throw and not ended_well(result):
         end = found.end or {name: value[0] for name, value in xs.items()}
         raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, end)))
+    t_end = stepper.clock(outcome.t)
     if end_only:
         if not known:
             xs = {name: _or_nan(ended_well(outcome.code), value) for name, value in xs.items()}
         if known:
-            ts = ts if result is Result.SUCCESS else np.asarray(outcome.t)[None]
+            ts = ts if result is Result.SUCCESS else np.asarray(t_end)[None]
         elif watching:
-            ts = jnp.where(outcome.code == Result.EVENT.value, outcome.t, ts[-1])[None]
+            ts = jnp.where(outcome.code == Result.EVENT.value, t_end, ts[-1])[None]
     else:
         # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
         unknown = is_traced((found, ts))
@@ -346,9 +376,17 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
             end = found.end or {}
             if not known:
                 end = {name: _or_nan(ended_well(outcome.code), value) for name, value in end.items()}
-            ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, outcome.t, end)
+            ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, t_end, end)
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)
     return Solution(
-        ts if isinstance(ts, jax.Array) else jax.device_put(ts), xs, stats, result, dense, found.event, stepper
+        ts if isinstance(ts, jax.Array) else jax.device_put(ts),
+        xs,
+        stats,
+        result,
+        dense,
+        found.event,
+        stepper,
+        found.at_start,
+        None if found.crossings is None else Crossings.of(stepper, found.crossings),
     )

@@ -17,6 +17,7 @@ from ..lowering.scalar.loops import Filling, Repeated, repeat
 from ..lowering.scalar.primitive import Derived, call_program
 from ..lowering.small_call import inside_small_call, small_call
 from .charts import Blocks
+from .grid import Grid
 from .method import Attempt, Carry, Stepper
 
 Now = TypeVar("Now")
@@ -60,36 +61,40 @@ def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
 
 
 class KernelSteps(NamedTuple):
-    """Equal steps of a method on a system, with inputs of some types, all in one call."""
+    """Steps of fixed lengths of a method on a system, with inputs of some types, all in one call."""
 
     repeated: Repeated  # the step on flat arrays
     evaluations: int  # of the right-hand side in a step
 
     def run(
-        self, stepper: Stepper, t0: jax.Array, h: jax.Array, first: jax.Array, stop: jax.Array, y: Blocks, carry: Carry
-    ) -> tuple[Blocks, Carry, jax.Array]:
+        self, stepper: Stepper, grid: Grid, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
+    ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
-        state, structure = jax.tree.flatten((y, carry))
-        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((t0, h, stepper)), state)
-        y, carry = jax.tree.unflatten(structure, found)
-        return y, carry, count
+        state, structure = jax.tree.flatten(state)
+        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), state)
+        return jax.tree.unflatten(structure, found), count
 
 
 def kernel_steps(
-    stepper: Stepper, t0: jax.Array, h: jax.Array, number: jax.Array, y: Blocks, carry: Carry
+    stepper: Stepper, grid: Grid, number: jax.Array, state: tuple[Blocks, Carry, Any]
 ) -> KernelSteps | None:
-    """Equal steps in one kernel; `number` is that of a step, for its type."""
-    leaves, structure = jax.tree.flatten((number, (t0, h, stepper), (y, carry)))
-    types, count = _types(leaves), len(jax.tree.leaves((y, carry)))
+    """Steps of a grid in one kernel; `number` is that of a step, for its type.
+
+    Args:
+        state: the stored state, what the method carries, and the slopes of the last step, where steps are sampled.
+    """
+    leaves, structure = jax.tree.flatten((number, (grid, stepper), state))
+    types, count = _types(leaves), len(jax.tree.leaves(state))
 
     def make() -> KernelSteps | None:
         attempts: list[Attempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
-            k, (t0, h, stepper), (y, carry) = jax.tree.unflatten(structure, leaves)
-            t, own = t0 + k.astype(t0.dtype) * h, stepper.in_arrays
-            attempts.append(own.method.follow(own.field(t, h), t, y, carry, h))
-            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry))
+            k, (grid, stepper), (y, carry, slopes) = jax.tree.unflatten(structure, leaves)
+            t, h = grid.step(k)
+            attempts.append(stepper.in_arrays.follow(t, y, carry, h, slopes is not None))
+            slopes = None if slopes is None else attempts[-1].slopes
+            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, slopes))
 
         repeated = stepper.dynamics.backend.repeated(step, types, count)
         # A step that solves equations may fail, which a kernel does not see.
@@ -97,7 +102,7 @@ def kernel_steps(
             return None
         return KernelSteps(repeated, attempts[-1].evaluations)
 
-    return _made(stepper, (y, carry), (kernel_steps, structure, types), make)
+    return _made(stepper, state[:2], (kernel_steps, structure, types), make)
 
 
 def kernel_tries(
@@ -106,6 +111,7 @@ def kernel_tries(
     given: Any,
     stepper: Stepper,
     now: Now,
+    state_of: Callable[[Now], Any] = lambda now: now,
 ) -> Callable[[Now, jax.Array, jax.Array, Filling | None], tuple[Now, Filling | None]] | None:
     """A loop over now = one_try(given, stepper, now) in one kernel.
 
@@ -116,6 +122,7 @@ def kernel_tries(
         one_try: also says whether another one follows, and what rows are made of, the time reached first; None: the
             method has none. What it does depends on the structure of its inputs alone.
         row: of what a try left and a time up to there.
+        state_of: what of it says whether the state is too wide for a kernel.
     """
     fixed, structure = jax.tree.flatten((given, stepper))
     state, form = jax.tree.flatten(now)
@@ -141,7 +148,7 @@ def kernel_tries(
         shapes += [jax.ShapeDtypeStruct(each.shape, dtype) for each in types[len(fixed) :]]
         return stepper.dynamics.backend.repeated(iteration, shapes, len(state), one_row)
 
-    repeated: Repeated | None = _made(stepper, now, (kernel_tries, structure, form, types), make)
+    repeated: Repeated | None = _made(stepper, state_of(now), (kernel_tries, structure, form, types), make)
     if repeated is None:
         return None
     nothing = None

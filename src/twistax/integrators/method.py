@@ -133,6 +133,10 @@ class Method(ABC):
         """The step of `advance`, after a step that left `carry`. Pure and traceable."""
         return Attempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        """The step of `follow` with the slopes that `between` reads, where the method has it."""
+        return self.follow(field, t, y, carry, h)
+
     # ---- steps chosen by tolerances ------------------------------------------------------------------------------
 
     #: Evaluations of the right-hand side in `resume`.
@@ -224,6 +228,9 @@ class Stepper:
     #: Whether rates see times just inside of a step in place of its ends, because they may jump there: a step that ends
     #: at a jump must not see the other side.
     inward: bool = dataclasses.field(default=False, metadata={"static": True})
+    #: 1.0, or -1.0 for an integration backward in time; None: forward. Loops over steps run on a clock that goes
+    #: forward, the time by the direction.
+    direction: Any = None
 
     @property
     def coordinates(self) -> StateCoordinates:
@@ -245,8 +252,12 @@ class Stepper:
         """The same for what stands beside loops in kernels."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
 
+    def clock(self, t: Any) -> Any:
+        """A time of the clock of the loop from one in s, or the other way round; lengths of time alike."""
+        return t if self.direction is None else self.direction * t
+
     def field(self, t: jax.Array, h: jax.Array) -> VectorField:
-        """The right-hand side within the step from t to t + h."""
+        """The right-hand side within the step from t to t + h in s, h of either sign."""
         during = self.signals.during(self.dynamics, t, h, self.within)
         if not self.inward:
             return VectorField(self.dynamics, during, self.params)
@@ -255,22 +266,45 @@ class Stepper:
             # A few units of round-off inside of the step where it is one of its ends.
             small = 4.0 * jnp.finfo(time.dtype).eps
             hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
-            first, last = t + hair, t + h - hair
+            first, last = jnp.where(h < 0.0, t + h, t) + hair, jnp.where(h < 0.0, t, t + h) - hair
             return jnp.where(time < first, first, jnp.where(time > last, last, time))
 
         return VectorField(self.dynamics, lambda time: during(clock(time)), self.params, clock)
 
+    # ---- what loops over steps call, with times and lengths on their clock -------------------------------------------
+
+    def _in_s(self, t: jax.Array, h: jax.Array) -> tuple[VectorField, jax.Array, jax.Array]:
+        t, h = self.clock(t), self.clock(h)
+        return self.field(t, h), t, h
+
     def advance(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         """The stored state after a step of length h."""
-        return self.method.advance(self.field(t, h), t, y, h)
+        field, t, h = self._in_s(t, h)
+        return self.method.advance(field, t, y, h)
+
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> Attempt:
+        """The same, after a step that left `carry`; with the slopes of the step, if it has any, where it is sampled."""
+        field, t, h = self._in_s(t, h)
+        return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
 
     def rate(self, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        """The rate at the start of a step of about length h."""
-        return self.method.rate(self.field(t, h), t, y)
+        """The rate in s at the start of a step of about length h."""
+        field, t, _ = self._in_s(t, h)
+        return self.method.rate(field, t, y)
+
+    def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
+        """What `attempt` is given where rates may have jumped before a step of length h."""
+        field, t, _ = self._in_s(t, h)
+        return self.method.resume(field, t, y, carry)
 
     def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
         """A step of length h that may be taken back, with its error."""
-        return self.method.attempt(self.field(t, h), t, y, carry, h, tolerances)
+        field, t, h = self._in_s(t, h)
+        return self.method.attempt(field, t, y, carry, h, tolerances)
+
+    def between(self, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
+        """The stored state at a share of a step of length h from y, of a method that has a polynomial."""
+        return self.method.between(self.dynamics, y, self.clock(h), slopes, share)
 
 
 def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:

@@ -17,6 +17,7 @@ from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import precision
 from ..system import free_name
 from ..units import same_unit, seconds
+from .events import Event
 from .integrate import integrate
 from .interpolant import Between
 from .links import Link, check_link, linked
@@ -26,7 +27,8 @@ from .phased_solution import PhasedSolution
 from .run import Result
 from .solution import Solution
 from .step_control import StepControl
-from .steps import check_saves, ended_well
+from .steps import ended_well
+from .times import check_saves
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -155,14 +157,14 @@ def integrate_phases(
                 jumps=phase.jumps,
                 u=_first(phase.u, shared),
                 params={name: value for name, value in own.items() if name in has},
-                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, phase.event is not None),
+                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, _by_event(phase)),
                 between=between,
                 dense=dense,
                 event=phase.event,
                 throw=throw,
                 progress=None if told is None else _share(told, index, len(phases)),
             )
-            if phase.event is not None:
+            if _by_event(phase):
                 solution = _met(solution, limit, throw)
         begun, starts, done = [*begun, t], [*starts, x], [*done, solution]
         good = ended_well(solution.code)
@@ -246,14 +248,25 @@ def _checked(
     return found
 
 
+def _by_event(phase: Phase) -> bool:
+    """Whether an event ends the phase."""
+    events = phase.event if isinstance(phase.event, (list, tuple)) else [phase.event]
+    return any(isinstance(event, Event) and event.terminal for event in events)
+
+
 def _limit(phase: Phase, t: Any) -> Any:
-    """When the phase ends at the latest."""
-    if phase.t1 is not None:
-        return phase.t1
-    if is_traced((t, phase.duration)):
+    """When the phase ends at the latest. Raises InputError for an end before its start; NaN where that is traced."""
+    if is_traced((t, phase.t1, phase.duration)):
         t = jnp.asarray(t)
-        return t + jnp.asarray(phase.duration, t.dtype)
-    return float(t) + float(phase.duration)
+        end = t + jnp.asarray(phase.duration, t.dtype) if phase.t1 is None else jnp.asarray(phase.t1, t.dtype)
+        return jnp.where(end < t, jnp.nan, end)
+    end = float(t) + float(phase.duration) if phase.t1 is None else phase.t1
+    if float(end) < float(t):
+        raise InputError(
+            f"the phase ends at {float(end):g}, before its start at {float(t):g}.\n"
+            "  fix: phases go forward in time; tx.integrate alone goes backward"
+        )
+    return end
 
 
 def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event: bool) -> Any:

@@ -49,7 +49,7 @@ class Projected(Method):
     resume_evaluations = property(lambda self: self.inner.resume_evaluations)
     solves = property(lambda self: self.inner.solves)
     evaluations_of, coordinates, stored = map(_of_inner, ("evaluations_of", "coordinates", "stored"))
-    rate, before, begin, resume = map(_of_inner, ("rate", "before", "begin", "resume"))
+    rate, before, begin, resume, between = map(_of_inner, ("rate", "before", "begin", "resume", "between"))
 
     def check(self, dynamics: Dynamics) -> None:
         self.inner.check(dynamics)
@@ -62,6 +62,10 @@ class Projected(Method):
         found = self.inner.follow(field, t, y, carry, h)
         return found._replace(y=self._brought_back(field, t + h, found.y))
 
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        found = self.inner.sampled(field, t, y, carry, h)
+        return found._replace(y=self._brought_back(field, t + h, found.y))
+
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
@@ -70,7 +74,7 @@ class Projected(Method):
         # What the next step begins with belongs to where it begins.
         carry = self.inner.resume(field, t + h, end, found.carry)
         evaluations = found.evaluations + self.inner.resume_evaluations
-        return found._replace(y=end, carry=carry, evaluations=evaluations, slopes=None)
+        return found._replace(y=end, carry=carry, evaluations=evaluations)
 
     def need_polynomial(self) -> None:
         raise ModelError(

@@ -74,12 +74,29 @@ class RKMK(ChartMethod):
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
         return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
 
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+        """The step of `advance`, and the rate at its end, which the polynomial between its ends reads too."""
+        slopes, (moved, _), count = self._to_the_end(field, t, y, self.rate(field, t, y), h)
+        end = self.coordinates(field.dynamics).settle(moved)
+        return Attempt(end, carry, (), count, slopes=jax.vmap(slopes.read)(slopes.rows))
+
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
         """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
+        tableau = self.tableau
+        slopes, (moved, rate), count = self._to_the_end(field, t, y, carry, h)
+        embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
+        errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
+        end = self.coordinates(field.dynamics).settle(moved)
+        return Attempt(end, rate, errors, count - 1, slopes=jax.vmap(slopes.read)(slopes.rows))
+
+    def _to_the_end(
+        self, field: VectorField, t: jax.Array, y: Blocks, rate: Blocks, h: jax.Array
+    ) -> tuple[Slopes, tuple[Blocks, Blocks], int]:
+        """The slopes of all stages up to the end of the step, the state and the rate there, and how many there are."""
         local = self.coordinates(field.dynamics)
-        (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(carry)
+        (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(rate)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[jax.Array, jax.Array]]:
             moved = held(local.move(y, z))
@@ -87,13 +104,9 @@ class RKMK(ChartMethod):
             # Packed: the loop would carry every scalar by itself.
             return local.slope(z, moved, rate), (ravel_pytree(moved)[0], ravel_pytree(rate)[0])
 
-        tableau = self.tableau
-        stages = tableau.to_the_end
-        slopes, (moved, rate) = stage_slopes(stages, slope, local.first_slope(y, carry), (start, packed), t, h)
-        embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
-        errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
-        end, count = local.settle(read_state(moved)), len(stages.c) - 1
-        return Attempt(end, read_rate(rate), errors, count, slopes=jax.vmap(slopes.read)(slopes.rows))
+        stages = self.tableau.to_the_end
+        slopes, (moved, last) = stage_slopes(stages, slope, local.first_slope(y, rate), (start, packed), t, h)
+        return slopes, (read_state(moved), read_rate(last)), len(stages.c)
 
     def need_polynomial(self) -> None:
         return

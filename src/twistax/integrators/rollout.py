@@ -15,8 +15,17 @@ from ..jax_inside import any_of_batch, batched_branches_transpose, is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
-from .events import Meeting, cut_at, locate, refined, saved_before, to_event
 from .kernels import Packed, advance_again, beside, opened
+from .meeting import (
+    CrossingRows,
+    Meeting,
+    crossing_rows,
+    cut_at,
+    refined,
+    refined_rows,
+    saved_before,
+    to_event,
+)
 from .method import Stepper, jitted
 from .rows import first_rows
 from .run import Outcome, Part, Result, Run, Saved, Trail
@@ -33,6 +42,8 @@ class Rollout(NamedTuple):
     outcome: Any  # how they went, an `Outcome`, those of saved times included in the evaluations
     trail: Trail | None  # where it is kept
     event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
+    at_start: jax.Array | None = None  # (m,) whether each condition was zero or past it at the start
+    crossings: CrossingRows | None = None  # of events that do not end it, where there are any
 
 
 def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
@@ -88,18 +99,34 @@ def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
-    seen = run.watched
-    meeting = None if seen is None else small_call(locate, steps, stepper, seen, run)
+    meeting = None if run.watched is None else Meeting.of(run)
     moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper, run.carry), run, meeting)
+
+    def advance_all(ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
+        return small_call(_one_by_one, stepper, ys, parts, count)
+
     if run.saved is None:
-        return small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
-    if steps.finds_rows and meeting is None:
+        found = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
+    elif steps.finds_rows and meeting is None:
         return _with_rows(steps, stepper, x, run)
+    else:
 
-    def advance_all(saved: Saved, parts: Part) -> Blocks:
-        return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
+        def to_saves(saved: Saved, parts: Part) -> Blocks:
+            return advance_all(saved.y, parts, saved.asked.sum())
 
-    return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
+        found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_crossings(stepper, run, found, advance_all)
+
+
+def _with_crossings(stepper: Stepper, run: Run, found: Rollout, advance_all: Any) -> Rollout:
+    """With what is known of the conditions, and the states at crossings."""
+    if run.watched is None:
+        return found
+    found, crossed = found._replace(at_start=run.watched.held), run.watched.crossed
+    if crossed is None:
+        return found
+    ys = advance_all(crossed.y, Part(crossed.t, crossed.s), crossed.count)
+    return found._replace(crossings=crossing_rows(stepper, crossed, ys))
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
@@ -201,7 +228,7 @@ def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
     steps, stepper, x = jax.lax.stop_gradient(primals)
     run = steps.run(stepper, stepper.stored.enter(x), record=True)
-    known = None if run.watched is None else locate(steps, stepper, run.watched, run)
+    known = None if run.watched is None else Meeting.of(run)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
@@ -229,7 +256,8 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
     # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
     taken = all_parts._replace(h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
-    recorded = steps.dense or run.saved is not None
+    crossed = None if run.watched is None else run.watched.crossed
+    recorded = steps.dense or run.saved is not None or crossed is not None
     end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
     run = run._replace(end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
     meeting = None
@@ -237,14 +265,27 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
         meeting = refined(stepper, steps.watch, end, run.outcome.h, known._replace(t=begins))
 
-    def advance_all(saved: Saved, parts: Part) -> Blocks:
-        starts = jax.tree.map(lambda a: a[saved.steps], every)
+    if crossed is not None and run.watched is not None:
+        # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
+        there = crossed.which >= 0
+        k = jnp.where(there, crossed.steps, 0)
+        crossed = crossed._replace(
+            t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
+        )
+        crossed = refined_rows(stepper, steps.watch, crossed)
+        run = run._replace(watched=run.watched._replace(crossed=crossed))
+
+    def to_saves(saved: Saved, parts: Part) -> Blocks:
+        return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts, None)
+
+    def advance_all(starts: Blocks, parts: Part, _: Any) -> Blocks:
         if stepper.method.solves and not batched_branches_transpose():
             return jax.lax.map(lambda each: step(*each), (starts, parts))
         return jax.vmap(step)(starts, parts)
 
     moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), run, meeting)
-    return _to_saved_times(steps, stepper, x, run, meeting, moved, advance_all)
+    found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_crossings(stepper, run, found, advance_all)
 
 
 # ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------

@@ -28,36 +28,47 @@ class Stops(NamedTuple):
     count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod
-    def given(cls, t0: Any, t1: Any, save_at: Any, count: Any, jumps: Any, signals: Signals) -> Stops:
-        """The stops of what a user gave: saved times; the end, jumps and those of tables as limits."""
-        if jumps is not None:
-            same_unit("jumps", jumps, seconds)
-            given = real_array("jumps", jumps)
-            falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
-            if given.ndim != 1 or not is_finite(given) or falls:
-                raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
-            need_held("jumps", given, t0.dtype)
-        known = [*signals.jumps, *([] if jumps is None else [jumps])]
-        # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
-        array: Any = jnp if is_traced((t0, t1, known, save_at)) else np
-        t1 = array.asarray(t1, t0.dtype)
-
-        def inside(ts: Any) -> Any:
-            # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
-            ts = array.asarray(ts, t0.dtype)
-            return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
-
-        limits = t1[None]
-        if known:
-            limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
-            # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
-            # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
-            first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
-            limits = 0.5 * (limits[first] + limits[last - 1])
+    def given(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
+        """The stops of limits, the last one the end, and of saved times."""
         if save_at is None:
             return cls(limits, None, 0)
-        saves = array.asarray(save_at, t0.dtype)
+        array: Any = jnp if is_traced((limits, t0, save_at)) else np
+        saves, t1 = array.asarray(save_at, t0.dtype), limits[-1]
         return cls(limits, array.where(saves < t0, t0, array.where((saves > t1) & (saves < np.inf), t1, saves)), count)
+
+
+def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) -> Any:
+    """(m,) the times at which a step must end, in order: jumps that a user named, those of tables, and the end.
+
+    Args:
+        t0, t1: start and end, on the clock of the loop over steps: times in s by the direction.
+    Raises:
+        InputError: jumps that are no sorted, finite times.
+    """
+    if jumps is not None:
+        same_unit("jumps", jumps, seconds)
+        given = real_array("jumps", jumps)
+        falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
+        if given.ndim != 1 or not is_finite(given) or falls:
+            raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
+        need_held("jumps", given, t0.dtype)
+    known = [*signals.jumps, *([] if jumps is None else [jumps])]
+    # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
+    array: Any = jnp if is_traced((t0, t1, known)) else np
+    t1 = array.asarray(t1, t0.dtype)
+
+    def inside(ts: Any) -> Any:
+        # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+        ts = direction * array.asarray(ts, t0.dtype)
+        return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
+
+    if not known:
+        return t1[None]
+    limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
+    # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
+    # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+    first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+    return 0.5 * (limits[first] + limits[last - 1])
 
 
 def rows(like: Any, count: int) -> Any:

@@ -6,6 +6,7 @@ import enum
 from typing import Any, NamedTuple
 
 import jax
+import jax.numpy as jnp
 
 from .charts import Blocks
 from .kernels import Packed
@@ -21,6 +22,7 @@ class Result(enum.IntEnum):
     NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
     EVENT = 5, "an event stopped it"
     NO_EVENT = 6, "a phase ended without its event"
+    MAX_CROSSINGS = 7, "there was no room for another crossing"
 
     #: What happened, in plain words.
     sentence: str
@@ -63,12 +65,49 @@ class Saved(NamedTuple):
     asked: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
 
 
+class Crossed(NamedTuple):
+    """Crossings of conditions that do not end an integration: one, or rows of them."""
+
+    steps: jax.Array  # the accepted steps before
+    t: jax.Array  # the start of the step in which it lies
+    h: jax.Array  # the length of that step
+    y: Any  # the stored state there
+    s: jax.Array  # how far into the step it lies
+    which: jax.Array  # the number of the event; -1 for rows without one
+    rises: jax.Array  # whether the condition rises
+    count: jax.Array  # rows in use
+
+    @classmethod
+    def none(cls, room: int, t: jax.Array, y: Any) -> Crossed:
+        """No rows, with room for some."""
+        zero = jnp.zeros((), int)
+        one = cls(zero, t, t, y, t, zero - 1, jnp.asarray(False), zero)
+        found: Crossed = jax.tree.map(lambda a: jnp.broadcast_to(a, (room, *a.shape)), one)
+        return found._replace(count=zero)
+
+    def with_one(self, one: Crossed, here: jax.Array) -> tuple[Crossed, jax.Array]:
+        """With one more row, where it is here; whether there was no room for it."""
+        room, count = len(self.which), self.count
+        fits, row = here & (count < room), jnp.minimum(count, room - 1)
+
+        def put(rows: jax.Array, value: jax.Array) -> jax.Array:
+            return rows.at[row].set(jnp.where(fits, value.astype(rows.dtype), rows[row]))
+
+        found: Crossed = jax.tree.map(put, self._replace(count=()), one._replace(count=()))
+        return found._replace(count=count + fits.astype(count.dtype)), here & (count >= room)
+
+
 class Watched(NamedTuple):
     """What a loop over steps knows of the conditions."""
 
-    values: jax.Array  # (m,) where the step begins; the last ones that were not NaN
-    hits: jax.Array  # (m,) whether each became zero in the last step tried
-    ends: jax.Array  # (m,) the values where that step ends
+    values: jax.Array  # (m,) where the next step begins; the last ones that were not NaN
+    held: jax.Array  # (m,) whether each was zero, or past it, at the start
+    met: jax.Array  # whether an event that ends the integration was met
+    which: jax.Array  # the number of that event
+    s: jax.Array  # how far into the step it lies
+    evaluations: jax.Array  # of the right-hand side, to find roots
+    full: jax.Array  # whether there was no room for a crossing
+    crossed: Crossed | None = None  # where there are events that do not end the integration
 
 
 class Run(NamedTuple):

@@ -20,6 +20,7 @@ from ..lowering.inputs import is_finite
 from ..plots import chosen, draw, group_of, panels
 from ..units import same_unit, seconds
 from .charts import Blocks, Exponential, StateCoordinates
+from .meeting import CrossingRows
 from .method import Stepper, jitted
 from .run import Outcome, Result, Trail
 from .steps import Steps
@@ -51,6 +52,39 @@ class Stats:
         return self.__dict__[name]
 
 
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Crossings:
+    """Where conditions of events that do not end the integration became zero, in the order of their times.
+
+    Under jit and in batches there are rows for `max_crossings` of them; those beyond the count are NaN.
+
+    Attributes:
+        ts: (n,) times in s.
+        xs: states by name, leading axis n.
+        events: (n,) the number of the event of each, as it was given; -1 beyond the count.
+        directions: (n,) 1 where the condition rises along the integration, -1 where it falls; 0 beyond the count.
+        count: how many there are.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    events: jax.Array
+    directions: jax.Array
+    count: Any
+
+    @classmethod
+    def of(cls, stepper: Stepper, rows: CrossingRows) -> Crossings:
+        """Those of a rollout; where numbers are known without the rows beyond the count."""
+        directions = (rows.which >= 0) * (2 * rows.rises.astype(rows.which.dtype) - 1)
+        found = cls(stepper.clock(rows.ts), rows.xs, rows.which, directions, rows.count)
+        if is_traced(rows):
+            return found
+        count = int(rows.count)
+        cut = jax.tree.map(lambda a: np.asarray(a)[:count], dataclasses.replace(found, count=()))
+        return dataclasses.replace(jax.device_put(cut), count=count)
+
+
 class Dense(NamedTuple):
     """The starts of all steps and what takes a step.
 
@@ -64,7 +98,7 @@ class Dense(NamedTuple):
 
 def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
     def states(stepper: Stepper, trail: Trail, ts: jax.Array) -> Arrays:
-        stored = stepper.stored
+        stored, ts = stepper.stored, stepper.clock(ts)
         last = jnp.maximum(trail.steps - 1, 0)
         before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
         k = jnp.clip(before, 0, last)
@@ -138,7 +172,7 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
 
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
     """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
-    start, end, times = float(start), float(end), np.ravel(ts)
+    (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
     room = 1e-6 * (end - start)
     outside = ~((times >= start - room) & (times <= end + room))
     if outside.any():
@@ -159,6 +193,8 @@ class Solution(Ended):
         dense: what `evaluate` reads, with dense=True; else None.
         which: the number of the event that stopped it, -1 for none; None where none was watched for.
         stepper: the method, the system and the inputs that led here.
+        at_start: (m,) of each event whether its condition was zero or past it at the start; None without events.
+        crossings: the `Crossings` of events that do not end the integration; None where there are none.
     """
 
     ts: jax.Array
@@ -168,6 +204,8 @@ class Solution(Ended):
     dense: Dense | None = None
     which: Any = None
     stepper: Any = None
+    at_start: Any = None
+    crossings: Crossings | None = None
 
     def __repr__(self) -> str:
         shapes = {name: np.shape(value) for name, value in {"ts": self.ts, **self.xs}.items()}
@@ -229,7 +267,7 @@ class Solution(Ended):
         if ts.ndim > 1:
             raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
         if not is_traced((ts, trail)):
-            known = np.asarray(trail.t)
+            known = np.asarray(self.dense.stepper.clock(trail.t))
             need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
         found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
@@ -306,7 +344,7 @@ _FAR = 2.0
 def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
     """The error for an integration that ended early at the state x."""
     stepper, steps, outcome = jax.tree.map(jnp.asarray, (stepper, steps, outcome))
-    result, t, h = Result(int(outcome.code)), float(outcome.t), float(outcome.h)
+    result, t, h = Result(int(outcome.code)), float(stepper.clock(outcome.t)), float(outcome.h)
     last = "last state"
     if result is Result.NON_FINITE:
         last = "last finite state"
@@ -317,7 +355,11 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> Inte
     else:
         state = steps.worst(stepper, outcome, x)
         blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
-        if result is Result.MAX_STEPS:
+        if result is Result.MAX_CROSSINGS:
+            what = f"more than {steps.watch.room} crossings of events that do not end the integration, at t = {t:.6g} s"
+            cause = "conditions that cross zero often, or chatter about it"
+            fix = f"tx.integrate(..., max_crossings=...), which is {steps.watch.room}"
+        elif result is Result.MAX_STEPS:
             what = f"{int(outcome.tried)} steps ran out{blame}"
             cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
             fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
@@ -334,7 +376,7 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> Inte
 
 def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> tuple[str, str, str]:
     """What happened in the step from x whose end is not finite, the likely cause and what to do."""
-    t, h = outcome.t, outcome.h
+    t, h = stepper.clock(outcome.t), stepper.clock(outcome.h)
     field = stepper.field(t, h)
     rates, moved = field(t, x), stepper.method.step(field, t, x, h)
     # The end may be finite and the rate there not.
@@ -354,11 +396,11 @@ def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays)
     far = max((name for name in turns if name in bad), key=turns.__getitem__, default=None)
     if far is not None and turns[far] > _FAR:
         cause = (
-            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {float(h):.6g} s, too far for one step: "
+            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {abs(float(h)):.6g} s, too far for one step: "
             "exponential coordinates hold half a turn as polynomials, a full one in closed form"
         )
         return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
-    cause, fix = (said.format(h=float(h)) for said in steps.too_long)
+    cause, fix = (said.format(h=abs(float(h))) for said in steps.too_long)
     return what, cause, fix
 
 
@@ -380,4 +422,4 @@ def _turns(stepper: Stepper, rates: Arrays, h: jax.Array) -> dict[str, float]:
         for name, group in stepper.dynamics.group.factors.items():
             if group.angular.any():
                 angular[name] = np.asarray(rates[name])[group.angular]
-    return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}
+    return {name: abs(float(h)) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}

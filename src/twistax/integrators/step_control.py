@@ -127,7 +127,7 @@ def first_step(
     short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
     # Controls beyond the end may not be defined.
     short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
-    z = jax.tree.map(lambda k: short * k, slope)
+    z = jax.tree.map(lambda k: stepper.clock(short) * k, slope)
     moved = held(local.move(y, z))
     later = local.slope(z, moved, held(stepper.rate(t + short, moved, 1e-3 * short)))
     bend = size(jax.tree.map(jnp.subtract, later, slope)) / short

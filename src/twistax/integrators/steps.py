@@ -1,4 +1,4 @@
-"""How an integration goes from its start to its end: the loop over steps; equal steps; what times may be given."""
+"""How an integration goes from its start to its end: the loop over steps, and steps of fixed length."""
 
 from __future__ import annotations
 
@@ -9,24 +9,19 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
-import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import number, real_array, short, whole
 from ..errors import InputError
-from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
-from ..units import Quantity, same_unit, seconds
 from .charts import Blocks
-from .kernels import beside, kernel_steps
+from .grid import Grid, Splits
+from .kernels import kernel_steps
+from .meeting import Stride, halted_code, watched_along
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import first_rows, put, rows
 from .run import Outcome, Part, Result, Run, Saved, Trail, Watched
-
-#: A saved time this close to a step, in steps, counts as on it: far more than round-off, far less than anyone means.
-_SNAP = 1e-9
 
 
 def ended_well(code: Any) -> Any:
@@ -91,12 +86,13 @@ class Steps(ABC):
         return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)
 
 
-class _Saves(NamedTuple):
-    """Saved times: each lies `share` of a step after grid point `index`."""
+class Saves(NamedTuple):
+    """Saved times: each lies `share` of an equal step after step `index` begins, unless that begins at a jump."""
 
     ts: Any  # (n,) the times
     index: Any  # (n,) whole steps before each
     share: Any  # (n,) in [0, 1]
+    on: Any  # (n,) whether it is where step `index` begins
     count: Any  # how many were asked for; those that fill up the rest are at the end
 
 
@@ -109,23 +105,25 @@ class _Now(NamedTuple):
     evaluations: jax.Array
     code: jax.Array  # the number of the result so far
     every: Blocks | None  # the states so far if kept
+    slopes: Any  # those of the last step, where conditions are watched and the method has any
     watched: Watched | None
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class FixedSteps(Steps):
-    """Equal steps from t0; the loop ends at the start of a step that fails."""
+    """Equal steps from t0, split at jumps; the loop ends at the start of a step that fails."""
 
     t0: Any
-    h: Any  # the length of a step
-    steps: Any  # their number
-    at: Any  # the `_Saves`, where the saved times fall; None where there are none
+    h: Any  # the length of an equal step
+    steps: Any  # the number of steps, those that jumps add included
+    at: Any  # the `Saves`, where the saved times fall; None where there are none
     #: The number of steps as structure, which derivatives and dense output need; else None.
     most: int | None = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
     watch: Any = None
     meter: Meter | None = None
+    splits: Splits | None = None  # at jumps
 
     too_long = (
         "the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound",
@@ -150,28 +148,31 @@ class FixedSteps(Steps):
         if self.at is not None:
             stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
         now, found = small_call(FixedSteps._all_steps, self, stepper, y, stops)
-        outcome = Outcome(now.code, now.steps, now.steps, now.evaluations, self._time(now.steps), self.h)
+        evaluations = now.evaluations + (0 if now.watched is None else now.watched.evaluations)
+        outcome = Outcome(now.code, now.steps, now.steps, evaluations, *self._grid.step(now.steps))
         trail = None if now.every is None else self.trail(None, now.steps, now.every)
         saved = None
         if self.at is not None:
             starts, reached = jax.tree.map(lambda a: a[:-1], found)
             asked = jnp.arange(len(reached)) < self.at.count
-            saved = Saved(self.at.index, self._time(self.at.index), starts, reached & asked, asked)
+            saved = Saved(self.at.index, self._grid.begin(self.at.index)[0], starts, reached & asked, asked)
         return Run(now.y, outcome, saved, None, trail, now.watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
-        watched = None
+        start = _Now(none, y, carry, none, jnp.zeros((), int), every, self._slopes(stepper, y, carry), None)
+        advance = functools.partial(self.advance, stepper, ())
         if self.watch is not None:
-            watched = self.watch.begin(functools.partial(self.advance, stepper, ()), stepper, self.t0, self.h, y)
-        start = _Now(none, y, carry, none, jnp.zeros((), int), every, watched)
-        kernel = None if every is not None else kernel_steps(stepper, self.t0, self.h, none, y, carry)
+            watched = self.watch.begin(advance, stepper, *self._grid.step(none), y)
+            start = start._replace(watched=watched, code=halted_code(watched, start.code))
+        kernel = None if every is not None else kernel_steps(stepper, self._grid, none, (y, carry, start.slopes))
 
         def in_kernel(now: _Now, stop: jax.Array) -> _Now:
             assert kernel is not None
-            y, carry, steps = kernel.run(stepper, self.t0, self.h, now.steps, stop, now.y, now.carry)
+            state = now.y, now.carry, now.slopes
+            (y, carry, slopes), steps = kernel.run(stepper, self._grid, now.steps, stop, state)
             halted = steps < stop
             tried = steps - now.steps + halted.astype(steps.dtype)
             evaluations = now.evaluations + tried * kernel.evaluations
@@ -179,13 +180,14 @@ class FixedSteps(Steps):
                 steps=steps,
                 y=y,
                 carry=carry,
+                slopes=slopes,
                 evaluations=evaluations,
                 code=jnp.where(halted, Result.NON_FINITE.value, now.code),
             )
 
         def one_step(now: _Now) -> _Now:
             after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
-            return after if now.watched is None else beside(FixedSteps._watched, self, stepper, now, after)
+            return after if now.watched is None else self._watched(advance, stepper, now, after)
 
         def steps_to(now: _Now, stop: jax.Array) -> _Now:
             if kernel is not None and now.watched is None:
@@ -195,7 +197,7 @@ class FixedSteps(Steps):
 
         def so_far(now: _Now) -> tuple[jax.Array, jax.Array, jax.Array]:
             steps = jnp.where(now.code == Result.SUCCESS.value, now.steps, jnp.iinfo(now.steps.dtype).max)
-            return steps, self._time(now.steps), now.steps / jnp.maximum(self.steps, 1)
+            return steps, stepper.clock(self._grid.begin(now.steps)[0]), now.steps / jnp.maximum(self.steps, 1)
 
         def to_stop(now: _Now, stop: jax.Array) -> tuple[_Now, tuple[Blocks, jax.Array] | None]:
             if self.meter is None:
@@ -212,8 +214,8 @@ class FixedSteps(Steps):
 
     def _one_step(self, stepper: Stepper, now: _Now) -> _Now:
         """The next step; the state stays where it fails."""
-        t = self._time(now.steps)
-        found = stepper.method.follow(stepper.field(t, self.h), t, now.y, now.carry, self.h)
+        t, h = self._grid.step(now.steps)
+        found = stepper.follow(t, now.y, now.carry, h, now.slopes is not None)
         good = all_finite(found.y)
         code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
         if found.solved is not None:
@@ -222,173 +224,73 @@ class FixedSteps(Steps):
         kept = jax.tree.map(lambda new, old: jnp.where(good, new, old), found.y, now.y)
         steps = now.steps + good.astype(now.steps.dtype)
         every = None if now.every is None else put(now.every, steps, kept)
-        return _Now(steps, kept, found.carry, now.evaluations + found.evaluations, code, every, now.watched)
-
-    def _watched(self, stepper: Stepper, before: _Now, after: _Now) -> _Now:
-        """After a step, or as before it with what is known of the event that it met."""
-        assert before.watched is not None
-        first, last = before.steps == 0, before.steps + 1 == self.steps
-        t = self._time(before.steps)
-        watched = self.watch.after(stepper, t, self.h, after.y, before.watched, first, last)
-        hit = (after.steps > before.steps) & watched.hits.any()
-        watched = watched._replace(values=jnp.where(hit, before.watched.values, watched.values))
-
-        def pick(old: Any, new: Any) -> Any:
-            return jax.tree.map(lambda a, b: jnp.where(hit, a, b), old, new)
-
-        return after._replace(
-            steps=pick(before.steps, after.steps),
-            y=pick(before.y, after.y),
-            code=jnp.where(hit, Result.EVENT.value, after.code),
-            watched=watched,
+        return _Now(
+            steps,
+            kept,
+            found.carry,
+            now.evaluations + found.evaluations,
+            code,
+            every,
+            now.slopes and found.slopes,
+            now.watched,
         )
+
+    def _slopes(self, stepper: Stepper, y: Blocks, carry: Carry) -> Any:
+        """Room for the slopes of a step, where conditions are watched."""
+        if self.watch is None:
+            return None
+        t, h = self._grid.step(jnp.zeros((), int))
+        return zeros_like(lambda: stepper.follow(t, y, carry, h, sampled=True).slopes)
+
+    def _watched(self, advance: Any, stepper: Stepper, before: _Now, after: _Now) -> _Now:
+        """After a step, or as before it where it meets an event that ends the integration."""
+        assert before.watched is not None
+        t, h = self._grid.step(before.steps)
+        stride = Stride(before.steps, t, h, before.y, after.y, after.slopes)
+        ends = before.steps == 0, before.steps + 1 == self.steps
+        watched = watched_along(self.watch, advance, stepper, stride, before.watched, after.steps > before.steps, ends)
+        code = halted_code(watched, after.code)
+        hit = code != after.code
+        steps, y = jax.tree.map(lambda a, b: jnp.where(hit, a, b), (before.steps, before.y), (after.steps, after.y))
+        return after._replace(steps=steps, y=y, code=code, watched=watched)
 
     def advance(self, stepper: Stepper, carry: Carry, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
-        kernel = kernel_steps(stepper, t, h, none, y, carry)
+        grid, state = self._grid.one_step(t, h), (y, carry, self._slopes(stepper, y, carry))
+        kernel = kernel_steps(stepper, grid, none, state)
         if kernel is None:
             return stepper.advance(t, y, h)
-        moved, _, count = kernel.run(stepper, t, h, none, none + 1, y, carry)
+        (moved, _, _), count = kernel.run(stepper, grid, none, none + 1, state)
         return jax.tree.map(lambda a: jnp.where(count > 0, a, jnp.nan), moved)
 
     def steps_of(self, path: None) -> Part:
-        k = jnp.arange(self.bound)
-        return Part(self._time(k), jnp.broadcast_to(self.h, k.shape))
+        t, h = self._grid.step(jnp.arange(self.bound))
+        return Part(t, jnp.broadcast_to(h, t.shape))
 
     def parts(self, path: None, saved: Saved) -> Part:
-        return Part(self._time(saved.steps), self.at.share * self.h)
+        t, from_jump = self._grid.begin(saved.steps)
+        h = self.at.share * self.h
+        if self.splits is not None:
+            since = self.saved_times - t
+            # Nothing is left to do where a saved time is a jump, but the jump may move.
+            since = since - jnp.where(self.at.on, jax.lax.stop_gradient(since), 0.0)
+            h = jnp.where(from_jump, since, h)
+        return Part(t, h)
 
     @property
     def saved_times(self) -> jax.Array:
         return jnp.asarray(self.at.ts)
 
-    def _time(self, k: jax.Array) -> jax.Array:
-        """The start of step k, computed afresh so that it does not drift."""
-        return self.t0 + k.astype(self.t0.dtype) * self.h
+    @property
+    def _grid(self) -> Grid:
+        return Grid(jnp.asarray(self.t0), jnp.asarray(self.h), self.splits)
+
+
+def zeros_like(function: Any) -> Any:
+    """Zeros of the shapes of what a function would give."""
+    return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(function))
 
 
 def all_finite(tree: Any) -> jax.Array:
     """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
     return jnp.isfinite(ravel_pytree(tree)[0]).all()
-
-
-# ---- what a user asked for ----------------------------------------------------------------------------------------
-
-
-def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
-    """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
-    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
-        if isinstance(value, Quantity):
-            same_unit(name, value, seconds)
-    for name, value in (("t0", t0), ("t1", t1)):
-        number(name, value, "a finite time in s")
-    if dt is not None:
-        number("dt", dt, "a positive number of s", lambda h: 0.0 < h < np.inf)
-    if is_traced((t0, t1)):
-        return None
-    span = (float(t0), float(t1))
-    if span[1] < span[0]:
-        raise InputError(f"t1 = {span[1]:g} lies before t0 = {span[0]:g}.\n  fix: integrate forward in time")
-    return span
-
-
-def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
-    """Check saved times as far as they are known; returns whether they are. Raises InputError."""
-    same_unit("save_at", save_at, seconds)
-    given = real_array("save_at", save_at)
-    if given.ndim != 1 or given.size == 0:
-        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")
-    if span is None or is_traced(given):
-        return False
-    times = np.asarray(given, float)
-    start, end = span
-    if not np.isfinite(times).all():
-        raise InputError(f"save_at expects finite times, got {short(times)}")
-    if (np.diff(times) < 0).any():
-        i = int(np.argmax(np.diff(times) < 0))
-        raise InputError(f"save_at must be sorted, got {times[i]:g} before {times[i + 1]:g}")
-    room = 1e-6 * (end - start)
-    if times[0] < start - room or times[-1] > end + room:
-        worst = times[0] if times[0] < start - room else times[-1]
-        raise InputError(f"save_at must lie inside [t0, t1] = [{start:g}, {end:g}], got {worst:g}")
-    return True
-
-
-def fixed_steps(
-    t0: Any,
-    t1: Any,
-    span: Any,
-    dt: Any,
-    steps: Any,
-    save_at: Any,
-    count: Any,
-    dtype: Any,
-    *,
-    bounded: bool,
-    dense: bool,
-    watch: Any,
-) -> FixedSteps:
-    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
-
-    Args:
-        count: how many of the saved times are asked for.
-        bounded: their number is to be structure too.
-    Raises:
-        InputError: neither dt nor steps, or both, or times that are not known.
-    """
-    if (dt is None) == (steps is None):
-        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
-    if steps is None:
-        if span is None or is_traced(dt):
-            raise InputError(
-                "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
-                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
-            )
-        length = span[1] - span[0]
-        steps = max(1, round(_countable(length / float(dt)))) if length else 0
-    else:
-        steps = _countable(whole("steps", steps))
-    array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
-    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
-    h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
-    at = None
-    if save_at is not None:
-        known = span is not None and not is_traced(save_at)
-        at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
-        at = at._replace(count=count)
-    return FixedSteps(start, h, np.asarray(steps), at, steps if bounded or dense else None, dense, watch)
-
-
-def _countable(steps: Any) -> Any:
-    """A number of steps, if JAX's integers hold it: beyond them it would wrap. Raises InputError."""
-    most = np.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max
-    if steps > most:
-        raise InputError(
-            f"{short(steps)} steps are more than the {most} that can be counted.\n"
-            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
-        )
-    return steps
-
-
-def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> _Saves:
-    """Where known times fall on a grid of known times."""
-    times = np.asarray(save_at, float)
-    start, end = span
-    length = (end - start) / max(steps, 1) or 1.0
-    position = (times - start) / length
-    nearest = np.rint(position)
-    # What counts as on the grid allows for the precision the times came in.
-    eps = np.finfo(given).eps if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
-    slack = np.maximum(_SNAP, 4 * eps * np.maximum(np.abs(times), abs(start)) / length)
-    snapped = np.abs(position - nearest) <= slack
-    index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
-    share = np.where(snapped, 0.0, position - index)
-    return _Saves(times.astype(dtype), index.astype(int), share.astype(dtype), None)
-
-
-def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> _Saves:
-    """The same where times are traced."""
-    ts = jnp.asarray(save_at, start.dtype)
-    place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
-    before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
-    return _Saves(ts, before.astype(int), place - before, None)

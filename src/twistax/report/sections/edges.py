@@ -248,8 +248,6 @@ INPUTS: Section = [
     _refused("a pose is NaN", "x0['g'] expects finite numbers", g=np.full((4, 4), _NAN)),
     _refused("the end is NaN", "t1", t1=_NAN),
     _refused("a tolerance is NaN", "rtol", rtol=_NAN),
-    "Integration goes forward in time.",
-    _refused("the end lies before the start", "t1", t1=-1.0),
     "A step of zero never arrives.",
     _refused("a step of zero", "dt", dt=0.0),
     "What is no rotation is refused with its distance from one; it is never put right in silence.",

@@ -1,0 +1,164 @@
+"""The times that `integrate` takes: start, end, saved times, and fixed steps between them."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import number, real_array, short, whole
+from ..errors import InputError
+from ..jax_inside import is_traced
+from ..units import Quantity, same_unit, seconds
+from .grid import SNAP, Splits, splits_of
+from .steps import FixedSteps, Saves
+
+
+def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
+    """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
+    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
+        if isinstance(value, Quantity):
+            same_unit(name, value, seconds)
+    for name, value in (("t0", t0), ("t1", t1)):
+        number(name, value, "a finite time in s")
+    if dt is not None:
+        number("dt", dt, "a positive number of s", lambda h: 0.0 < h < np.inf)
+    if is_traced((t0, t1)):
+        return None
+    return float(t0), float(t1)
+
+
+def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
+    """1.0, or -1.0 where the end lies before the start: times by it grow along the integration."""
+    array: Any = jnp if is_traced((t0, t1)) else np
+    return array.where(array.asarray(t1, dtype) < array.asarray(t0, dtype), -1.0, 1.0).astype(dtype)
+
+
+def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
+    """Check saved times as far as they are known; returns whether they are. Raises InputError."""
+    same_unit("save_at", save_at, seconds)
+    given = real_array("save_at", save_at)
+    if given.ndim != 1 or given.size == 0:
+        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")
+    if span is None or is_traced(given):
+        return False
+    times = np.asarray(given, float)
+    start, end = span
+    if not np.isfinite(times).all():
+        raise InputError(f"save_at expects finite times, got {short(times)}")
+    sign = -1.0 if end < start else 1.0
+    if (wrong := sign * np.diff(times) < 0).any():
+        i = int(np.argmax(wrong))
+        raise InputError(f"save_at must be sorted from t0 to t1, got {times[i]:g} before {times[i + 1]:g}")
+    low, high = min(start, end), max(start, end)
+    room = 1e-6 * (high - low)
+    if (outside := (times < low - room) | (times > high + room)).any():
+        worst = times[int(np.argmax(outside))]
+        raise InputError(f"save_at must lie inside [t0, t1] = [{start:g}, {end:g}], got {worst:g}")
+    return True
+
+
+def fixed_steps(
+    t0: Any,
+    t1: Any,
+    span: Any,
+    dt: Any,
+    steps: Any,
+    save_at: Any,
+    count: Any,
+    dtype: Any,
+    *,
+    bounded: bool,
+    dense: bool,
+    watch: Any,
+    limits: Any,
+) -> FixedSteps:
+    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
+
+    All times are those of the clock of the loop over steps, which goes forward.
+
+    Args:
+        count: how many of the saved times are asked for.
+        bounded: their number is to be structure too.
+        limits: the times where a step must end, in order, the last one t1.
+    Raises:
+        InputError: neither dt nor steps, or both, or times that are not known.
+    """
+    if (dt is None) == (steps is None):
+        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
+    if steps is None:
+        if span is None or is_traced(dt):
+            raise InputError(
+                "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
+                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
+            )
+        length = span[1] - span[0]
+        steps = max(1, round(_countable(length / float(dt)))) if length else 0
+    else:
+        steps = _countable(whole("steps", steps))
+    array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
+    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
+    h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
+    splits, more = splits_of(limits[:-1], start, h, steps)
+    at = None
+    if save_at is not None:
+        known = span is not None and not is_traced(save_at)
+        at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
+        at = _beyond_jumps(at, splits, start, h)._replace(count=count)
+    array = jnp if is_traced(more) else np
+    # What jumps add is a number; the bound has room for all of them.
+    most = steps + np.size(limits) - 1 if bounded or dense else None
+    return FixedSteps(start, h, array.asarray(steps + more), at, most, dense, watch, splits=splits)
+
+
+def _countable(steps: Any) -> Any:
+    """A number of steps, if JAX's integers hold it: beyond them it would wrap. Raises InputError."""
+    most = np.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max
+    if steps > most:
+        raise InputError(
+            f"{short(steps)} steps are more than the {most} that can be counted.\n"
+            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
+        )
+    return steps
+
+
+def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
+    """Where known times fall on a grid of known times."""
+    times = np.asarray(save_at, float)
+    start, end = span
+    length = (end - start) / max(steps, 1) or 1.0
+    position = (times - start) / length
+    nearest = np.rint(position)
+    # What counts as on the grid allows for the precision the times came in.
+    eps = np.finfo(given).eps if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    slack = np.maximum(SNAP, 4 * eps * np.maximum(np.abs(times), abs(start)) / length)
+    snapped = np.abs(position - nearest) <= slack
+    index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
+    share = np.where(snapped, 0.0, position - index)
+    return Saves(times.astype(dtype), index.astype(int), share.astype(dtype), share == 0.0, None)
+
+
+def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> Saves:
+    """The same where times are traced."""
+    ts = jnp.asarray(save_at, start.dtype)
+    place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
+    before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
+    return Saves(ts, before.astype(int), place - before, place == before, None)
+
+
+def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves:
+    """The same where jumps add steps before the saved times."""
+    if splits is None:
+        return at
+    array: Any = jnp if is_traced((at, splits, start, h)) else np
+    slots, times, added = map(array.asarray, jax.lax.stop_gradient(tuple(splits)) if array is jnp else splits)
+    ts = array.asarray(jax.lax.stop_gradient(at.ts) if array is jnp else at.ts)
+    # Jumps at the ends of equal steps add none, and are no places within one.
+    inside = (array.diff(added, prepend=0) > 0) & (slots < np.iinfo(slots.dtype).max)
+    times = array.sort(array.where(inside, times, np.inf))
+    slack = array.maximum(SNAP * h, 4.0 * float(np.finfo(times.dtype).eps) * abs(ts))
+    past = array.searchsorted(times, ts + slack, side="right")
+    there = array.searchsorted(times, ts - slack, side="left") < past
+    return at._replace(index=at.index + past.astype(slots.dtype), on=there | at.on)
