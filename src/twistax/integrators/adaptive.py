@@ -417,12 +417,11 @@ class AdaptiveSteps(Steps):
     def saved_times(self) -> jax.Array:
         return jnp.asarray(self.stops.ts)
 
-    def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
+    def errors_by_state(self, stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> dict[str, jax.Array]:
         y = stepper.coordinates.enter(x)
-        carry = stepper.method.begin(stepper.dynamics, y, stepper.rate(outcome.t, y, outcome.h))
-        found = stepper.attempt(outcome.t, y, carry, outcome.h, self.tolerances)
-        parts = self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
-        return max(parts, key=lambda name: float(parts[name]))
+        carry = stepper.method.begin(stepper.dynamics, y, stepper.rate(t, y, h))
+        found = stepper.attempt(t, y, carry, h, self.tolerances)
+        return self.tolerances.by_state(stepper.coordinates, found.errors[0], y, found.y)
 
     def _limit(self, t: jax.Array) -> jax.Array:
         """The next limit after a time."""

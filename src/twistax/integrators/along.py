@@ -18,6 +18,7 @@ from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from .method import Stepper, jitted
 from .rows import room_for
+from .unreached import nan_unless
 
 
 def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
@@ -56,8 +57,7 @@ def _outputs() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
         functions = stepper.dynamics._functions
         found = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
         missed = jnp.isnan(ravel_pytree(x)[0]).any()  # outputs that read no state would go on
-        numbers = {name: jnp.where(missed, jnp.nan, value) for name, value in found.items() if value.dtype != bool}
-        return found | numbers
+        return found | nan_unless(~missed, {name: value for name, value in found.items() if value.dtype != bool})
 
     return lambda stepper, ts, xs: _each(at, stepper, ts, xs)
 

@@ -100,6 +100,19 @@ class Coordinates(ABC):
         """The end of a step: `moved`, put back into the group to round-off where rounding takes it out."""
         return moved
 
+    # ---- the same as sums, for compensated addition ----
+
+    #: How many arrays are stored, where a move is an addition to each of them; None: it is not.
+    numbers: int | None = None
+
+    def shift(self, y: Block, z: Block) -> Block:
+        """What `move` adds to y, to round-off of its own size."""
+        return z
+
+    def settling(self, moved: Block) -> Block:
+        """What `settle` adds; () for nothing."""
+        return ()
+
 
 class FlatCoordinates(Coordinates):
     """A state without a group: its entries, moved by addition."""
@@ -107,6 +120,7 @@ class FlatCoordinates(Coordinates):
     def __init__(self, group: Group) -> None:
         self.shape = group.shape
         self.scalars = group.dimension <= _SCALARS
+        self.numbers = group.dimension if self.scalars else 1
 
     def enter(self, g: jax.Array) -> Block:
         return unpack(g) if self.scalars else (g.reshape(-1),)
@@ -176,6 +190,7 @@ class _Stored(Coordinates):
 
     def __init__(self, group: SpecialEuclidean | None) -> None:
         self.order: Order | None = None if group is None else group.order
+        self.numbers = 4 if group is None else 7
 
     def enter(self, g: jax.Array) -> Components:
         if self.order is None:
@@ -205,6 +220,10 @@ class _Stored(Coordinates):
     def settle(self, moved: Components) -> Components:
         return (*tightened(moved[:4]), *moved[4:])
 
+    def settling(self, moved: Components) -> Components:
+        q, still = moved[:4], tuple(map(jnp.zeros_like, moved[4:]))
+        return (*scale(0.5 - 0.5 * _square(q), q), *still)
+
 
 def _in_world(q: Components, v: Components) -> Components:
     """R(q) v of a velocity; of a rotation, which has none, nothing."""
@@ -220,10 +239,17 @@ class _Plain(_Stored):
         return (*e[4:], *scale(2.0, quaternions.product(conjugate(after[:4]), e[:4])[1:]))
 
     def settle(self, moved: Components) -> Components:
-        # To length one; NaN where its square overflows.
+        return (*scale(self._to_one(moved), moved[:4]), *moved[4:])
+
+    def settling(self, moved: Components) -> Components:
+        still = tuple(map(jnp.zeros_like, moved[4:]))
+        return (*scale(self._to_one(moved) - 1.0, moved[:4]), *still)
+
+    @staticmethod
+    def _to_one(moved: Components) -> jax.Array:
+        """What brings the quaternion to length one; NaN where its square overflows."""
         square = _square(moved[:4])
-        length = jnp.where(jnp.isfinite(square), jax.lax.rsqrt(square), jnp.nan)
-        return (*scale(length, moved[:4]), *moved[4:])
+        return jnp.where(jnp.isfinite(square), jax.lax.rsqrt(square), jnp.nan)
 
 
 class _Split(_Stored):
@@ -236,6 +262,10 @@ class _Split(_Stored):
     def move(self, y: Components, z: Components) -> Components:
         w = z[-3:]
         return (*_turned(y[:4], w, *held(self.maps.half_turn(dot(w, w)))), *add(y[4:], z[:-3]))
+
+    def shift(self, y: Components, z: Components) -> Components:
+        w = z[-3:]
+        return (*_turning(y[:4], w, *held(self.maps.half_turn(dot(w, w)))), *z[:-3])
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         w = z[-3:]
@@ -257,12 +287,21 @@ class _Pose(_Stored):
         self.maps, self.group = maps, group
 
     def move(self, y: Components, z: Components) -> Components:
+        cosine, sine, shift = self._turn_and_shift(y, z)
+        return (*_turned(y[:4], z[3:], cosine, sine), *add(y[4:], shift))
+
+    def shift(self, y: Components, z: Components) -> Components:
+        cosine, sine, shift = self._turn_and_shift(y, z)
+        return (*_turning(y[:4], z[3:], cosine, sine), *shift)
+
+    def _turn_and_shift(self, y: Components, z: Components) -> tuple[jax.Array, jax.Array, Components]:
+        """cos(t/2), sin(t/2)/t, and how far the position moves."""
         v, w = z[:3], z[3:]
         x = dot(w, w)
         cosine, sine, third = held((*self.maps.half_turn(x), self.maps.third(x)))
         # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
         shift = held(swept(w, v, 2.0 * sine * sine, third))
-        return (*_turned(y[:4], w, cosine, sine), *add(y[4:], quaternions.rotate(y[:4], shift)))
+        return cosine, sine, quaternions.rotate(y[:4], shift)
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         return pose_rate(z, omega, *self.maps.inverse(dot(z[3:], z[3:])))
@@ -274,6 +313,13 @@ class _Pose(_Stored):
 def _turned(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) -> Components:
     """The quaternion of R(q) Exp(w), from cos(t/2) and sin(t/2)/t."""
     return quaternions.product(q, (cosine, *scale(sine, w)))
+
+
+def _turning(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) -> Components:
+    """The same less q, to round-off of its own size: cos(t/2) - 1 = -sin(t/2)^2 / (1 + cos(t/2))."""
+    near = cosine > 0.0
+    less = jnp.where(near, -sine * sine * dot(w, w) / jnp.where(near, 1.0 + cosine, 1.0), cosine - 1.0)
+    return quaternions.product(q, (less, *scale(sine, w)))
 
 
 @dataclasses.dataclass(frozen=True)

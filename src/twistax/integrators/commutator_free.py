@@ -13,7 +13,8 @@ from numpy.typing import NDArray
 from ..checks import instance
 from ..errors import ModelError
 from ..lowering import Dynamics
-from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
+from .charts import Blocks, Exponential, StateCoordinates
+from .compensated import compensated
 from .method import Method, VectorField
 from .rkmk import stage_slopes
 from .tableaus import ButcherTableau, Coefficients, Rows
@@ -131,7 +132,7 @@ class CommutatorFree(Method):
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
         # Only moves are used: commutators are those of a pull-back that does not happen.
-        return coordinates_of(Exponential(commutators=1), dynamics.group)
+        return compensated(Exponential(commutators=1), dynamics.group)
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         # Every stage has as many exponentials as the longest, some of zero.

@@ -28,6 +28,7 @@ from .adaptive import AdaptiveSteps
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events import watch_of
+from .failures import failure, numbers
 from .interpolant import Between
 from .meter import asked_for, metered
 from .method import Method, Stepper
@@ -36,12 +37,13 @@ from .rkmk import RKMK
 from .rollout import Rollout, rollout
 from .rows import Stops, filled, limits_of
 from .run import Result
-from .solution import Crossings, Dense, Solution, Stats, failure
+from .solution import Crossings, Dense, Solution, Stats
 from .step_control import StepControl
 from .steps import FixedSteps, Steps, ended_well
 from .tableaus import DOP853, RK4
 from .times import check_saves, direction_of, fixed_steps, span_of
 from .tolerances import tolerances_of
+from .unreached import nan_unless
 
 
 def integrate(
@@ -330,12 +332,7 @@ def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> 
     inside = ordered & (ts >= start - room) & (ts <= end + room)
     code = found.outcome.code
     code = jnp.where(ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
-    xs = {name: jax.vmap(_or_nan)(inside, value) for name, value in found.xs.items()}
-    return found._replace(xs=xs, outcome=found.outcome._replace(code=code))
-
-
-def _or_nan(good: jax.Array, value: jax.Array) -> jax.Array:
-    return jnp.where(good, value, jnp.nan)
+    return found._replace(xs=nan_unless(inside, found.xs), outcome=found.outcome._replace(code=code))
 
 
 def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
@@ -354,12 +351,11 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
     stats = Stats(tried, accepted, tried - accepted, evaluations)
     result = Result(int(code)) if known else code
     if known and throw and not ended_well(result):
-        end = found.end or {name: value[0] for name, value in xs.items()}
-        raise failure(*jax.lax.stop_gradient((stepper, steps, outcome, end)))
+        raise failure(*numbers((stepper, steps, outcome, found.end or xs)))
     t_end = stepper.clock(outcome.t)
     if end_only:
         if not known:
-            xs = {name: _or_nan(ended_well(outcome.code), value) for name, value in xs.items()}
+            xs = nan_unless(ended_well(outcome.code), xs)
         if known:
             ts = ts if result is Result.SUCCESS else np.asarray(t_end)[None]
         elif watching:
@@ -375,7 +371,7 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
         if watching:
             end = found.end or {}
             if not known:
-                end = {name: _or_nan(ended_well(outcome.code), value) for name, value in end.items()}
+                end = nan_unless(ended_well(outcome.code), end)
             ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, t_end, end)
         xs = xs if unknown else jax.device_put(xs)
     dense = None if found.trail is None else Dense(stepper, found.trail)

@@ -15,7 +15,8 @@ from ..errors import ModelError
 from ..groups import Group
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .charts import Blocks, Exponential, StateCoordinates, coordinates_of
+from .charts import Blocks, Exponential, StateCoordinates
+from .compensated import compensated
 from .method import Method, VectorField
 from .rkmk import stage_slopes
 from .tableaus import DOP853, RK4, ButcherTableau
@@ -111,7 +112,7 @@ class Magnus(Method):
                 )
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        return coordinates_of(Exponential(), dynamics.group)
+        return compensated(Exponential(), dynamics.group)
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         local = self.coordinates(field.dynamics)
@@ -144,7 +145,7 @@ class Magnus(Method):
             further = slopes.combine(self.inner.b, length * h)
             return _sum(moved, further), {name: found[name] for name in found if name not in flat}
 
-        moved = {name: jax.tree.map(jnp.zeros_like, y[name]) for name in flat}
+        moved = own.rate({name: jnp.zeros_like(local.parts[name].value(y[name])) for name in flat})
         starts = np.append(0.0, self._nodes)
         velocities: Arrays
         if _fed(dynamics):

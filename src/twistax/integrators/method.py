@@ -15,7 +15,8 @@ from ..jax_inside import spread
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.written import on_any_mesh
-from .charts import Blocks, StateCoordinates, StoredState, coordinates_of
+from .charts import Blocks, StateCoordinates, StoredState
+from .compensated import compensated
 from .controls import Signals
 from .tolerances import Tolerances
 
@@ -211,7 +212,7 @@ class ChartMethod(Method):
         return int(self.tableau.error_order)
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
-        return coordinates_of(self.chart, dynamics.group)
+        return compensated(self.chart, dynamics.group)
 
 
 @jax.tree_util.register_dataclass

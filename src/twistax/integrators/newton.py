@@ -13,6 +13,9 @@ from .tableaus import CollocationTableau
 
 #: Updates within this many times round-off count as solved when they stop falling.
 _STALLED = 1e3
+#: Where no shorter step can be tried, updates below the root of round-off that begin to rise this often are noise of
+#: the rates, of terms that cancel in them: nothing is left to gain.
+_RISES = 2
 
 #: A real array (a,), or a complex one as real and imaginary part (a, b): complex numbers do not compile everywhere.
 Parts: TypeAlias = tuple[jax.Array, ...]
@@ -31,6 +34,8 @@ class Newton(NamedTuple):
     done: jax.Array  # whether Z solves the equations
     failed: jax.Array
     iterations: jax.Array  # how many updates were made
+    rose: jax.Array  # whether the last update was larger than the one before
+    rises: jax.Array  # how often updates began to rise
     #: r / (1 - r), r the ratio of the last two updates: how far off Z still is, in units of the last one.
     contraction: jax.Array
     again: jax.Array  # whether it may start once more
@@ -43,8 +48,9 @@ def newton(
 
     It ends early where updates grow, are not finite, or `most` are made. Updates that stop falling while they are below
     1e3 times `rounding` are solved as well as can be. `size` is that of an update in units of what is asked for,
-    `contraction` what the last solution was left with. `again`: start once more, from zero, where the guess leads
-    nowhere.
+    `contraction` what the last solution was left with. `again`: there is no shorter step to try. Then updates that
+    only waver, at most at the root of round-off, are accepted; and where the guess leads nowhere, Newton's method
+    starts once more, from zero.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8, on stopping.
     """
@@ -57,18 +63,21 @@ def newton(
         growing = ratio >= 1.0
         left = jnp.where(later, ratio / jnp.where(growing, 1.0, 1.0 - ratio), jnp.maximum(now.contraction, eps) ** 0.8)
         done = (found == 0.0) | jnp.where(growing, found < _STALLED * rounding, left * found < 1.0)
-        failed = ~jnp.isfinite(found) | (growing & ~done)
+        rises = now.rises + (growing & ~now.rose).astype(now.rises.dtype)
+        wavers = again & (found < rounding / eps**0.5)
+        done = done | (wavers & growing & (rises >= _RISES))
+        failed = ~jnp.isfinite(found) | (growing & ~done & ~wavers)
         Z = now.Z - step
         restart = failed & now.again
         if again:
             Z, found = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, found)
         contraction = jnp.where(failed, 1.0, left)
         count, again_left = now.iterations + 1, now.again & ~restart
-        return Newton(Z, found, done & ~failed, failed & ~restart, count, contraction, again_left)
+        return Newton(Z, found, done & ~failed, failed & ~restart, count, growing, rises, contraction, again_left)
 
     eps = float(jnp.finfo(guess.dtype).eps)
     no, none = jnp.asarray(False), jnp.zeros((), int)
-    start = Newton(guess, jnp.zeros((), guess.dtype), no, no, none, contraction, jnp.asarray(again))
+    start = Newton(guess, jnp.zeros((), guess.dtype), no, no, none, no, none, contraction, jnp.asarray(again))
     return jax.lax.while_loop(lambda n: ~n.done & ~n.failed & (n.iterations < most), iterate, start)
 
 

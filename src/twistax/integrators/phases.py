@@ -29,6 +29,7 @@ from .solution import Solution
 from .step_control import StepControl
 from .steps import ended_well
 from .times import check_saves
+from .unreached import nan_unless
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -175,7 +176,7 @@ def integrate_phases(
             with in_phase(label):
                 t, end = solution.ts[-1], {name: value[-1] for name, value in solution.xs.items()}
                 if is_traced(solution.code):
-                    t, end = jnp.where(good, t, jnp.nan), {k: jnp.where(good, v, jnp.nan) for k, v in end.items()}
+                    t, end = nan_unless(good, (t, end))
                 else:
                     t = t if is_traced(t) else np.asarray(t)
                 x = linked(f"links[{index}]", joins[index], phase.dynamics, phases[index + 1].dynamics, t, end, own)

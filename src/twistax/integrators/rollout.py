@@ -29,7 +29,8 @@ from .meeting import (
 from .method import Stepper, jitted
 from .rows import first_rows
 from .run import Outcome, Part, Result, Run, Saved, Trail
-from .steps import Steps, all_finite
+from .steps import Steps, all_finite, ended_well
+from .unreached import nan_unless, nothing_of
 
 
 class Rollout(NamedTuple):
@@ -240,7 +241,20 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
         steps, stepper, x = jax.tree.unflatten(structure, given)
         return _batched_alike(_again(steps, stepper, x, run, known), primals)
 
-    return jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+    found, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+    return found, _not_of_failures(found, slope, [slopes[i] for i in moving])
+
+
+def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any]) -> Rollout:
+    """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
+    good = ended_well(found.outcome.code)
+    nothing = nothing_of(moved)  # what no step has read yet counts too
+
+    def spoiled(good: jax.Array, tree: Any) -> Any:
+        return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
+
+    xs = spoiled(good if found.reached is None else found.reached, slope.xs)
+    return slope._replace(xs=xs, end=None if slope.end is None else spoiled(good, slope.end))
 
 
 def _is_symbolic(slope: Any) -> bool:

@@ -13,17 +13,16 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed, real_array
-from ..errors import InputError, IntegrationError
+from ..errors import InputError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite
 from ..plots import chosen, draw, group_of, panels
 from ..units import same_unit, seconds
-from .charts import Blocks, Exponential, StateCoordinates
+from .charts import Blocks
 from .meeting import CrossingRows
 from .method import Stepper, jitted
-from .run import Outcome, Result, Trail
-from .steps import Steps
+from .run import Result, Trail
+from .unreached import nan_unless
 
 if TYPE_CHECKING:
     from ..view import Scene
@@ -106,7 +105,9 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
         def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
             return stored.value(stepper.advance(start, y, t - start))
 
-        return jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+        found = jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+        start, end = trail.t[0], trail.t[trail.steps]
+        return nan_unless((ts >= start - _room(start, end)) & (ts <= end + _room(start, end)), found)
 
     return states
 
@@ -170,10 +171,15 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
     return jnp.asarray(real_array("evaluate: t", t), dtype)
 
 
+def _room(start: Any, end: Any) -> Any:
+    """How far beyond a span times may lie by rounding."""
+    return 1e-6 * (end - start)
+
+
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
     """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
     (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
-    room = 1e-6 * (end - start)
+    room = _room(start, end)
     outside = ~((times >= start - room) & (times <= end + room))
     if outside.any():
         wrong = float(times[int(np.argmax(outside))])
@@ -333,93 +339,3 @@ class Solution(Ended):
 
         need_one("a table", self)
         return columns_of(self, layout)
-
-
-# ---- what is said after an integration that ended early -----------------------------------------------------------
-
-#: A rotation by this in a step, in rad, is the likely cause of a failure: stages may rotate further than the start.
-_FAR = 2.0
-
-
-def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> IntegrationError:
-    """The error for an integration that ended early at the state x."""
-    stepper, steps, outcome = jax.tree.map(jnp.asarray, (stepper, steps, outcome))
-    result, t, h = Result(int(outcome.code)), float(stepper.clock(outcome.t)), float(outcome.h)
-    last = "last state"
-    if result is Result.NON_FINITE:
-        last = "last finite state"
-        what, cause, fix = _not_finite_end(stepper, steps, outcome, x)
-    elif result is Result.NEWTON_FAILED:
-        what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
-        cause, fix = (said.format(h=h) for said in steps.not_solved)
-    else:
-        state = steps.worst(stepper, outcome, x)
-        blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
-        if result is Result.MAX_CROSSINGS:
-            what = f"more than {steps.watch.room} crossings of events that do not end the integration, at t = {t:.6g} s"
-            cause = "conditions that cross zero often, or chatter about it"
-            fix = f"tx.integrate(..., max_crossings=...), which is {steps.watch.room}"
-        elif result is Result.MAX_STEPS:
-            what = f"{int(outcome.tried)} steps ran out{blame}"
-            cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
-            fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"
-        else:
-            what = f"no step is small enough for the tolerances{blame}"
-            cause = "a jump in the rates there, a singularity, or dtmin"
-            fix = "name times of jumps with jumps=..., or try looser tolerances"
-    sizes = ", ".join(f"|{name}| = {_largest(value):.3g}" for name, value in x.items())
-    return IntegrationError(
-        f"{what}.\n  likely cause: {cause}\n  {last}: {sizes} (largest entries)\n"
-        f"  fix: {fix}; throw=False keeps the solution up to here"
-    )
-
-
-def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: Arrays) -> tuple[str, str, str]:
-    """What happened in the step from x whose end is not finite, the likely cause and what to do."""
-    t, h = stepper.clock(outcome.t), stepper.clock(outcome.h)
-    field = stepper.field(t, h)
-    rates, moved = field(t, x), stepper.method.step(field, t, x, h)
-    # The end may be finite and the rate there not.
-    bad = _not_finite(moved) or list(moved)
-    names = ", ".join(map(repr, bad))
-    what = f"state {names} became infinite or NaN in the step from t = {float(t):.6g} s"
-    bad_controls = _not_finite(field.controls(t)) or _not_finite(field.controls(t + h))
-    if bad_controls:
-        cause = f"control {bad_controls[0]!r} is not finite there"
-        return what, cause, "look at u between the start and the end of this step"
-    # Of states so large that squares and cubes of them overflow, rates are not to blame.
-    huge = any(_largest(v) > float(jnp.finfo(v.dtype).max) ** 0.25 for v in x.values())
-    if _not_finite(rates) and not huge:
-        cause = f"the rate of {_not_finite(rates)[0]!r} is not finite there, e.g. a division by zero"
-        return what, cause, "guard the expression, or stop before that state"
-    turns = _turns(stepper, rates, h)
-    far = max((name for name in turns if name in bad), key=turns.__getitem__, default=None)
-    if far is not None and turns[far] > _FAR:
-        cause = (
-            f"{far!r} turns by some {turns[far]:.3g} rad in this step of {abs(float(h)):.6g} s, too far for one step: "
-            "exponential coordinates hold half a turn as polynomials, a full one in closed form"
-        )
-        return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
-    cause, fix = (said.format(h=abs(float(h))) for said in steps.too_long)
-    return what, cause, fix
-
-
-def _not_finite(values: Mapping[str, Any]) -> list[str]:
-    return [name for name, value in values.items() if not is_finite(value)]
-
-
-def _largest(value: Any) -> float:
-    return float(np.abs(np.asarray(value)).max())
-
-
-def _turns(stepper: Stepper, rates: Arrays, h: jax.Array) -> dict[str, float]:
-    """By how many rad each rotation and pose turns in a step, if its rate stays as it is; in exponential coordinates,
-    which alone do not hold any turn.
-    """
-    angular = {}
-    exponential = isinstance(getattr(stepper.method, "chart", Exponential()), Exponential)
-    if exponential and isinstance(stepper.stored, StateCoordinates):
-        for name, group in stepper.dynamics.group.factors.items():
-            if group.angular.any():
-                angular[name] = np.asarray(rates[name])[group.angular]
-    return {name: abs(float(h)) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}

@@ -75,9 +75,12 @@ class Steps(ABC):
     def saved_times(self) -> jax.Array:
         """(n,) the saved times; differentiable."""
 
-    def worst(self, stepper: Stepper, outcome: Outcome, x: Arrays) -> str | None:
-        """The state with the largest error in a step from the end; None where errors are not known."""
-        return None
+    def errors_by_state(self, stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> dict[str, jax.Array]:
+        """The largest error of each state in a step from x, in units of what is allowed; empty where none is known.
+
+        Traceable.
+        """
+        return {}
 
     def trail(self, path: Any, steps: jax.Array, every: Blocks) -> Trail:
         """The starts of all steps, from the stored states before each and after the last."""

@@ -112,6 +112,8 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     """
     if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
+    if jax.config.jax_disable_jit:  # operations one by one would have the attribute
+        return function(*arguments)
     flat, leaves, whole = on_leaves(function, arguments)
     outside = _INSIDE.set(True)
     try:
@@ -165,7 +167,9 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
         results = jax.vmap(run, in_axes=axes, axis_size=size)(*leaves)
         return results, [True] * len(results)
 
-    return outlined
+    # Part of a larger program always. Where JAX evaluates a jaxpr that holds the inner function, it lowers it while
+    # the attribute is set, every operation gets it, and XLA ends the process at loops inside.
+    return jax.jit(outlined)
 
 
 def known_inside(jaxpr: Any) -> bool:
