@@ -1545,7 +1545,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/solver.py",
+        "trajectory/accepted.py",
         (
             "a solution that is a start solved again",
             "or start.as_solved is None:",
