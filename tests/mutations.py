@@ -1614,13 +1614,55 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/refine.py",
+        "trajectory/transcription.py",
         (
             "errors measured with the steps of the transcription",
-            "steps = 2 * problem.transcription.substeps",
-            "steps, method = problem.transcription.substeps, problem.transcription.method",
+            "return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))",
+            "return self",
             "trajectory/test_refine.py",
         ),
+    ),
+    *_at(
+        "trajectory/accuracy.py",
+        (
+            "SOLVED whatever the mesh misses",
+            "if accuracy.coarse else outcome",
+            "if False else outcome",
+            "trajectory/test_accuracy.py",
+        ),
+        (
+            "a multiplier that may run away",
+            "_RUN_AWAY = 1e8",
+            "_RUN_AWAY = np.inf",
+            "trajectory/test_accuracy.py",
+        ),
+        (
+            "a change of the objective without what misses are worth",
+            "+ (outcome.dynamics[segment.stages, : own.n] * closely.gaps).sum()",
+            "+ 0.0",
+            "trajectory/test_accuracy.py",
+        ),
+    ),
+    *_at(
+        "trajectory/accepted.py",
+        (
+            "a solution that is a start solved again",
+            "or start.as_solved is None:",
+            "or True:",
+            "trajectory/test_accuracy.py",
+        ),
+    ),
+    *_at(
+        "trajectory/replay.py",
+        (
+            "a rollout from what is not finite",
+            "    _need_finite(result)\n",
+            "",
+            "trajectory/test_accuracy.py",
+        ),
+    ),
+    *_at(
+        "trajectory/refine.py",
         (
             "halves of intervals of the first phase for those of another",
             "split[before.stages] = own",

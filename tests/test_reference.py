@@ -42,7 +42,7 @@ NO_ERRORS = {
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
-        trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
+        trajectory.Accuracy trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults
         trajectory.WarmStart view.Body view.Scene""",
     "it takes no arguments": """

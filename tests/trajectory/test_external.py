@@ -203,7 +203,7 @@ def test_what_they_find_is_looked_at(pushing: tx.trajectory.Problem, monkeypatch
     """Taken for a saddle it is searched for again, from beside it, as often as may be."""
     plain = pushing.solve(solver=SOLVERS[0])
     assert not plain.saddle
-    monkeypatch.setattr(Solver, "_falls", lambda *_: True)
+    monkeypatch.setattr(Solver, "falls", lambda *_: True)
     again = pushing.solve(solver=SOLVERS[0])
     assert again.saddle
     assert again.iterations >= 2 * plain.iterations

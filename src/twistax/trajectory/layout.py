@@ -56,7 +56,7 @@ class Layout:
         """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where it is not asked."""
         found = np.full((intervals, rows), np.inf)
         sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
-        np.minimum.at(found, (slice(None), self.asked % self.path_rows), sizes)
+        np.minimum.at(found.T, self.asked % self.path_rows, sizes.T)
         return found
 
 

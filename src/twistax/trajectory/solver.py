@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from . import durations, estimate, warm
-from .decisions import RENEW, Memory, Opening, error
+from .decisions import Memory, Opening, error
 from .interior_point import InteriorPoint, largest
 from .iterate import Scales
 from .iterate import State as Iterate
@@ -110,24 +110,6 @@ class Solver:
             return found
         return self._with_fixed_durations(found, start, given, max_iterations, callback)
 
-    def kept(self, start: Point | WarmStart, given: Given) -> Outcome | None:
-        """A warm start itself, where it is a minimum of what is asked now; None where it is none."""
-        if not isinstance(start, WarmStart) or start.as_solved is None:
-            return None
-        scales = start.scales
-        weights = start.dynamics * scales.d[1:] / scales.cost, start.rows * scales.rows / scales.cost
-        slopes, state = self.weighed(start.as_solved, given, scales, *weights)
-        opening = self.steps.opening(state, scales)
-        if Watch(self.tolerance, 1).at_once(opening) is not None:
-            return None
-        fresh, change, memory = self.steps.renewed(state, slopes, opening.memory)
-        if float(change) > RENEW:
-            state = self.rescaled(state, fresh, given)
-        if Watch(self.tolerance, 1).ended(seen(self.steps.signs(state, memory))) is not Status.SOLVED:
-            return None
-        found = outcome(self.shooting, state, Status.SOLVED, 0)._replace(iterations=0)
-        return None if self._falls(found, state, given) else found
-
     def _searches(self, start: Any, given: Given, reached: Reached | None = None) -> Search:
         """Runs from anywhere; from a start they go on from where it has come to, if it has."""
 
@@ -203,7 +185,7 @@ class Solver:
         found, state, crept = search(start, max_iterations, callback)
         count, seed, saddle = found.iterations, 0, False
         later = None if callback is None else lambda own, *rest: callback(count + own, *rest)
-        while crept is not None or self._falls(found, state, given):
+        while crept is not None or self.falls(found, state, given):
             levelled = self.steps.levelled(state)
             lower, better = found.cost - self.tolerance * float(levelled.scales.cost), None
             unfinished = list[Outcome]()
@@ -229,14 +211,14 @@ class Solver:
             if crept is not None:
                 count -= crept.iterations  # it counts them itself
                 found, state, _ = search(crept.patient(), max_iterations - count, later)
-                count, saddle = count + found.iterations, self._falls(found, state, given)
+                count, saddle = count + found.iterations, self.falls(found, state, given)
             lowest = min(unfinished, key=lambda own: own.cost, default=found)
             if lowest.cost < found.cost and (saddle or found.status is not Status.SOLVED):
                 found, saddle = lowest, False
             break
         return found._replace(iterations=count, saddle=saddle)
 
-    def _falls(self, found: Outcome, state: Iterate, given: Given) -> bool:
+    def falls(self, found: Outcome, state: Iterate, given: Given) -> bool:
         """Whether the objective falls to second order along what the constraints leave free, from a solution."""
         return found.status is Status.SOLVED and self.steps.raised(state, given) > self.steps.bent
 

@@ -16,6 +16,7 @@ from ..checks import callable_with, number, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
 from ..walk import uncollected
+from .accepted import accepted
 from .accuracy import MESH, Looks
 from .between import held
 from .border import Border
@@ -222,9 +223,9 @@ class Solvable(ABC, Generic[One, Many]):
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                kept = own_solver.kept(start, given)
-                if kept is not None:
-                    return kept
+                solution = accepted(own_solver, start, given)
+                if solution is not None:
+                    return solution
                 if solver is None:
                     return own_solver.run(start, given, max_iterations, report)
                 found: Outcome = solver.run(own_solver, start, given, max_iterations, report)
