@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from twistax import mechanics
 from twistax.mechanics import load
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed (extra twistax[models])")
@@ -157,6 +158,9 @@ def test_a_scene_in_which_nothing_moves_has_frames(tmp_path: Path) -> None:
     np.testing.assert_array_equal(tx.lower(loaded.pose("table"))(0.0)[:3, 3], [0.0, 0.0, 0.7])
     with pytest.raises(tx.ModelError, match="system expects a mechanism with a joint that moves"):
         loaded.system()
+    for function in (mechanics.mass_matrix, mechanics.bias_forces, mechanics.kinetic_energy):
+        with pytest.raises(tx.ModelError, match="expects a mechanism with a joint that moves"):
+            function(loaded)
 
 
 @pytest.mark.parametrize(

@@ -242,11 +242,13 @@ def composite_inertias(mechanism: Mechanism, positions: list[Expr]) -> list[Expr
 
 
 def checked(owner: str, mechanism: Mechanism) -> Mechanism:
-    """The mechanism itself. Raises ModelError for anything else."""
+    """The mechanism itself. Raises ModelError for anything else, and where no joint moves."""
     if not isinstance(mechanism, Mechanism):
         raise ModelError(
             f"{owner} expects a mechanism, such as tx.mechanics.Chain(links), got {type(mechanism).__name__}"
         )
+    if not mechanism.dofs:
+        raise ModelError(f"{owner} expects a mechanism with a joint that moves, got none")
     return mechanism
 
 
