@@ -1191,6 +1191,51 @@ MUTATIONS: list[Mutation] = [
             "left * found < 1e9",
             "integrators/test_implicit.py",
         ),
+        (
+            "noise of the rates is no end",
+            "wavers = again & ",
+            "wavers = (rises < 0) & ",
+            "integrators/test_failures.py",
+        ),
+    ),
+    *_at(
+        "integrators/compensated.py",
+        (
+            "the error of a sum is lost",
+            "(fixed_a - (fixed_s - rest)) + (fixed_b - rest)",
+            "0.0 * rest",
+            "integrators/test_compensated.py",
+        ),
+    ),
+    *_at(
+        "integrators/unreached.py",
+        (
+            "a failure has no derivative forward",
+            "return jnp.where(wide(value), value, jnp.nan)",
+            "return value",
+            "integrators/test_failed_derivatives.py",
+        ),
+        (
+            "rows that do not count spoil those that do",
+            "wide(slope) | (slope == 0.0)",
+            "wide(slope)",
+            "integrators/test_failed_derivatives.py",
+        ),
+        (
+            "what no step has read has no derivative",
+            "parts = [0.0 * a.sum()",
+            "parts = [0.0 * a.shape[0] if a.ndim else 0.0",
+            "integrators/test_failed_derivatives.py",
+        ),
+    ),
+    *_at(
+        "integrators/failures.py",
+        (
+            "an error evaluates its step by JAX",
+            "on_host(_end, stepper, t, h, x)",
+            "_end(jax.tree.map(jax.numpy.asarray, stepper), t, h, jax.tree.map(jax.numpy.asarray, x))",
+            "integrators/test_failures.py",
+        ),
     ),
     *_at(
         "integrators/splitting/inertia.py",

@@ -17,6 +17,7 @@ from . import (
     rivals,
     scalars,
     small,
+    spoiled,
     steps,
     stiff,
     trust,
@@ -33,6 +34,7 @@ STABILITY: dict[str, Section] = {
     "jumps": edges.JUMPS,
     "inputs": edges.INPUTS,
     "failures": edges.FAILURES,
+    "spoiled": spoiled.SPOILED,
 }
 
 FIGURES: dict[str, Section] = {
