@@ -1139,8 +1139,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "outputs of rows that were not reached",
-            "jnp.where(missed, jnp.nan, value)",
-            "value",
+            "nan_unless(~missed, ",
+            "nan_unless(missed | True, ",
             "integrators/test_along.py::test_rows_that_were_not_reached_have_no_outputs_and_lost_values_are_named",
         ),
     ),
@@ -1241,6 +1241,54 @@ MUTATIONS: list[Mutation] = [
             "left * found < 1.0",
             "left * found < 1e9",
             "integrators/test_implicit.py",
+        ),
+        (
+            "noise of the rates is no end",
+            "wavers = again & ",
+            "wavers = (rises < 0) & ",
+            "integrators/test_failures.py",
+        ),
+    ),
+    *_at(
+        "integrators/compensated.py",
+        (
+            "the error of a sum is lost",
+            "(fixed_a - (fixed_s - rest)) + (fixed_b - rest)",
+            "0.0 * rest",
+            "integrators/test_compensated.py",
+        ),
+    ),
+    *_at(
+        "integrators/unreached.py",
+        (
+            "a failure has no derivative forward",
+            "return jnp.where(wide(value), value, jnp.nan)",
+            "return value",
+            "integrators/test_failed_derivatives.py",
+        ),
+        (
+            "rows that do not count spoil those that do",
+            "wide(slope) | (slope == 0.0)",
+            "wide(slope)",
+            "integrators/test_failed_derivatives.py",
+        ),
+    ),
+    *_at(
+        "integrators/rollout.py",
+        (
+            "what no step has read has no derivative",
+            "a + nothing.astype(a.dtype)",
+            "a",
+            "integrators/test_failed_derivatives.py::test_a_first_step_that_fails",
+        ),
+    ),
+    *_at(
+        "integrators/failures.py",
+        (
+            "an error evaluates its step by JAX",
+            "on_host(_end, stepper, t, h, x)",
+            "_end(jax.tree.map(jax.numpy.asarray, stepper), t, h, jax.tree.map(jax.numpy.asarray, x))",
+            "integrators/test_failures.py",
         ),
     ),
     *_at(

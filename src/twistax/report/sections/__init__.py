@@ -19,6 +19,7 @@ from . import (
     scalars,
     small,
     statuses,
+    spoiled,
     steps,
     stiff,
     trust,
@@ -37,6 +38,7 @@ STABILITY: dict[str, Section] = {
     "failures": edges.FAILURES,
     "flight": flight_limits.FLIGHT,
     "statuses": statuses.STATUSES,
+    "spoiled": spoiled.SPOILED,
 }
 
 FIGURES: dict[str, Section] = {
