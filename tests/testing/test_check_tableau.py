@@ -64,5 +64,5 @@ def test_an_error_is_seen(tableau: Any, words: str) -> None:
 
 @pytest.mark.usefixtures("unchecked")
 def test_what_is_no_tableau_is_refused() -> None:
-    with pytest.raises(tx.InputError, match="check_tableau expects a tableau such as tx.tableaus.RK4"):
+    with pytest.raises(tx.InputError, match=r"check_tableau expects a tableau such as tx\.tableaus\.RK4"):
         check_tableau(tx.RKMK(tx.tableaus.RK4))  # type: ignore[arg-type]

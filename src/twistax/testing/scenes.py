@@ -22,7 +22,7 @@ def check_scene(scene: Scene, *, stiff: bool = False, tolerance: float = 1e-8, *
 
     Checked are that start, end, params and invariants have the names and shapes of the system, and elements are in
     their groups; that a closed form begins at the start and has the rates of the system, $x'(t) = f(t, x(t))$, at times
-    along the way; that invariants keep along an integration, and that this ends at the truth. Units are the scene's.
+    along the way; that invariants keep along an integration, and that this ends at the truth, in the scene's units.
 
     Args:
         scene: a `twistax.scenes.Scene`.

@@ -45,6 +45,7 @@ def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeT
     Raises:
         LawError: a condition does not hold, or the fitted order is too low.
         InputError: `tableau` is no tableau.
+    Source: E. Hairer, S. P. Norsett, G. Wanner, Solving Ordinary Differential Equations I (1993), section II.2.
     Example: `tx.testing.check_tableau(tx.tableaus.RK4)`.
     """
     kinds = {ButcherTableau: RKMK, CollocationTableau: ImplicitRKMK, CommutatorFreeTableau: CommutatorFree}
