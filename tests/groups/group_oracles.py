@@ -38,9 +38,7 @@ def hat(group, xi):
     if isinstance(group, Euclidean):
         return translation(xi)
     if not isinstance(group, Product):
-        raise NotImplementedError(
-            f"write down hat and represent of {group.name} here: no oracle may come from the group"
-        )
+        raise NotImplementedError(f"write hat and represent of {group.name} here, independently of the group")
     blocks, start = [], 0
     for factor in group.factors.values():
         blocks.append(hat(factor, xi[start : start + factor.dimension]))

@@ -59,9 +59,7 @@ def arguments(group: Group) -> tuple[dict[str, Any], dict[str, Any]]:
 def test_a_state_is_declared_with_a_start_and_refuses_what_is_no_element(group: Group) -> None:
     assert (tx.State("q", group=group, initial=at(group, 0.0)).initial == at(group, 0.0)).all()
     off = at(group, 0.0) + 0.01 * np.arange(at(group, 0.0).size).reshape(group.shape)
-    with pytest.raises(
-        tx.ModelError, match=rf"initial is not an element of {group.name} \(off by .*\n  fix: .*normalize"
-    ):
+    with pytest.raises(tx.ModelError, match=rf"(?s)initial is not an element of {group.name} .*normalize"):
         tx.State("q", group=group, initial=off)
     x, u = arguments(group)
     with pytest.raises(tx.InputError, match=rf"(?s)no element of {group.name}: off by .*normalize of the group"):
@@ -102,9 +100,8 @@ def test_steps_of_both_kinds_between_steps_and_their_derivative(group: Group) ->
     np.testing.assert_allclose(adaptive.xs["q"], truth, atol=1e-9)
     ends = lambda w: tx.integrate(moving(group), {**x, "w": w}, t1=2.0, dt=0.05, u=u).last["q"]  # noqa: E731
     step = 1e-6
-    slope = np.stack(
-        [(ends(x["w"] + step * e) - ends(x["w"] - step * e)) / (2 * step) for e in np.eye(len(x["w"]))], -1
-    )
+    units = np.eye(group.dimension)
+    slope = np.stack([(ends(x["w"] + step * e) - ends(x["w"] - step * e)) / (2 * step) for e in units], -1)
     np.testing.assert_allclose(jax.jacfwd(ends)(jnp.asarray(x["w"])), slope, atol=1e-8)
 
 
@@ -182,7 +179,7 @@ def test_a_problem_ends_where_it_must_and_may_leave_a_part_free(free: str | None
     for part in SE2.parts:
         if part.name == free:
             final[part.place] = np.nan
-    x, u = arguments(SE2)
+    x, _ = arguments(SE2)
     still, work = np.zeros(3), tx.Control("u", shape=(3,))
     problem = tx.trajectory.Problem(
         moving(SE2),
@@ -215,7 +212,7 @@ def test_what_has_no_meaning_on_the_group_is_refused() -> None:
     class Changeable(Similarity):
         __hash__ = None  # type: ignore[assignment]
 
-    with pytest.raises(tx.ModelError, match="compared and hashed.*\n.*frozen dataclass"):
+    with pytest.raises(tx.ModelError, match=r"(?s)compared and hashed.*frozen dataclass"):
         tx.State("q", group=Changeable())
 
 
