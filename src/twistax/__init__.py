@@ -37,7 +37,7 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, columns, compositions, diffrax, mechanics, tableaus, trajectory, units, view
+    from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
     from .integrators import RKMK, AtStart, CommutatorFree, Event, Magnus, StepControl, integrate
     from .integrators.controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
     from .integrators.implicit_rkmk import ImplicitRKMK
@@ -65,14 +65,18 @@ __all__ = [
     "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
     "diffrax", "fast", "integrate",
     "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
-    "tableaus", "tables", "tangent_grad", "trajectory", "trim", "units", "view",
+    "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
 
 #: Loaded when first touched: the language alone is what everybody needs. By the module that has the names.
+# fmt: off
 _LATER = {
-    "": ("charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "trajectory", "units", "view"),
+    "": (
+        "charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "testing", "trajectory", "units",
+        "view",
+    ),
     ".integrators": ("RKMK", "AtStart", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
     ".integrators.controls": ("FirstOrderHold", "PiecewisePolynomial", "ZeroOrderHold"),
     ".integrators.interpolant": ("Between",),
@@ -87,6 +91,7 @@ _LATER = {
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
 }
+# fmt: on
 
 if not TYPE_CHECKING:  # a type checker shall see the names above and no others
 
@@ -109,7 +114,8 @@ def _where_else(name: str) -> str:
     if importlib.util.find_spec(f"{__name__}.{name}"):
         return f".\n  fix: import {__name__}.{name}"
     known = {own.lower(): own for own in __all__}
-    for home in ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics"):
+    faces = ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics", "testing")
+    for home in faces:
         for own in importlib.import_module(f"{__name__}.{home}").__all__:
             known.setdefault(own.lower(), f"{home}.{own}")
     if expr.operators.takes_expressions(name.lower()):

@@ -3,15 +3,13 @@
 import numpy as np
 from scipy.linalg import block_diag, expm
 
-from twistax.groups import ANGULAR_FIRST, SE3, SO3, Euclidean, Product, SpecialEuclidean, SpecialOrthogonal
+from registered import concrete_classes
+from twistax.groups import ANGULAR_FIRST, SE3, SO3, Euclidean, Group, Product, SpecialEuclidean, SpecialOrthogonal
 
+#: Every class of groups of the package, as it makes examples of itself, and products of all kinds.
+CLASSES = concrete_classes(Group)
 GROUPS = [
-    SO3,
-    SE3,
-    SE3.with_order(ANGULAR_FIRST),
-    Euclidean(),
-    Euclidean((3,)),
-    Euclidean((2, 2)),
+    *(group for cls in CLASSES for group in cls.examples()),
     Product({"z": SE3, "mass": Euclidean(), "a": SO3, "grid": Euclidean((2, 2))}),
     Product({"pair": Product({"y": SO3, "x": SE3.with_order(ANGULAR_FIRST)}), "b": Euclidean((2,))}),
 ]
@@ -39,6 +37,8 @@ def hat(group, xi):
         return np.block([[skew(w), v[:, None]], [np.zeros((1, 4))]])
     if isinstance(group, Euclidean):
         return translation(xi)
+    if not isinstance(group, Product):
+        raise NotImplementedError(f"write hat and represent of {group.name} here, independently of the group")
     blocks, start = [], 0
     for factor in group.factors.values():
         blocks.append(hat(factor, xi[start : start + factor.dimension]))

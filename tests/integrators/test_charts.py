@@ -9,13 +9,15 @@ from scipy.linalg import expm
 from test_order import END, STARTS, fitted_order
 
 import twistax as tx
+from registered import concrete_classes
 from twistax.charts import Ambient, Chart, Exponential, SplitExponential
 from twistax.groups import Group, SpecialEuclidean
 from twistax.integrators import VectorField
 from twistax.tableaus import ALL, DOP853, RK4, ButcherTableau
 
 CLOSED: list[Chart] = [Exponential(), SplitExponential()]
-CHARTS: list[Chart] = [*CLOSED, Ambient()]
+#: Every chart of the package, as it is without arguments; the others leave the group between the ends of a step.
+CHARTS: list[Chart] = [*CLOSED, *(cls() for cls in concrete_classes(Chart) if cls() not in CLOSED)]
 GROUPS = [tx.SO3, tx.SE3, SpecialEuclidean(tx.ANGULAR_FIRST)]
 
 

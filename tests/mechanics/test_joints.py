@@ -11,7 +11,6 @@ import numpy as np
 import pytest
 from mechanics_oracles import hat, pose
 from scipy.integrate import solve_ivp
-from scipy.linalg import expm, null_space
 
 import twistax as tx
 from twistax.mechanics import joints
@@ -99,30 +98,6 @@ def test_the_motions_move_as_4x4_matrices(name: str, screws: Any, frames: dict[s
             np.testing.assert_allclose(hat(got), frame @ hat(column) @ np.linalg.inv(frame), atol=1e-13)
 
 
-@by_joint
-def test_reciprocity_and_unit_power_hold_in_every_frame(name: str, screws: Any) -> None:
-    H, h, H_bar = (screws[name][what] for what in ("H", "h", "H_bar"))
-    k = JOINTS[name][0].dofs
-    assert H.shape == h.shape == (20, 6, k)
-    assert H_bar.shape == (20, 6, 6 - k)
-    for a, b, c in zip(H, h, H_bar, strict=True):
-        np.testing.assert_allclose(a.T @ c, np.zeros((k, 6 - k)), atol=1e-13)
-        np.testing.assert_allclose(b.T @ a, np.eye(k), atol=1e-13)
-        assert np.linalg.matrix_rank(np.hstack([b, c])) == 6
-
-
-@by_joint
-def test_a_wrench_splits_into_actuation_and_reaction(name: str, screws: Any, frames: dict[str, np.ndarray]) -> None:
-    found = screws[name]
-    for i, wrench in enumerate(frames["F"]):
-        H, h, H_bar = (found[what][i] for what in ("H", "h", "H_bar"))
-        np.testing.assert_allclose(found["actuation"][i], H.T @ wrench, atol=1e-13)
-        np.testing.assert_allclose(found["reaction"][i] + h @ found["actuation"][i], wrench, atol=1e-13)
-        outside = null_space(H_bar.T).T if H_bar.size else np.eye(6)
-        np.testing.assert_allclose(outside @ found["reaction"][i], np.zeros(len(outside)), atol=1e-12)
-        np.testing.assert_allclose(H.T @ found["wrench"][i], np.arange(1.0, H.shape[1] + 1.0), atol=1e-13)
-
-
 def test_orthogonality_to_the_working_wrench_is_no_law(screws: Any) -> None:
     """In the joint's frame it holds, in others it does not: a dot product of two wrenches depends on the frame."""
     products = np.einsum("nij,nik->njk", screws["hinge"]["h"], screws["hinge"]["H_bar"])
@@ -149,33 +124,6 @@ def test_the_basis_of_a_joint_along_a_coordinate_axis_is_made_of_coordinate_axes
 
 
 # ---- poses --------------------------------------------------------------------------------------------------------
-
-
-def curve(name: str, s: float) -> tuple[np.ndarray, np.ndarray]:
-    """A position that runs with s, and its velocity at s = 0."""
-    joint, H = JOINTS[name]
-    rng = np.random.default_rng(len(name))
-    q, velocity = rng.uniform(0.5, 2.0, size=joint.dofs), rng.normal(size=joint.dofs)
-    if joint.group is None:
-        return q + s * velocity, velocity
-    T = pose(rng) @ expm(s * hat(H @ velocity))
-    return T[:3, :3] if joint.group == tx.SO3 else T, velocity
-
-
-@pytest.mark.parametrize("name", [name for name in JOINTS if name != "weld"])
-def test_the_rate_of_the_pose_is_the_twist(name: str) -> None:
-    """d/ds T_pc = T_pc (H velocity)^, by a central difference of fourth order away from zero."""
-    joint, H = JOINTS[name]
-    assert joint.position is not None
-    assert joint.transform.is_group_element
-    f = jax.jit(partial(tx.lower(joint.transform), 0.0))
-    step = 1e-3
-    places = {k: np.asarray(f({joint.position.name: curve(name, k * step)[0]})) for k in (-2, -1, 0, 1, 2)}
-    slope = (places[-2] - 8.0 * places[-1] + 8.0 * places[1] - places[2]) / (12.0 * step)
-    velocity = curve(name, 0.0)[1]
-    np.testing.assert_allclose(slope, places[0] @ hat(H @ velocity), atol=1e-10)
-    twist = tx.lower(joint.twist)(0.0, {f"{joint.name}_velocity": velocity})
-    np.testing.assert_allclose(twist, H @ velocity, atol=1e-15)
 
 
 def test_a_hinge_turns_as_the_exponential_of_many_digits() -> None:

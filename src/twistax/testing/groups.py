@@ -59,6 +59,7 @@ def check_group(group: Group, *, seed: int = 0) -> None:
     Raises:
         LawError: a law does not hold. The message names it, the values and what to look at.
         InputError: `group` is no group.
+    Source: J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018).
     Example: `tx.testing.check_group(tx.SE3)`.
     """
     if not isinstance(group, Group):

@@ -40,6 +40,7 @@ def check_joint(joint: Joint, *, at_zero: Any = None, seed: int = 0) -> None:
     Raises:
         LawError: a law does not hold. The message names it, the values and what to look at.
         InputError: `joint` is no joint.
+    Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
     Example: `tx.testing.check_joint(tx.mechanics.joints.Planar("table"))`.
     """
     if not isinstance(joint, Joint):

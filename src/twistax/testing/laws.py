@@ -75,9 +75,9 @@ class Check:
             raise self.fail(law, f"{type(error).__name__}: {error}", fix) from error
 
 
-def _worst(excess: np.ndarray) -> Any:
+def _worst(excess: Any) -> Any:
     """Where an excess is largest, NaN counting as more than anything."""
-    return np.unravel_index(int(np.argmax(np.nan_to_num(excess, nan=np.inf))), excess.shape)
+    return np.unravel_index(int(np.argmax(np.nan_to_num(excess, nan=np.inf))), np.shape(excess))
 
 
 def _shown(value: Any) -> str:

@@ -1,1 +1,105 @@
-def check_scene(x): ...
+"""The laws of a scene: its start, its truth and its equations are of one motion."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any
+
+import jax
+import numpy as np
+
+from ..errors import InputError
+from ..integrators import RKMK, ImplicitRKMK
+from ..integrators.tableaus import DOP853, RADAU_IIA9
+from .laws import STENCIL, STEP, Check, difference_quotient
+
+if TYPE_CHECKING:
+    from ..scenes import Scene
+
+
+def check_scene(scene: Scene, *, stiff: bool = False, tolerance: float = 1e-8, **options: Any) -> None:
+    """Check that the truth of a scene is the motion of its system from its start.
+
+    Checked are that start, end, params and invariants have the names and shapes of the system, and elements are in
+    their groups; that a closed form begins at the start and has the rates of the system, $x'(t) = f(t, x(t))$, at times
+    along the way; that invariants keep along an integration, and that this ends at the truth, in the scene's units.
+
+    Args:
+        scene: a `twistax.scenes.Scene`.
+        stiff: integrate by Radau IIA 9 in place of DOP853.
+        tolerance: what the end may be off, as `scene.error` measures, and invariants by their size.
+        options: of `scene.integrate`; rtol = atol = 1e-10 unless given.
+    Raises:
+        LawError: a law does not hold. The message names it, the values and what to look at.
+        InputError: `scene` is no scene.
+    Example: `tx.testing.check_scene(SCENES["euler-top"])`.
+    """
+    if not all(hasattr(scene, name) for name in ("build", "start", "duration", "error", "integrate")):
+        raise InputError(f"check_scene expects a scene such as SCENES['euler-top'], got {scene!r}")
+    check = Check(f"the scene {scene.name!r}")
+    with jax.enable_x64(True):
+        _check_names(check, scene)
+        if scene.exact is not None and (scene.u is None or isinstance(scene.u, Mapping)):
+            _check_closed_form(check, scene)
+        given = options or {"rtol": 1e-10, "atol": 1e-10}
+        method = ImplicitRKMK(RADAU_IIA9) if stiff else RKMK(DOP853)
+        times = np.linspace(0.0, scene.duration, 5)
+        solution = scene.integrate(**{"method": method, "save_at": times, **given})
+        end = {name: np.asarray(values[-1]) for name, values in solution.xs.items()}
+        off = scene.error(end)
+        told = f"the integration ends {off:.3g} from it, where {tolerance:g} is allowed"
+        check.holds("the end is where the system leads", off <= tolerance, told, "look at build, start, and the truth")
+        _check_invariants(check, scene, solution, tolerance)
+
+
+def _check_names(check: Check, scene: Scene) -> None:
+    system, fix = scene.system, "give the names that the system has"
+    states = {state.name: state for state in system.states}
+    for what, values in (("start", scene.start), ("end", scene.end)):
+        told = f"got {sorted(values)} for {sorted(states)}"
+        check.holds(f"{what} has all states", set(values) == set(states), told, fix)
+        for name, value in values.items():
+            told = f"{name!r} has shape {np.shape(value)} for {states[name].shape}"
+            check.holds(f"{what} has the shapes of the states", np.shape(value) == states[name].shape, told, fix)
+            group = states[name].group
+            defect = 0.0 if group.flat else group.known_defect(np.asarray(value, float))
+            check.close(f"{what} is in its group", defect, 0.0, 1e-9, f"look at {name!r} of {what}")
+    parameters = {parameter.name for parameter in system.parameters}
+    told = f"got {sorted(scene.params)} for {sorted(parameters)}"
+    check.holds("params are those of the system", set(scene.params) <= parameters, told, fix)
+    unknown = sorted(set(scene.invariants) - set(system.outputs))
+    check.holds("invariants are outputs of the system", not unknown, f"there is no output {unknown}", fix)
+    for word in ("name", "title", "summary", "source"):
+        check.holds(f"a scene has a {word}", getattr(scene, word), "it is empty", f"give {word}=")
+
+
+def _check_closed_form(check: Check, scene: Scene) -> None:
+    """Its beginning, and its rates at times along the way, by differences."""
+    groups = {state.name: state.group for state in scene.system.states}
+    exact = lambda t: {name: np.asarray(value, float) for name, value in scene.exact(t).items()}  # type: ignore[misc]  # noqa: E731
+    for name, value in exact(0.0).items():
+        start = np.asarray(scene.start[name])
+        size = max(1.0, np.abs(start).max(initial=0.0))
+        check.close("the closed form begins at the start", value, start, 1e-12 * size, f"look at {name!r} of exact(0)")
+    for share in (0.1, 0.37, 0.9):
+        t = share * scene.duration
+        here = exact(t)
+        rates = scene.dynamics(t, here, scene.u, dict(scene.params) or None)
+        # So short that fast motion is smooth in a step.
+        fastest = max(1.0, *(float(np.abs(np.asarray(rate)).max(initial=0.0)) for rate in rates.values()))
+        near = [exact(t + i * STEP / fastest) for i in STENCIL]
+        for name, group in groups.items():
+            rate = np.asarray(group.entry_rate(jax.numpy.asarray(here[name]), rates[name]))
+            slope = difference_quotient([each[name] for each in near]) * fastest
+            size = max(1.0, np.abs(rate).max(initial=0.0), np.abs(here[name]).max(initial=0.0) * fastest)
+            law = "x'(t) = f(t, x(t)) for the closed form"
+            check.close(law, slope, rate, 1e-8 * size, f"look at {name!r} of exact and of build", {"t": t})
+
+
+def _check_invariants(check: Check, scene: Scene, solution: Any, tolerance: float) -> None:
+    for name in scene.invariants:
+        values = np.asarray(solution.outputs[name])
+        size = max(1.0, np.abs(values).max(initial=0.0))
+        fix = f"look at the output {name!r}, or leave it out of invariants"
+        first = np.broadcast_to(values[:1], values.shape)
+        check.close(f"{name} stays as it is", values, first, 10.0 * tolerance * size, fix)
