@@ -77,7 +77,7 @@ class Crossings:
     @classmethod
     def of(cls, stepper: Stepper, rows: CrossingRows) -> Crossings:
         """Those of a rollout; where numbers are known without the rows beyond the count."""
-        directions = (rows.which >= 0) * (2 * rows.rises.astype(rows.which.dtype) - 1)
+        directions = jnp.where(rows.which < 0, 0, jnp.where(rows.rises, 1, -1)).astype(rows.which.dtype)
         found = cls(stepper.clock(rows.ts), rows.xs, rows.which, directions, rows.count)
         if is_traced(rows):
             return found
