@@ -292,10 +292,10 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
 class CrossingRows(NamedTuple):
     """Crossings in the order of their times, rows (n, ...): NaN beyond the count."""
 
-    ts: jax.Array  # on the clock of the loop
+    ts: jax.Array  # in s
     xs: Any  # the states by name
     which: jax.Array  # the numbers of the events, -1 beyond the count
-    rises: jax.Array
+    directions: jax.Array  # 1 where the condition rises, else -1; 0 beyond the count
     count: jax.Array
 
 
@@ -317,5 +317,6 @@ def crossing_rows(stepper: Stepper, crossed: Crossed, ys: Blocks) -> CrossingRow
     xs = jax.vmap(stepper.stored.value)(ys)
     xs = {k: jnp.where(there.reshape(there.shape + (1,) * (v.ndim - 1)), v, jnp.nan) for k, v in xs.items()}
     order = jnp.argsort(jax.lax.stop_gradient(ts), stable=True)
-    rows = jax.tree.map(lambda a: a[order], (ts, xs, crossed.which, crossed.rises))
+    directions = jnp.where(there, jnp.where(crossed.rises, 1, -1), 0)
+    rows = jax.tree.map(lambda a: a[order], (stepper.clock(ts), xs, crossed.which, directions))
     return CrossingRows(*rows, there.sum())
