@@ -42,7 +42,7 @@ class _Job(NamedTuple):
     low: jax.Array  # where a part with a root begins and ends
     high: jax.Array
     rest: jax.Array  # where the part after it ends, with another root; negative: there is none
-    widened: jax.Array
+    widened: jax.Array  # -1, 1: it is what lies beside a part, before or after it; 0: a part
     extremum: Extremum
     bracket: Bracket
 
@@ -137,7 +137,7 @@ class _Search:
         place, none = self._at(row) + self.tips[row, number] * self.spacing, jnp.zeros((), int)
         extremum = Extremum((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
         bracket = Bracket.between(low, high, sign, -sign, self.finest)
-        return _Job(index, looks, sign, low, high, rest, none > 0, extremum, bracket)
+        return _Job(index, looks, sign, low, high, rest, none, extremum, bracket)
 
     def _one(self, now: tuple[_Job, Watched]) -> tuple[_Job, Watched]:
         """After a part of the step was taken."""
@@ -153,8 +153,9 @@ class _Search:
         # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
-        lost = at_low | at_high
-        widens = ~job.looks & job.bracket.done & lost & ~job.widened
+        # Beside a part, where it closed on the end next to that, the root is there.
+        lost = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
+        widens = ~job.looks & job.bracket.done & lost & (job.widened == 0)
         done = jnp.where(job.looks, job.extremum.done, job.bracket.done & ~widens)
         known = self._with_root(known, job, done & ~job.looks & ~lost)
 
@@ -176,7 +177,7 @@ class _Search:
         chosen: Any = (follows, *self._pair(follows))
         for condition, part in reversed(parts):
             chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
-        another = self._job(*chosen)._replace(widened=widens)
+        another = self._job(*chosen)._replace(widened=jnp.where(widens, jnp.where(at_low, -1, 1), 0))
         return jax.tree.map(lambda a, b: jnp.where(done | widens, a, b), another, job), known
 
     def _beside(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -306,7 +307,7 @@ def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t)
         return refined(stepper, watch, row.y, row.h, meeting).s
 
-    s = jax.lax.map(lambda row: one(crossed._replace(**row, count=())), crossed._replace(count=())._asdict())
+    s = jax.lax.map(one, crossed._replace(count=()))
     return crossed._replace(s=s)
 
 
