@@ -59,8 +59,9 @@ both = {
     "tank": -5.0, "per_mass": np.array([0.04, 0.5, 0.5]), "nozzle": -6.6,
     "fins": -6.4, "fin_area": 1.4, "drag_area": 0.06,
 }  # fmt: skip
-# One list for all phases compiles once; in each phase one of them comes first.
-events = [tx.Event(fuel <= 0.0), tx.Event(craft.ned_velocity[2] >= 0.0), tx.Event(craft.place.altitude <= 20e3)]
+# One list for all phases compiles once. In each phase one comes first; those that hold as it begins do not count.
+conditions = fuel <= 0.0, craft.ned_velocity[2] >= 0.0, craft.place.altitude <= 20e3
+events = [tx.Event(condition, at_start=tx.AtStart.IGNORE) for condition in conditions]
 phases = [
     tx.Phase(rocket, name="boost", duration=60.0, event=events, params={**both, "thrust": 90e3, "flow": 38.0}),
     tx.Phase(rocket, name="staging", duration=4.0, params=upper),

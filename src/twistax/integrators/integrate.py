@@ -384,5 +384,5 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
         found.event,
         stepper,
         found.at_start,
-        None if found.crossings is None else Crossings.of(stepper, found.crossings),
+        None if found.crossings is None else Crossings.of(found.crossings),
     )

@@ -31,40 +31,25 @@ class Stride(NamedTuple):
     inside: Any  # its slopes; None where the method has no polynomial
 
 
-class _Slots(NamedTuple):
-    """Parts of a step in which a condition crosses zero: two to a pair of neighbouring places, m conditions each."""
-
-    low: jax.Array  # (2 k, m) where each part begins
-    high: jax.Array  # and ends
-    sign: jax.Array  # of the condition where it begins
-    pending: jax.Array  # whether it is still to be looked for
-
-
 class _Job(NamedTuple):
-    """What is looked for: an extremum past zero, or a root."""
+    """What is looked for between two neighbouring places: an extremum past zero, then the roots before and after it;
+    or a root.
+    """
 
-    active: jax.Array
+    index: jax.Array  # of the pair and the condition; beyond all of them where nothing is left
     looks: jax.Array  # whether it is an extremum
-    row: jax.Array  # of the pair of places, or of the part of the step
-    number: jax.Array  # of the condition
-    sign: jax.Array  # of the condition where it begins
-    extremum: Extremum
-    low: jax.Array  # of a root where the part begins and ends
+    sign: jax.Array  # of the condition where the part begins
+    low: jax.Array  # where a part with a root begins and ends
     high: jax.Array
-    widened: jax.Array
+    rest: jax.Array  # where the part after it ends, with another root; negative: there is none
+    widened: jax.Array  # -1, 1: it is what lies beside a part, before or after it; 0: a part
+    extremum: Extremum
     bracket: Bracket
 
     @property
     def place(self) -> jax.Array:
         """Where the condition is to be evaluated."""
         return jnp.where(self.looks, self.extremum.place, self.bracket.place)
-
-
-class _State(NamedTuple):
-    suspects: jax.Array  # (k, m) pairs of places that may have an extremum past zero between them
-    slots: _Slots
-    job: _Job
-    known: Watched
 
 
 def watched_along(
@@ -109,13 +94,16 @@ class _Search:
         self.spacing = stride.h / self.pairs
         t, h = stride.t, stride.h
         self.finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
+        self.suspects, self.tips = near_zero(values)
+        self.flags = (watch.hits(values) | self.suspects).reshape(-1)
+        self.senses = jnp.asarray(np.asarray(watch.senses, values.dtype))
 
     def run(self, known: Watched) -> Watched:
         """With what is crossed, in order, up to an event that ends the integration."""
         before = None if known.crossed is None else known.crossed.count
         begun = known._replace(s=jnp.full_like(known.s, jnp.inf))
-        start = self._next(_State(near_zero(self.values)[0], self._parts(), self._no_job(), begun))
-        found = jax.lax.while_loop(lambda now: now.job.active, self._one, start).known
+        start = self._job(self._after(jnp.zeros((), int) - 1), *self._pair(self._after(jnp.zeros((), int) - 1)))
+        _, found = jax.lax.while_loop(lambda now: now[0].index < self.flags.size, self._one, (start, begun))
         if found.crossed is not None:
             # What is crossed after the integration has ended is not.
             rows = found.crossed
@@ -123,114 +111,83 @@ class _Search:
             found = found._replace(crossed=rows._replace(which=jnp.where(late, -1, rows.which)))
         return found._replace(s=jnp.where(found.met, found.s, 0.0), full=found.full & ~found.met)
 
+    def _after(self, index: jax.Array) -> jax.Array:
+        """The next of the pairs and conditions that may have a crossing."""
+        every = jnp.arange(self.flags.size)
+        return jnp.where(self.flags & (every > index), every, self.flags.size).min()
+
+    def _pair(self, index: jax.Array) -> tuple[jax.Array, ...]:
+        """Of a pair and a condition: whether to look for an extremum, the sign where it begins, both ends, no rest."""
+        row, number = self._row(index), index % self.width
+        low, high = self._at(row), self._at(row + 1)
+        return self.suspects[row, number], jnp.sign(self.values[row, number]), low, high, -jnp.ones_like(high)
+
+    def _row(self, index: jax.Array) -> jax.Array:
+        return jnp.minimum(index // self.width, self.pairs - 1)
+
     def _at(self, row: jax.Array) -> jax.Array:
         """Where a place is, by its row."""
         return jnp.where(row >= self.pairs, self.stride.h, row.astype(self.spacing.dtype) * self.spacing)
 
-    def _parts(self) -> _Slots:
-        """The pairs of places with a crossing, each as the first of two parts."""
-        rows = jnp.arange(self.pairs)
-        low, high = (jnp.broadcast_to(self._at(each)[:, None], (self.pairs, self.width)) for each in (rows, rows + 1))
-        sign, hits = jnp.sign(self.values[:-1]), self.watch.hits(self.values)
-        both = (low, high), (high, high), (sign, -sign), (hits, jnp.zeros_like(hits))
-        return _Slots(*(jnp.stack(pair, 1).reshape(2 * self.pairs, self.width) for pair in both))
+    def _job(
+        self, index: jax.Array, looks: jax.Array, sign: jax.Array, low: jax.Array, high: jax.Array, rest: jax.Array
+    ) -> _Job:
+        row, number = self._row(index), index % self.width
+        ends = self.values[row, number], self.values[row + 1, number]
+        place, none = self._at(row) + self.tips[row, number] * self.spacing, jnp.zeros((), int)
+        extremum = Extremum((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
+        bracket = Bracket.between(low, high, sign, -sign, self.finest)
+        return _Job(index, looks, sign, low, high, rest, none, extremum, bracket)
 
-    def _no_job(self) -> _Job:
-        number, none = jnp.zeros_like(self.stride.h), jnp.zeros((), int)
-        off, place = none > 0, (number, number)
-        extremum = Extremum(place, place, place, number, off, none)
-        return _Job(off, off, none, none, number, extremum, number, number, off, self._bracket(number, number, number))
-
-    def _bracket(self, low: jax.Array, high: jax.Array, sign: jax.Array) -> Bracket:
-        """That of a root between two places, where the values have a sign and the other one."""
-        return Bracket.between(low, high, sign, -sign, self.finest)
-
-    def _next(self, now: _State) -> _State:
-        """With another job: the first of the extrema, then the first of the parts."""
-        suspects, slots = now.suspects, now.slots
-        looks = suspects.any()
-        (row, number), (slot, other) = (self._first(each) for each in (suspects, slots.pending))
-        place = self._at(row) + near_zero(self.values)[1][row, number] * self.spacing
-        ends = (self._at(row), self.values[row, number]), (self._at(row + 1), self.values[row + 1, number])
-        none = jnp.zeros((), int)
-        extremum = Extremum(ends[0], (place, ends[0][1]), ends[1], place, none > 0, none)
-        low, high, sign = slots.low[slot, other], slots.high[slot, other], slots.sign[slot, other]
-        job = _Job(
-            looks | slots.pending.any(),
-            looks,
-            jnp.where(looks, row, slot),
-            jnp.where(looks, number, other),
-            jnp.where(looks, jnp.sign(ends[0][1]), sign),
-            extremum,
-            low,
-            high,
-            none > 0,
-            self._bracket(low, high, sign),
-        )
-        return now._replace(job=job)
-
-    def _first(self, flags: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """Row and column of the first flag, row by row; of the first entry where there is none."""
-        count = flags.size
-        index = jnp.where(flags.reshape(-1), jnp.arange(count), count).min() % count
-        return index // self.width, index % self.width
-
-    def _one(self, now: _State) -> _State:
+    def _one(self, now: tuple[_Job, Watched]) -> tuple[_Job, Watched]:
         """After a part of the step was taken."""
-        job, stride = now.job, self.stride
+        (job, known), stride, h = now, self.stride, self.stride.h
+        number = job.index % self.width
         moved = self.advance(stride.t, stride.y, job.place)
-        given = (stride.t, stride.h, moved, job.number, stride.t + job.place)
+        given = (stride.t, h, moved, number, stride.t + job.place)
         value = beside(_one_value, self.watch, self.stepper, *given)
         cost = self.stepper.method.evaluations_of(self.stepper.dynamics)
-        now = now._replace(known=now.known._replace(evaluations=now.known.evaluations + cost))
+        known = known._replace(evaluations=known.evaluations + cost)
         job = job._replace(extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value))
-        job, there = self._widened(job)
-        done = jnp.where(job.looks, job.extremum.done, job.bracket.done)
-        looked = self._next(self._with_extremum(now, job))
-        met = self._next(self._with_root(now, job, there))
 
-        def pick(a: Any, b: Any, c: Any) -> Any:
-            return jax.tree.map(lambda a, b, c: jnp.where(done, jnp.where(job.looks, a, b), c), a, b, c)
-
-        return pick(looked, met, now._replace(job=job))
-
-    def _widened(self, job: _Job) -> tuple[_Job, jax.Array]:
-        """A bracket that closed on an end whose sign a polynomial told; and whether its root is there.
-
-        The step itself may cross zero just outside of the part: beside it once more.
-        """
-        h, half = self.stride.h, 0.5 * self.spacing
-        low, high = (jnp_of(job.bracket.a[0], job.bracket.b[0]) for jnp_of in (jnp.minimum, jnp.maximum))
+        # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
+        low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
-        lost = job.bracket.done & (at_low | at_high)
-        again = lost & ~job.widened & ~job.looks
-        begin = jnp.where(at_low, jnp.maximum(job.low - half, 0.0), job.high)
-        end = jnp.where(at_low, job.low, jnp.minimum(job.high + half, h))
-        wider = job._replace(
-            low=begin, high=end, widened=again | job.widened, bracket=self._bracket(begin, end, job.sign)
-        )
-        return jax.tree.map(lambda a, b: jnp.where(again, a, b), wider, job), ~lost
+        # Beside a part, where it closed on the end next to that, the root is there.
+        lost = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
+        widens = ~job.looks & job.bracket.done & lost & (job.widened == 0)
+        done = jnp.where(job.looks, job.extremum.done, job.bracket.done & ~widens)
+        known = self._with_root(known, job, done & ~job.looks & ~lost)
 
-    def _with_extremum(self, now: _State, job: _Job) -> _State:
-        """With a part up to an extremum past zero and one after it, where the directions are wanted."""
-        slots, row, number = now.slots, job.row, job.number
-        past, tip = job.extremum.past, job.extremum.middle[0]
-        wanted = jnp.asarray(np.asarray(self.watch.senses, self.values.dtype))[number]
-        high = jnp.where(past, tip, slots.high[2 * row, number])
-        low = jnp.where(past, tip, slots.low[2 * row + 1, number])
-        first = slots.pending[2 * row, number] | (past & (job.sign * wanted <= 0.0))
-        second = past & (job.sign * wanted >= 0.0)
-        pending = slots.pending.at[2 * row, number].set(first).at[2 * row + 1, number].set(second)
-        slots = slots._replace(
-            high=slots.high.at[2 * row, number].set(high),
-            low=slots.low.at[2 * row + 1, number].set(low),
-            pending=pending,
+        # Up to an extremum the condition goes the way that its sign says, then back.
+        tip, wanted = job.extremum.middle[0], self.senses[number]
+        first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
+        found = job.looks & job.extremum.past
+        half, follows = 0.5 * self.spacing, self._after(job.index)
+        follows = jnp.where(
+            known.full | (known.met & (follows // self.width > self._row(job.index))), self.flags.size, follows
         )
-        return now._replace(slots=slots, suspects=now.suspects.at[row, number].set(False))
+        none = -jnp.ones_like(h)
+        parts = [
+            (widens, (job.index, job.looks, job.sign, *self._beside(job, at_low, half), job.rest)),
+            (found & first, (job.index, ~found, job.sign, job.low, tip, jnp.where(second, job.high, none))),
+            (found & second, (job.index, ~found, -job.sign, tip, job.high, none)),
+            (~job.looks & (job.rest > job.high), (job.index, job.looks, -job.sign, job.high, job.rest, none)),
+        ]
+        chosen: Any = (follows, *self._pair(follows))
+        for condition, part in reversed(parts):
+            chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
+        another = self._job(*chosen)._replace(widened=jnp.where(widens, jnp.where(at_low, -1, 1), 0))
+        return jax.tree.map(lambda a, b: jnp.where(done | widens, a, b), another, job), known
 
-    def _with_root(self, now: _State, job: _Job, there: jax.Array) -> _State:
+    def _beside(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The half of a pair next to a part."""
+        low = jnp.where(at_low, jnp.maximum(job.low - half, 0.0), job.high)
+        return low, jnp.where(at_low, job.low, jnp.minimum(job.high + half, self.stride.h))
+
+    def _with_root(self, known: Watched, job: _Job, there: jax.Array) -> Watched:
         """With a root, where it is there."""
-        known, stride, number, root = now.known, self.stride, job.number, job.bracket.root
+        stride, number, root = self.stride, job.index % self.width, job.bracket.root
         terminal = jnp.asarray(np.array(self.watch.terminal))[number]
         ends = there & terminal
         sooner = ends & (root < known.s)
@@ -239,15 +196,12 @@ class _Search:
             which=jnp.where(sooner, number, known.which),
             s=jnp.where(sooner, root, known.s),
         )
-        if known.crossed is not None:
-            none = jnp.zeros((), int)
-            own = Crossed(stride.steps, stride.t, stride.h, stride.y, root, number, job.sign < 0.0, none)
-            crossed, full = known.crossed.with_one(own, there & ~terminal)
-            known = known._replace(crossed=crossed, full=known.full | full)
-        # Other conditions may be zero in the same part, and sooner.
-        later = jnp.arange(2 * self.pairs)[:, None] > job.row
-        pending = now.slots.pending.at[job.row, number].set(False) & ~known.full & ~(known.met & later)
-        return now._replace(known=known, slots=now.slots._replace(pending=pending))
+        if known.crossed is None:
+            return known
+        none = jnp.zeros((), int)
+        own = Crossed(stride.steps, stride.t, stride.h, stride.y, root, number, job.sign < 0.0, none)
+        crossed, full = known.crossed.with_one(own, there & ~terminal)
+        return known._replace(crossed=crossed, full=known.full | full)
 
 
 def halted_code(watched: Watched, code: jax.Array) -> jax.Array:
@@ -339,10 +293,10 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
 class CrossingRows(NamedTuple):
     """Crossings in the order of their times, rows (n, ...): NaN beyond the count."""
 
-    ts: jax.Array  # on the clock of the loop
+    ts: jax.Array  # in s
     xs: Any  # the states by name
     which: jax.Array  # the numbers of the events, -1 beyond the count
-    rises: jax.Array
+    directions: jax.Array  # 1 where the condition rises, else -1; 0 beyond the count
     count: jax.Array
 
 
@@ -353,7 +307,7 @@ def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t)
         return refined(stepper, watch, row.y, row.h, meeting).s
 
-    s = jax.lax.map(lambda row: one(crossed._replace(**row, count=())), crossed._replace(count=())._asdict())
+    s = jax.lax.map(one, crossed._replace(count=()))
     return crossed._replace(s=s)
 
 
@@ -364,5 +318,6 @@ def crossing_rows(stepper: Stepper, crossed: Crossed, ys: Blocks) -> CrossingRow
     xs = jax.vmap(stepper.stored.value)(ys)
     xs = {k: jnp.where(there.reshape(there.shape + (1,) * (v.ndim - 1)), v, jnp.nan) for k, v in xs.items()}
     order = jnp.argsort(jax.lax.stop_gradient(ts), stable=True)
-    rows = jax.tree.map(lambda a: a[order], (ts, xs, crossed.which, crossed.rises))
+    directions = jnp.where(there, jnp.where(crossed.rises, 1, -1), 0)
+    rows = jax.tree.map(lambda a: a[order], (stepper.clock(ts), xs, crossed.which, directions))
     return CrossingRows(*rows, there.sum())

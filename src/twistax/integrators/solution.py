@@ -73,15 +73,13 @@ class Crossings:
     count: Any
 
     @classmethod
-    def of(cls, stepper: Stepper, rows: CrossingRows) -> Crossings:
+    def of(cls, rows: CrossingRows) -> Crossings:
         """Those of a rollout; where numbers are known without the rows beyond the count."""
-        directions = (rows.which >= 0) * (2 * rows.rises.astype(rows.which.dtype) - 1)
-        found = cls(stepper.clock(rows.ts), rows.xs, rows.which, directions, rows.count)
         if is_traced(rows):
-            return found
+            return cls(*rows)
         count = int(rows.count)
-        cut = jax.tree.map(lambda a: np.asarray(a)[:count], dataclasses.replace(found, count=()))
-        return dataclasses.replace(jax.device_put(cut), count=count)
+        known = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], rows[:-1]))
+        return cls(*known, count)
 
 
 class Dense(NamedTuple):
