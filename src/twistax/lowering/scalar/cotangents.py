@@ -2,11 +2,15 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Iterable, Iterator, Mapping
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
     from .graph import Graph
+
+#: So many products at most stay apart: what is read further back takes as many operations for each.
+_APART = 3
 
 
 class Cotangent(NamedTuple):
@@ -53,19 +57,22 @@ class Cotangents(Mapping[int, int]):
         known = weights.get(term.rate)
         weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)
 
-    def of(self, node: int) -> Cotangent:
-        """That of a node whose readers have all given theirs."""
+    def of(self, node: int) -> list[Cotangent]:
+        """That of a node whose readers have all given theirs: the terms of a sum.
+
+        A few products stay apart, as those of r^2 that is read by 1 / r^2 and by its root: each has its size.
+        """
         g, weights = self._graph, self._terms[node]
         rates: dict[int, int] = {}
         for rate, weight in weights.items():
             rates[weight] = g.add(rates[weight], rate) if weight in rates else rate
         terms = [Cotangent(weight, rate) for weight, rate in rates.items()]
-        if len(terms) == 1:
-            return terms[0]
-        return Cotangent(_sum(g, (term.total(g) for term in terms)), g.one)
+        if len(terms) == 1 or (len(terms) <= _APART and all(term.rate != g.one for term in terms)):
+            return terms
+        return [Cotangent(_sum(g, terms), g.one)]
 
     def __getitem__(self, node: int) -> int:
-        return self.of(node).total(self._graph)
+        return _sum(self._graph, self.of(node))
 
     def __contains__(self, node: object) -> bool:
         return node in self._terms
@@ -77,8 +84,5 @@ class Cotangents(Mapping[int, int]):
         return len(self._terms)
 
 
-def _sum(g: Graph, terms: Iterable[int]) -> int:
-    first, *others = terms
-    for term in others:
-        first = g.joined(first, term)
-    return first
+def _sum(g: Graph, terms: Iterable[Cotangent]) -> int:
+    return functools.reduce(g.joined, (term.total(g) for term in terms))

@@ -221,7 +221,8 @@ def _pull(g: Graph, live: Sequence[int], found: Cotangents, depending: Collectio
         call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
         pairs: Any = ()
         if operation is not None:
-            pairs = zip(arguments, operation.cotangents(g, arguments, i, found.of(i)), strict=True)
+            terms = [operation.cotangents(g, arguments, i, term) for term in found.of(i)]
+            pairs = [pair for own in terms for pair in zip(arguments, own, strict=True)]
         elif call is not None and id(call) not in done:
             # All results of a call stand before whatever reads them: their cotangents are complete.
             done.add(id(call))

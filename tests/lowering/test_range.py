@@ -1,0 +1,146 @@
+"""Derivatives in single precision at magnitudes at which powers of them leave its range, on every path."""
+
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+import twistax as tx
+
+GM = 3.986e14
+EPS = float(np.finfo(np.float32).eps)
+BACKENDS = (tx.JAX(), tx.XLA(least=0), tx.Native(least=0, scalars=tx.XLA(least=0)))
+#: Gravity as people write it.
+WAYS: dict[str, Callable[[Any, Any], Any]] = {
+    "power": lambda p, norm: -GM * p * norm(p) ** -3,
+    "quotient": lambda p, norm: -GM * p / norm(p) ** 3,
+    "reciprocal": lambda p, norm: -GM * p * (1.0 / norm(p) ** 3),
+    "root": lambda p, norm: -GM * p * (p @ p) ** -1.5,
+}
+P, V = tx.State("p", shape=(3,)), tx.State("v", shape=(3,))
+POSITION = np.array([7.0e6, 1.0e6, -2.0e6], np.float32)
+
+
+def slope(p: np.ndarray) -> np.ndarray:
+    """$d(-GM p / r^3) / dp = GM (3 p p^T / r^2 - 1) / r^3$."""
+    p = p.astype(float)
+    r = np.linalg.norm(p)
+    return GM * (3.0 * np.outer(p, p) / r**2 - np.eye(3)) / r**3
+
+
+def near(found: Any, right: np.ndarray, terms: float = 0.0) -> None:
+    """To 100 eps of the terms."""
+    assert np.asarray(found).dtype == np.float32
+    np.testing.assert_allclose(found, right, rtol=0.0, atol=100.0 * EPS * (terms or np.abs(right).max()))
+
+
+def curvature(p: np.ndarray) -> np.ndarray:
+    """The second derivative of the sum of the accelerations, by the slope in double precision."""
+    step = 1e-4 * np.linalg.norm(p.astype(float))
+    ahead = [slope(p.astype(float) + step * e).sum(0) - slope(p.astype(float) - step * e).sum(0) for e in np.eye(3)]
+    return np.array(ahead) / (2.0 * step)
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("backend", BACKENDS, ids=lambda b: type(b).__name__)
+def test_gravity_has_its_gradient(way: str, backend: Any) -> None:
+    dynamics = tx.compile(tx.System({P: V, V: WAYS[way](P, tx.linalg.Norm)}), backend=backend)
+    x = {"p": POSITION, "v": np.zeros(3, np.float32)}
+    near(dynamics.jacobian(0.0, x)["x"][3:, :3], slope(POSITION))
+    second = dynamics.hessian(0.0, x, None, None, {"v": np.ones(3, np.float32)})[:3, :3]
+    np.testing.assert_allclose(second, curvature(POSITION), rtol=0.0, atol=1e-5 * np.abs(curvature(POSITION)).max())
+
+
+@pytest.mark.parametrize("way", WAYS)
+@pytest.mark.parametrize("backend", [None, *BACKENDS[1:]], ids=["tx.lower", "XLA", "Native"])
+def test_transformations_of_jax_give_the_gradient(way: str, backend: Any) -> None:
+    """At 7,000 km and, where no derivative by r^3 is needed, at a million."""
+    lowered = tx.lower(WAYS[way](P, tx.linalg.Norm))
+    plain = lambda p: WAYS[way](p, jnp.linalg.norm)  # noqa: E731
+    function = (lambda p: lowered(0.0, {"p": p})) if backend is None else tx.fast(plain, backend=backend)
+    for p in (POSITION, POSITION * np.float32(150.0)):
+        forward, back = jax.jacfwd(function)(p), jax.jacrev(function)(p)
+        near(forward, slope(p))
+        near(back, slope(p))
+        near(jax.jvp(function, (p,), (p,))[1], slope(p) @ p)
+        near(jax.grad(lambda p: function(p)[0])(p), slope(p)[0])
+        near(jax.vmap(jax.jacfwd(function))(np.stack([p, 2.0 * p]))[0], slope(p))
+        second = jax.jacfwd(jax.jacfwd(lambda p: function(p).sum()))(p)
+        np.testing.assert_allclose(second, curvature(p), rtol=0.0, atol=1e-5 * np.abs(curvature(p)).max())
+    if backend is not None:
+        near(tx.fast(jax.jacfwd(plain), backend=backend)(POSITION), slope(POSITION))
+
+
+def test_integrations_carry_the_gradient() -> None:
+    dynamics = tx.compile(tx.System({P: V, V: WAYS["power"](P, tx.linalg.Norm)}))
+    start = {"p": POSITION, "v": np.zeros(3, np.float32)}
+
+    def end(p: jax.Array) -> jax.Array:
+        x = start | {"p": p}
+        return tx.integrate(dynamics, x, t1=1.0, dt=0.5, method=tx.RKMK(tx.tableaus.RK4)).xs["v"][0]
+
+    near(jax.jacfwd(end)(POSITION), slope(POSITION))
+    near(tx.trajectory.linearize(dynamics, 0.0, start, {}).A[3:, :3], slope(POSITION))
+
+
+def test_powers_are_differentiated_as_powers() -> None:
+    grad = lambda f, x: float(jax.grad(tx.fast(f, backend=BACKENDS[1]))(x))  # noqa: E731
+    assert grad(lambda r: r**-12 - r**-6, np.float32(2000.0)) == pytest.approx(6.0 / 2000.0**7, rel=1e-5)
+    assert grad(lambda r: r**-12 - r**-6, 1e200) == 0.0
+    for function in (lambda x: x**-2, lambda x: tx.lower(tx.State("x") ** -2)(0.0, {"x": x})):
+        found = jax.grad(tx.fast(function, backend=BACKENDS[1]))(np.inf)
+        assert found == 0.0
+        assert np.signbit(found)
+    for n in (-7, -3, -2, -1, 2, 3, 5, -1.5, -0.5, 2.5):
+        node = tx.lower(tx.State("x") ** n)
+        for function in (lambda x, n=n: x**n, lambda x, node=node: node(0.0, {"x": x})):
+            for own in (function, tx.fast(function, backend=BACKENDS[1])):
+                x = np.float32(3.0)
+                assert float(own(x)) == pytest.approx(3.0**n, rel=1e-6)
+                assert float(jax.grad(own)(x)) == pytest.approx(n * 3.0 ** (n - 1), rel=1e-6)
+                assert float(jax.grad(jax.grad(own))(x)) == pytest.approx(n * (n - 1) * 3.0 ** (n - 2), rel=1e-6)
+
+
+def test_the_derivative_of_a_quotient_has_no_square_of_the_divisor() -> None:
+    """In both modes: of p / (x x), and of 1 / ((x x) (x x)) in reverse."""
+    x = np.float32(1e8)
+    for function, right in ((lambda x: 1e7 / (x * x * x * x), -4e-33), (lambda x: 1.0 / (x * x * x), -3e-32)):
+        for backend in BACKENDS[1:]:
+            fast = tx.fast(lambda x, f=function: jnp.asarray(f(x)), backend=backend)
+            for found in (jax.grad(fast)(x), jax.jacfwd(fast)(x)):
+                assert float(found) == pytest.approx(right, rel=1e-5)
+    node = tx.lower(tx.State("a") / tx.State("b"))
+    a, b = np.float32(1e-30), np.float32(1e-30)
+    slopes = jax.jacfwd(lambda x: node(0.0, x))({"a": a, "b": b})
+    assert float(slopes["b"]) == pytest.approx(-1e30, rel=1e-6)
+    back = jax.linear_transpose(lambda a: node(0.0, {"a": a, "b": np.float32(4.0)}), a)(np.float32(1.0))
+    assert float(back[0]) == 0.25
+
+
+@pytest.mark.parametrize("size", [1e-30, 3e-16, 1.0, 7e18, 1e30])
+def test_norms_need_no_square_in_range(size: float) -> None:
+    p = np.array([3.0, -4.0, 12.0], np.float32) * np.float32(size)
+    lowered = tx.lower(tx.linalg.Norm(P))
+    functions = [lambda p: lowered(0.0, {"p": p})]
+    for backend in BACKENDS[1:]:
+        dynamics = tx.compile(tx.System({P: 0.0 * P}, outputs={"r": tx.linalg.Norm(P)}), backend=backend)
+        functions.append(lambda p, own=dynamics: own.outputs(0.0, {"p": p})["r"])
+    for function in functions:
+        assert float(function(p)) == pytest.approx(13.0 * size, rel=1e-6)
+        for slopes in (jax.jacfwd(function)(p), jax.jacrev(function)(p), jax.vmap(jax.grad(function))(p[None])[0]):
+            np.testing.assert_allclose(slopes, np.array([3.0, -4.0, 12.0]) / 13.0, rtol=1e-6)
+
+
+def test_differences_keep_the_sign_of_zero() -> None:
+    x, y = np.float64(0.3), np.float64(-0.3)
+    for backend in BACKENDS:
+        both = tx.fast(lambda x, y: (jnp.arctan2(x - y, -1.0), jnp.arctan2(y - x, -1.0)), backend=backend)
+        assert [float(angle) for angle in both(x, x)] == [np.pi, np.pi]
+        negative = tx.fast(lambda x, y: (jnp.arctan2(-x - y, -1.0), jnp.arctan2(0.0 - y, -1.0)), backend=backend)
+        assert float(negative(x, y)[0]) == np.pi
+        assert float(negative(x, 0.0)[1]) == np.pi
+        over = tx.fast(lambda x, y: (1.0 / (x - y), 1.0 / (y - x)), backend=backend)
+        assert [float(value) for value in over(x, x)] == [np.inf, np.inf]
