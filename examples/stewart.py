@@ -59,10 +59,9 @@ for i in range(6):
     pushes.append(slide.link.drive.passive(platform.q["q"][slide.coordinates][0], platform.qd[slide.freedoms[0]]))
 slides = [platform.segment_of(f"leg_{i}").freedoms[0] for i in range(6)]
 springs = np.eye(platform.dofs)[:, slides] @ tx.Concat(*pushes)
-strain = sum(push * push for push in pushes) / (2.0 * stiffness)
 system = platform.system()
 outputs = {
-    "energy": platform.energy() + strain,
+    "energy": platform.energy(),
     "gap": tx.Concat(*(loop_gap(platform, loop.name) for loop in closures)),
     "carried": joint_wrench(
         platform, "leg_0", qdd=system.rates["qd"], wrenches=loop_wrenches(platform, tau=springs), frame="leg_0"

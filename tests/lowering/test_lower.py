@@ -162,7 +162,6 @@ def test_equal_structures_are_computed_once_whatever_objects_they_are() -> None:
 MISTAKES: dict[str, tuple[tuple[Any, ...], list[str]]] = {
     "no state": ((0.0,), ["State 'x' is missing", "pass x={'x': ...} of shape (3,)"]),
     "no control": ((0.0, {"x": X}), ["Control 'u' is missing", "pass u={'u': ...} of shape ()"]),
-    "an unknown state": ((0.0, {"x": X, "y": X}, {"u": 1.0}), ["unknown key 'y' in x", "expected: 'x'"]),
     "an unknown control": ((0.0, {"x": X}, {"u": 1.0, "w": 1.0}), ["unknown key 'w' in u", "expected: 'u'"]),
     "an unknown parameter": ((0.0, {"x": X}, {"u": 1.0}, {"P": 1.0}), ["unknown key 'P' in params", "expected: 'p'"]),
     "a control among the states": ((0.0, {"x": X, "u": 1.0}), ["unknown key 'u' in x"]),

@@ -192,7 +192,9 @@ def test_what_is_not_known_is_refused(unchecked: None) -> None:
         lambda: Link(joints.Fixed("tip"), None, moving),
         lambda: Drive(armature=x),
     ):
-        with pytest.raises(tx.ModelError, match=r"(?s)not to change with the motion, got .*depends on 'x'.*fix: a joint"):
+        with pytest.raises(
+            tx.ModelError, match=r"(?s)not to change with the motion, got .*depends on 'x'.*fix: a joint"
+        ):
             call()
     with pytest.raises(tx.ShapeError, match=r"rate of 'x' with shape \(\), got \(3,\)"):
         body.with_rates({x: np.ones(3)}).momentum(V)

@@ -41,6 +41,7 @@ from .elementwise import (
 )
 from .examples import Example
 from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
+from .independent_rows import IndependentRows
 from .interpolation import Bilerp, Cinterp, Interp, Linterp
 from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
 from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
@@ -58,7 +59,7 @@ __all__ = [
     "Abs", "Acos", "Add", "All", "Any", "Asin", "Atan", "Atan2", "Bilerp", "Block", "Cinterp", "Concat", "Cond",
     "Constant", "Constraint", "Control", "Cos", "Cosh", "Div", "Equality", "Example", "Exp", "Expr", "Hstack", "Huber",
     "Index", "Inequality", "Interp", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul",
-    "Neg", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square", "Stack",
-    "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
+    "Neg", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square",
+    "Stack", "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
 ]
 # fmt: on

@@ -117,6 +117,7 @@ def prepare(
     params: Values | None,
     names: Sequence[str] = ("t", "x", "u", "params"),
     on_host: bool = False,
+    spare: bool = False,
 ) -> Inputs:
     """The checked arguments. `leaves` are all that may be given, `required` the names that are read.
 
@@ -125,10 +126,15 @@ def prepare(
     Args:
         names: what messages call the arguments.
         on_host: leave arrays of NumPy what they are.
+        spare: whether x may have states that are not read; they count for the precision.
     Raises:
         InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
     """
     dtype = precision(x, u, params, {"t": t})
+    if spare and isinstance(x, Mapping):
+        others = {leaf.name for leaf in leaves if not isinstance(leaf, State)}
+        read = {leaf.name for leaf in leaves} - others
+        x = {name: value for name, value in x.items() if name in read or name in others or not isinstance(name, str)}
     kinds = {kind: [leaf for leaf in leaves if isinstance(leaf, kind)] for kind in (State, Control, Parameter)}
     time = real_array(names[0], t)
     if time.shape != ():

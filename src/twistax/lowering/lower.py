@@ -26,8 +26,9 @@ def lower(expr: Any) -> Lowered:
     """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
 
     The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. x, u and params
-    are dicts by leaf name; u and params may be left out, missing parameters take their own value. Every distinct
-    subtree is evaluated once. Precision is that of x.
+    are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have states that
+    the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once. Precision is
+    that of x.
 
     Returns:
         f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.
@@ -35,7 +36,7 @@ def lower(expr: Any) -> Lowered:
     Raises:
         ShapeError: at once, if a shape does not fit.
         ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
-        InputError: at call time, for an unknown key, a wrong shape or a missing value.
+        InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
         ModelError: when it is traced, for a chain of more than 30,000 array operations, on which XLA ends the process.
     """
     wanted = "lower expects an expression, or a tuple, list or dict of them"
@@ -56,7 +57,7 @@ def lower(expr: Any) -> Lowered:
     large = len(postorder(*nodes)) > _LARGE
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
-        inputs = prepare(leaves, required, t, x, u, params)
+        inputs = prepare(leaves, required, t, x, u, params, spare=True)
 
         def values(*arguments: Any) -> list[jax.Array]:
             t, x, u, params = jax.tree.unflatten(structure, arguments)

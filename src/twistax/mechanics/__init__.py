@@ -2,7 +2,7 @@
 
 from . import chain_models, environment, flight, joints, loops
 from .bodies import SpatialInertia, power
-from .closed_loops import closed_dynamics, loop_gap, loop_wrench, loop_wrenches
+from .closed_loops import closed_dynamics, loop_diagnostics, loop_gap, loop_wrench, loop_wrenches
 from .contact import GivenForces, Ground, given_forces
 from .derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
 from .drives import Drive
@@ -38,7 +38,7 @@ __all__ = [
     "chain_models", "closed_dynamics", "coriolis_forces", "environment", "flight", "forward_dynamics",
     "forward_dynamics_derivatives", "frame_jacobian", "frame_jacobian_rate", "frame_twist", "given_forces",
     "gravity_forces", "inverse_dynamics", "inverse_dynamics_derivatives", "joint_wrench", "joints", "kinetic_energy",
-    "load", "load_daveml", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix", "potential_energy",
-    "power", "rnea", "spatial_momentum", "total_mass",
+    "load", "load_daveml", "loop_diagnostics", "loop_gap", "loop_wrench", "loop_wrenches", "loops", "mass_matrix",
+    "potential_energy", "power", "rnea", "spatial_momentum", "total_mass",
 ]
 # fmt: on

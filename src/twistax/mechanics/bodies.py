@@ -50,7 +50,7 @@ class SpatialInertia:
         rates: of the states that centre and inertia depend on, as those of a System; zero for what stays as it is. A
             centre that moves needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds the
             rates of its further states.
-        mass_leaves: whether what changes centre and inertia is mass that leaves; unless given, whether the mass changes.
+        mass_leaves: whether what changes centre and inertia is mass that leaves; None: where the mass changes.
 
     Raises:
         ShapeError: a value of another shape.
@@ -232,8 +232,8 @@ class SpatialInertia:
     def in_frame(self, T: ExprLike) -> SpatialInertia:
         """The same body described in frame a, T = T_ab (4, 4), b the frame of this one: $M_a = Ad*_T M Ad_T^-1$.
 
-        Frame a is fixed to the body, too, wherever the body accelerates: T does not change then. Otherwise accelerations
-        and forces of the body are refused; its matrix is that of the moment.
+        Frame a is fixed to the body, too: where T changes with the motion, the body's matrix is that of the moment, and
+        its accelerations and forces are refused.
 
         Raises:
             ShapeError: T is not of shape (4, 4).

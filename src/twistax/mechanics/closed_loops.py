@@ -4,17 +4,12 @@ With G (m, n) the rows W'(J_other - Ad_T^-1 J_frame) of all closures, so that G 
 
     M qdd + b = tau + G' lambda        G qdd + c = 0,
 
-c = G' qd with G' the rate of G. The multipliers follow from A lambda = r with A = G M^-1 G'. Where closures say one
-thing twice A is singular; then lambda is the shortest solution, in rows scaled to A_ii = 1. A few rounds of
+c = G' qd with G' the rate of G. Closures may say one thing twice, in all postures or in some: of the rows those are
+taken that are independent in the posture, see `loop_rows`. Their multipliers follow from A mu = r with A = G M^-1 G',
+which is positive definite for them; the wrenches are the shortest with the same forces of the joints.
 
-    lambda <- (A + eps I)^-1 (r + eps lambda)
-
-find it from zero, each leaving the share eps / (a + eps) of the error along an eigenvector with eigenvalue a: what is
-found is as exact as the equations, and nothing depends on a rank that was guessed.
-
-Source: J. Carpentier, R. Budhiraja, N. Mansard, Proximal and sparse resolution of constrained dynamic equations,
-Robotics: Science and Systems (2021); E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), section
-VII.2, for projections of what has drifted.
+Source: E. Hairer, G. Wanner, Solving Ordinary Differential Equations II (1996), section VII.1, for the equations, VII.2
+for projections of what has drifted.
 """
 
 from __future__ import annotations
@@ -22,42 +17,19 @@ from __future__ import annotations
 import dataclasses
 import functools
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed
 from ..errors import ModelError
-from ..expr import (
-    Concat,
-    Constant,
-    Expr,
-    Hstack,
-    Inputs,
-    Parameter,
-    Solve,
-    SolvePositive,
-    Sqrt,
-    Stack,
-    State,
-    Trace,
-    evaluate_all,
-    leaves_of,
-)
+from ..expr import Concat, Constant, Dot, Expr, Hstack, Max, Sqrt, Stack, Sum, Where
 from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, SE3AdjointDual
 from .dynamics import Wrenches, bias_forces, checked, mass_matrix
 from .inertia_frames import mirrored
 from .jacobians import frame_jacobian
+from .loop_rows import LoopRows, numbers, solved
 from .loops import Loop
 from .mechanism import Mechanism, Positions
-
-#: What is added to the diagonal of A, whose entries there are one, and the rounds in which its share is taken out.
-_SOFT, _ROUNDS = 1e-8, 3
-#: Systems of more unknowns are LAPACK's.
-_SMALL = 48
-#: A row that moves nothing is scaled as one that moves so little, against the mean of all.
-_LEAST = 1e-12
 
 
 @dataclasses.dataclass(frozen=True)
@@ -127,13 +99,19 @@ class ClosedLoops:
         at = self.mechanism.frame(name)
         return Constant(np.zeros(6)) if at.segment < 0 else AdjointAction(at.T, rates[at.segment], inverse=True)
 
-    def motion(self, tau: Expr, wrenches: Wrenches | None = None) -> tuple[Expr, Expr]:
-        """The accelerations (n,), and the multipliers (m,), under forces of the joints (n,)."""
+    @functools.cached_property
+    def rows(self) -> LoopRows:
+        """G, and which rows of it are independent."""
+        return LoopRows(self.mechanism, self.jacobian)
+
+    def motion(self, tau: Expr, wrenches: Wrenches | None = None) -> LoopMotion:
+        """Accelerations and multipliers under forces of the joints (n,)."""
         bias = bias_forces(self.mechanism, self.q, self.qd, wrenches=wrenches)
-        solved = _solved(self._mass, Hstack(self.jacobian.T, (tau - bias)[:, None]))
-        free, felt = solved[:, -1], solved[:, :-1]
-        multipliers = self._shortest(felt, -self.drift - self.jacobian @ free)
-        return free + felt @ multipliers, multipliers
+        both = solved(self._mass, Hstack(self.jacobian.T, (tau - bias)[:, None]))
+        free, felt = both[:, -1], both[:, :-1]
+        A, r = mirrored(self.jacobian @ felt), -self.drift - self.jacobian @ free
+        mu = self.rows.solve(A, r)
+        return LoopMotion(self.rows, free + felt @ mu, mu, A, r)
 
     @functools.cached_property
     def corrections(self) -> tuple[Expr, Expr]:
@@ -142,27 +120,51 @@ class ClosedLoops:
         The shortest steps, measured by the mass matrix; so what is added to the velocities takes energy to second order
         only.
         """
-        felt = _solved(self._mass, self.jacobian.T)
-        back = felt @ self._shortest(felt, Stack(self.gaps, self.velocities).T)
+        felt = solved(self._mass, self.jacobian.T)
+        back = felt @ self.rows.solve(mirrored(self.jacobian @ felt), Stack(self.gaps, self.velocities).T)
         return -back[:, 0], -back[:, 1]
 
     @functools.cached_property
     def _mass(self) -> Expr:
         return mass_matrix(self.mechanism, self.q)
 
-    def _shortest(self, felt: Expr, r: Expr) -> Expr:
-        """The shortest solution of G felt x = r, r (m,) or (m, k)."""
-        A = mirrored(self.jacobian @ felt)
-        m = A.shape[0]
-        least = (_LEAST / m) * Trace(A)
-        scale = Concat(*(1.0 / Sqrt(A[i, i] + least) for i in range(m)))
-        columns = scale if len(r.shape) == 1 else scale[:, None]
-        soft = scale[:, None] * A * scale + _SOFT * np.eye(m)
-        wanted: Expr = columns * r
-        found = _solved(soft, wanted)
-        for _ in range(_ROUNDS - 1):
-            found = _solved(soft, wanted + _SOFT * found)
-        return columns * found
+
+@dataclasses.dataclass(frozen=True)
+class LoopMotion:
+    """The motion of a mechanism with loops: accelerations (n,), multipliers mu (m,) of A mu = r for rows chosen."""
+
+    rows: LoopRows
+    accelerations: Expr
+    mu: Expr
+    A: Expr
+    r: Expr
+
+    @functools.cached_property
+    def multipliers(self) -> Expr:
+        """lambda (m,): the shortest with the forces of mu."""
+        return self.rows.shortest(self.mu)
+
+    def diagnostics(self) -> dict[str, Expr]:
+        """See `loop_diagnostics`."""
+        chosen, distances = self.rows.independent[0], self.rows.independent[1]
+        longest, rank = _largest(distances), Sum(chosen)
+        nearest = -_largest(-Where(chosen > 0.5, distances, longest))
+        measures = self.rows.measures
+        # What A mu = r leaves, solved for once more; what rows that were left out would exert, unlike those chosen.
+        left = self.rows.solve(self.A, self.r - self.A @ self.mu) / measures
+        unlike = self.rows.scaled.T @ ((self.multipliers - self.mu) / measures)
+        return {
+            "rank": rank,
+            "redundant": float(len(measures)) - rank,
+            "reciprocal_condition": nearest / longest,
+            "misalignment": _largest((1.0 - chosen) * distances) / longest,
+            "wrench_error": Sqrt(Dot(left, left) + Dot(unlike, unlike) / nearest**2),
+        }
+
+
+def _largest(vector: Expr) -> Expr:
+    entries = [vector[i] for i in range(vector.shape[0])]
+    return Max(*entries) if len(entries) > 1 else entries[0]
 
 
 def closed_dynamics(
@@ -177,7 +179,7 @@ def closed_dynamics(
 
     The wrenches are those on `other`, about its origin in its axes, by the names of the loops. On `frame` the loop
     puts their opposite. Where closures say one thing twice, or a planar linkage is closed in space, the wrenches are
-    the shortest that give the motion, see the module.
+    the shortest that give the motion, by the measure of `loops.Metric`.
 
     Args:
         mechanism: with one loop or more.
@@ -186,16 +188,54 @@ def closed_dynamics(
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known; no loops.
     """
-    owner = "closed_dynamics"
+    motion = _motion("closed_dynamics", mechanism, q, qd, tau, wrenches)
+    found, at = dict[str, Expr](), 0
+    for loop in mechanism.loops:
+        found[loop.name] = loop.constraint_basis @ motion.multipliers[at : at + loop.rows]
+        at += loop.rows
+    return motion.accelerations, found
+
+
+def _motion(
+    owner: str,
+    mechanism: Mechanism,
+    q: Positions | None,
+    qd: ExprLike | None,
+    tau: ExprLike | None,
+    wrenches: Wrenches | None,
+) -> LoopMotion:
     if not checked(owner, mechanism).loops:
         raise ModelError(f"{owner} expects a mechanism with loops, got none.\n  fix: Mechanism(links, loops=[...])")
     forces = mechanism.coordinates(owner, "tau", np.zeros(mechanism.dofs) if tau is None else tau)
-    accelerations, multipliers = ClosedLoops(mechanism, q, qd).motion(forces, wrenches)
-    found, at = dict[str, Expr](), 0
-    for loop in mechanism.loops:
-        found[loop.name] = loop.constraint_basis @ multipliers[at : at + loop.rows]
-        at += loop.rows
-    return accelerations, found
+    return ClosedLoops(mechanism, q, qd).motion(forces, wrenches)
+
+
+def loop_diagnostics(
+    mechanism: Mechanism,
+    q: Positions | None = None,
+    qd: ExprLike | None = None,
+    tau: ExprLike | None = None,
+    *,
+    wrenches: Wrenches | None = None,
+) -> dict[str, Expr]:
+    """How far the closures determine motion and wrenches in a posture, each a scalar (), by name.
+
+    - `rank`: how many rows of the closures are independent here, of all m.
+    - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
+    - `reciprocal_condition`: the distance of the last row chosen from the others over that of the first, from 1 down to
+      the tolerance: zero in a singular posture, where a row begins to depend on the others.
+    - `misalignment`: the largest distance of a row that was left out from those chosen, over that of the first: what
+      closures say twice and not quite alike, such as axes that are not parallel to the last digit.
+    - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
+      round-off leaves of the equations, and what misalignment makes of redundant wrenches, both over the smallest
+      distance.
+
+    Args:
+        mechanism: with one loop or more.
+        q, qd, tau, wrenches: as for `forward_dynamics`; of the last two `wrench_error` depends alone.
+    Raises: as `closed_dynamics`.
+    """
+    return _motion("loop_diagnostics", mechanism, q, qd, tau, wrenches).diagnostics()
 
 
 def loop_wrench(
@@ -257,21 +297,10 @@ def loop_of(mechanism: Mechanism, name: str) -> Loop:
     return loops[name]
 
 
-def _solved(A: Expr, b: Expr) -> Expr:
-    """A^-1 b of a positive definite matrix: small ones entry by entry, large ones by LAPACK, which compiles at once."""
-    return SolvePositive(A, b) if A.shape[0] <= _SMALL else Solve(A, b)
-
-
 def redundant_rows(mechanism: Mechanism) -> int:
     """How many rows of G depend on others, in a posture drawn at random; parameters have their values, or one."""
-    G = ClosedLoops(mechanism).jacobian
-    rng, x, params = np.random.default_rng(0), dict[str, jax.Array](), dict[str, jax.Array]()
-    for leaf in leaves_of(G):
-        if isinstance(leaf, State):
-            x[leaf.name] = leaf.group.retract(leaf.group.identity(), rng.normal(size=leaf.group.dimension))
-        elif isinstance(leaf, Parameter):
-            params[leaf.name] = jnp.asarray(np.ones(leaf.shape) if leaf.value is None else leaf.value)
-    inputs = Inputs(jnp.zeros(()), x, {}, params, jnp.zeros(()).dtype)
-    (found,) = evaluate_all([G], lambda leaf: leaf.read(inputs))
-    rank = np.linalg.matrix_rank(np.asarray(found, np.float64), tol=1e-5 * float(jnp.abs(found).max()))
-    return int(found.shape[0] - rank)
+    rows = ClosedLoops(mechanism).rows
+    lengths = np.linalg.svd(numbers(rows.scaled), compute_uv=False)
+    return int(np.sum(lengths <= max(mechanism.loop_metric.tolerance, 1e-5) * lengths[0])) + max(
+        0, rows.scaled.shape[0] - len(lengths)
+    )

@@ -116,6 +116,17 @@ class Drive:
             terms.append(-(to_expr(self.stiffness) * (position - self.rest)))
         return sum(terms[1:], terms[0]) if terms else None
 
+    def stored(self, position: Expr) -> Expr | None:
+        """The energy in the spring of one freedom (), J; None without a spring."""
+        if _is_zero(self.stiffness):
+            return None
+        return 0.5 * (to_expr(self.stiffness) * (position - self.rest) ** 2)
+
+    @property
+    def sprung(self) -> bool:
+        """Whether it has a spring."""
+        return not _is_zero(self.stiffness)
+
 
 def _is_zero(value: ExprLike) -> bool:
     number = value.value if isinstance(value, Constant) else value

@@ -11,18 +11,46 @@ and the rate of the gap is W' V where the loop is closed. See `joints` for H-bar
 
 from __future__ import annotations
 
+import dataclasses
 from abc import ABC, abstractmethod
 from typing import Any
 
 import numpy as np
 
+from ..checks import number
 from ..errors import ModelError
 from ..expr import Concat, Constant, Cross, Expr
 from ..expr.lie import SO3Log
 from ..expr.lie.base import unit_vector
 from .joints import complement
 
-__all__ = ["Axis", "Loop", "Point", "Pose"]
+__all__ = ["Axis", "Loop", "Metric", "Point", "Pose"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Metric:
+    """How rows of closures are compared with one another: which of them say what others say already.
+
+    With a length l a rotation counts as l times its angle, a slide as its way, and a moment as a force of it over l. In
+    that measure, of lengths alone, rows of closures are independent that stand off the others by more than `tolerance`
+    times the longest; what others say twice has no part in the motion. The wrenches of closures are the shortest that
+    give it: the least sum of $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter: a link may be as light as it
+    likes.
+
+    Attributes:
+        length: l, m; None: the mean distance of the joints of the mechanism from those before.
+        tolerance: between 0 and 1. Angles to which the axes of a model are rounded lie below it. In single precision it
+            is 2e-3 at least.
+    Raises: ModelError for a length that is not positive, or a tolerance out of its range.
+    """
+
+    length: float | None = None
+    tolerance: float = 1e-5
+
+    def __post_init__(self) -> None:
+        if self.length is not None:
+            number("Metric: length", self.length, "a positive length in m", lambda x: 0.0 < x < np.inf, ModelError)
+        number("Metric: tolerance", self.tolerance, "a number between 0 and 1", lambda x: 0.0 < x < 1.0, ModelError)
 
 
 class Loop(ABC):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import operator
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import TYPE_CHECKING, Any
 
@@ -14,10 +15,10 @@ from ..errors import ModelError
 from ..expr import Constant, Constraint, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
-from .arguments import of_shape
+from .arguments import of_kind, of_shape
 from .bodies import SpatialInertia
 from .drives import Drive
-from .loops import Loop
+from .loops import Loop, Metric
 from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
 if TYPE_CHECKING:
@@ -46,11 +47,13 @@ class Mechanism:
         keep: names of `Fixed` joints that are not merged, so that the wrench they carry can be asked for.
         notes: what else there is to say about the model, such as what a file has and nobody uses.
         loops: closures of frames beyond the tree, see `loops`; they act in `forward_dynamics` and in `system`.
-        driven: names of the joints that motors drive; all but the free ones unless given. A follower has no motor.
+        loop_metric: how rows of loops are compared: which say what others say, and which wrenches are the shortest.
+        driven: names of the joints that motors drive. Unless given all but free ones, followers, and those whose drive
+            has a spring and no effort: passive joints.
         shapes: what the base looks like in its frame, for `solution.show`; what else stands still, such as a table.
     Attributes:
-        links, gravity, driven, loops, base, shapes: as given, the links each after its parent; gravity as an
-            expression.
+        links, gravity, driven, loops, loop_metric, base, shapes: as given, the links each after its parent; gravity as
+            an expression.
         segments: what is left after merging; see `Segment`.
         frames: the names of all frames, with the segment each is fixed to.
         dofs: n.
@@ -70,6 +73,7 @@ class Mechanism:
         notes: Iterable[str] = (),
         driven: Collection[str] | None = None,
         loops: Iterable[Loop] = (),
+        loop_metric: Metric = Metric(),  # noqa: B008
         shapes: Iterable[Shape] = (),
     ) -> None:
         name = type(self).__name__
@@ -84,18 +88,19 @@ class Mechanism:
         self._notes = tuple(notes)
         self.base, self.shapes = base, shapes_of(name, shapes)
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
-        self.loops = tuple(loops)
+        self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
         #: What `replace` gives the constructor again, beside the links.
         self._given = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes, "driven": driven}
-        self._given |= {"loops": self.loops, "shapes": self.shapes}
+        self._given |= {"loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
-            driven = [s.link.joint.name for s in self.segments if s.link.joint.dofs < 6 and s.link.mimic is None]
+            driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)
         self.freedoms(self.driven)
         self._check_loops()
 
     def _check_loops(self) -> None:
+        of_kind("Mechanism", "loop_metric", self.loop_metric, Metric)
         for loop in self.loops:
             if not isinstance(loop, Loop):
                 raise ModelError(f"Mechanism expects loops, such as loops.Point, got {short(loop)}")
@@ -322,10 +327,23 @@ class Mechanism:
         return AdjointAction(at.T, self.twists(q, qd)[at.segment], inverse=True)
 
     def energy(self, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-        """Kinetic and potential energy (), J; the latter is zero for masses at the base. Raises ShapeError."""
-        from .momentum import kinetic_energy, potential_energy
+        """$T + U$ (), J: the sum of `energies`, which nothing but motors, friction and outer forces change.
 
-        return kinetic_energy(self, q, qd) + potential_energy(self, q)
+        Raises: as `energies`.
+        """
+        return functools.reduce(operator.add, self.energies(q, qd).values())
+
+    def energies(self, q: Positions | None = None, qd: ExprLike | None = None) -> dict[str, Expr]:
+        """The parts of the energy, each (), J, by name: "kinetic", "gravity" and "springs".
+
+        "gravity" is zero for masses at the base, "springs" where all springs of the drives are at rest.
+
+        Raises: ShapeError; ModelError for bodies with masses that move by rates that are not known.
+        """
+        from .momentum import kinetic_energy, potential_energy, spring_energy
+
+        parts = (kinetic_energy(self, q, qd), potential_energy(self, q), spring_energy(self, q))
+        return dict(zip(("kinetic", "gravity", "springs"), parts, strict=True))
 
     def bodies_in_view(self, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
         """All frames along a motion with the shapes of their links, for `solution.show(bodies=mechanism)`."""

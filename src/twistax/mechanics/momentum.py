@@ -48,6 +48,18 @@ def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     return -_sum(lifted)
 
 
+def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+    """$sum k |q - q_0|^2 / 2$ over the springs of all drives (), J; of a ball q is Log R. Raises ShapeError."""
+    places = checked("spring_energy", mechanism).positions("spring_energy", q)
+    terms: list[Expr] = []
+    for segment, place in zip(mechanism.segments, places, strict=True):
+        deflection = segment.link.joint.deflection(place)
+        for k in range(0 if deflection is None else len(segment.freedoms)):
+            stored = segment.link.drive.stored(deflection[k])
+            terms += [] if stored is None else [stored]
+    return _sum(terms)
+
+
 def total_mass(mechanism: Mechanism) -> Expr:
     """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
     found = [body.mass for body in checked("total_mass", mechanism).bodies.values()]

@@ -141,6 +141,13 @@ class Segment:
         """What masses that move in the body do to it; None where nothing moves. Raises ModelError for unknown rates."""
         return None if self.body is None else self.body.inner_motion
 
+    @property
+    def moves_by_motor(self) -> bool:
+        """Whether its joint has a motor where nobody says which have: it is passive on a spring without an effort."""
+        drive, joint = self.link.drive, self.link.joint
+        passive = drive.sprung and drive.effort is None
+        return joint.dofs < 6 and self.link.mimic is None and not passive
+
     def scaled(self, value: Expr) -> Expr:
         """The value times the ratio; of what moves by itself the value as it is."""
         return value if self.link.mimic is None else self.ratio * value
