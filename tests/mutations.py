@@ -245,6 +245,25 @@ MUTATIONS: list[Mutation] = [
         ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
     ),
     *_at(
+        "expr/spellings.py",
+        ("a mean without its number", 'Sum({x}) / np.size({x})",', 'Sum({x})",', "expr/test_spellings.py"),
+        (
+            "attributes that are there and raise",
+            "OperationError, AttributeError)",
+            "OperationError)",
+            "expr/test_spellings.py",
+        ),
+    ),
+    *_at(
+        "jax_inside.py",
+        (
+            "arrays of JAX that do not leave it to expressions",
+            ' and not module.endswith(".array_methods")',
+            "",
+            "expr/test_spellings.py",
+        ),
+    ),
+    *_at(
         "expr/operators.py",
         (
             "greater the wrong way",

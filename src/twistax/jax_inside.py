@@ -14,6 +14,7 @@ import os
 import threading
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from types import FrameType
 from typing import Any, TypeVar
 
 import jax
@@ -46,6 +47,15 @@ _SAID: set[str] = set()
 
 class Unread(Exception):
     """An equation holds parameters that this version of twistax does not know. Never reaches the user."""
+
+
+def makes_an_array(frame: FrameType) -> bool:
+    """Whether a frame that asks for `__jax_array__` is a function of JAX that needs an array of what it was given.
+
+    The operators of JAX's arrays ask too. They hand over to the other operand where there is no such attribute.
+    """
+    module = str(frame.f_globals.get("__name__", ""))
+    return module.startswith("jax.") and not module.endswith(".array_methods")
 
 
 def jax_versions() -> tuple[str, str]:

@@ -1,6 +1,9 @@
 """Bad uses of the language: leaves, nodes, operators, indices, NumPy's functions."""
 
+import math
+
 import jax
+import jax.numpy as jnp
 import numpy as np
 from table import bad
 
@@ -200,6 +203,13 @@ ROWS = [
     bad("an assignment to an entry", lambda: v.__setitem__(0, 1.0), "v[0] = 1.0", "tx.Concat"),
     # NumPy
     bad("a function that no node means", lambda: np.gamma(s) if hasattr(np, "gamma") else np.floor(s), "np.", "tx"),
+    bad("a sum as a method", lambda: V.sum(), "V.sum", "tx.linalg.Sum(V)"),
+    bad("a product as a method", lambda: V.dot(V), "V.dot", "V @ y"),
+    bad("a shape as a method", lambda: V.reshape(2, 3), "V.reshape", "tx.Stack"),
+    bad("a sine of jax.numpy", lambda: jnp.sin(V), "expression V", "np.sin"),
+    bad("a norm of jax.numpy", lambda: jnp.linalg.norm(V), "expression V", "np.linalg.norm"),
+    bad("a sine of math", lambda: math.sin(s), "float(s)", "tx.Sin(x)"),
+    bad("a format", lambda: f"{s:.3f}", "'.3f'", "s"),
     bad("a sort", lambda: np.sort(v), "np.sort", "tx.lower"),
     bad("unequal by NumPy", lambda: np.not_equal(s, 1.0), "np.not_equal", "~(a == b)"),
     bad("a reduction of NumPy's", lambda: np.add.reduce(v), "np.add.reduce", "tx.linalg.Sum"),

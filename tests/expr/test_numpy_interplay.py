@@ -143,7 +143,6 @@ def test_numpy_numbers_mix() -> None:
         (lambda: np.asarray(x), "has no value yet"),
         (lambda: np.array([x, y]), "has no value yet"),
         (lambda: float(s), "float"),
-        (lambda: jnp.sin(x), "State"),
     ],
 )
 def test_what_is_not_supported_says_so(attempt: Callable[[], Any], sentence: str) -> None:

@@ -353,7 +353,7 @@ class Comparison(Entrywise):
         raise OperationError(
             f"the comparison {self!r} has no truth value.\n"
             "  fix: join conditions by tx.All(a, b), tx.Any(a, b), ~a; chain constraints as a list [a <= x, x <= b]; "
-            "choose with tx.Where; compare structure with a.key() == b.key()"
+            "choose with tx.Where, tx.Max, tx.Min; compare structure with a.key() == b.key()"
         )
 
 

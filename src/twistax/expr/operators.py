@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any, NoReturn, cast
 import numpy as np
 
 from ..errors import OperationError
+from . import spellings
 
 if TYPE_CHECKING:
     from .arithmetic import Equality, Inequality, Less
@@ -72,8 +73,15 @@ class Operators:
         "{a!r} // {b!r}", "// has no meaning for expressions", "tx.Linterp of steps"
     )
     __setitem__ = _refused("{a!r}[{b!r}] = {c!r}", "an expression never changes", "join the parts: tx.Concat, tx.Stack")
-    __float__ = _refused("float({a!r})", _NUMBER, "in the place of a function of math take a node, tx.Sin, or lower it")
+    __float__ = _refused("float({a!r})", _NUMBER, "math.sin(x) is written tx.Sin(x), and so are the others of math")
+    __complex__ = _refused("complex({a!r})", _NUMBER, "expressions are real")
     __int__ = _refused("int({a!r})", _NUMBER, "whole numbers are Python's own, outside of expressions")
+    __round__ = __trunc__ = __floor__ = __ceil__ = _refused(
+        "rounding {a!r}", _NUMBER, "nothing rounds; tx.Linterp over steps, or lower it"
+    )
+    __divmod__ = __rdivmod__ = _refused(
+        "divmod({a!r}, {b!r})", "it has no meaning for expressions", "tx.Atan2(sin, cos) for an angle"
+    )
     __hash__ = object.__hash__
 
     # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
@@ -102,6 +110,18 @@ class Operators:
             return function(*args, **kwargs)
         except TypeError as error:
             raise OperationError(f"np.{name} with expressions: {error}") from None
+
+    if not TYPE_CHECKING:
+
+        def __getattr__(self, name: str) -> NoReturn:
+            raise spellings.missing(self, name, takes_expressions(name))
+
+        __jax_array__ = spellings.for_jax()
+
+    def __format__(self, spec: str) -> str:
+        if spec:
+            raise OperationError(f"{self!r} with the format {spec!r}: {_NUMBER}.\n  fix: format the number that comes")
+        return str(self)
 
     def __array__(self, *args: Any, **kwargs: Any) -> Any:
         raise OperationError(
@@ -141,7 +161,10 @@ class Operators:
     def __len__(self) -> int:
         shape = cast("Expr", self).check_shape()
         if not shape:
-            raise OperationError(f"{self!r} is a scalar and has no length: a vector was expected")
+            raise OperationError(
+                f"{self!r} is a scalar and has no length: a vector was expected.\n"
+                "  fix: tx.Stack([a, b, c]) makes a vector of scalars"
+            )
         return shape[0]
 
     def __iter__(self) -> Iterator[Expr]:
@@ -270,6 +293,8 @@ def _meaning(name: str) -> Callable[..., Any]:
         return getattr(_nodes(), _SAME[name])
     if name in _MEANINGS:
         return _MEANINGS[name]
+    if fix := spellings.spelled(name, "x"):
+        raise OperationError(f"np.{name} is not available for expressions.\n  fix: {fix}")
     raise OperationError(
         f"np.{name} is not available for expressions.\n"
         "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"

@@ -1,0 +1,111 @@
+"""What people write who take an expression for an array, and what it is written as here: one sentence each.
+
+Methods and attributes of arrays, functions of `jax.numpy` and `math`, and functions of NumPy that no node means.
+"""
+
+from __future__ import annotations
+
+import sys
+from typing import Any, NoReturn
+
+from ..errors import ModelError, OperationError
+
+#: Attributes of arrays, each with what gives the same of an expression, {x} in texts.
+CODE = {
+    "sum": "tx.linalg.Sum({x})",
+    "mean": "tx.linalg.Sum({x}) / np.size({x})",
+    "var": "tx.linalg.Sum(({x} - tx.linalg.Sum({x}) / np.size({x})) ** 2) / np.size({x})",
+    "std": "tx.Sqrt(tx.linalg.Sum(({x} - tx.linalg.Sum({x}) / np.size({x})) ** 2) / np.size({x}))",
+    "max": "tx.Max(*{x})",
+    "min": "tx.Min(*{x})",
+    "ptp": "tx.Max(*{x}) - tx.Min(*{x})",
+    "prod": "functools.reduce(operator.mul, {x})",
+    "cumsum": "tx.Stack(list(itertools.accumulate({x})))",
+    "cumprod": "tx.Stack(list(itertools.accumulate({x}, operator.mul)))",
+    "dot": "{x} @ y",
+    "vdot": "{x} @ y",
+    "norm": "tx.linalg.Norm({x})",
+    "outer": "tx.linalg.Outer({x}, y)",
+    "transpose": "{x}.T",
+    "swapaxes": "{x}.T",
+    "mT": "{x}.T",
+    "ravel": "tx.Concat(*{x})",
+    "flatten": "tx.Concat(*{x})",
+    "flat": "tx.Concat(*{x})",
+    "reshape": "tx.Stack([{x}[:3], {x}[3:]])",
+    "resize": "tx.Stack([{x}[:3], {x}[3:]])",
+    "squeeze": "{x}[0]",
+    "take": "{x}[[0, 2]]",
+    "choose": "{x}[[0, 2]]",
+    "compress": "{x}[[0, 2]]",
+    "repeat": "tx.Concat({x}, {x})",
+    "tile": "tx.Concat({x}, {x})",
+    "diagonal": "tx.Stack([{x}[i, i] for i in range(len({x}))])",
+    "trace": "tx.linalg.Trace({x})",
+    "inv": "tx.linalg.Inv({x})",
+    "clip": "np.clip({x}, low, high)",
+    "all": "tx.All({x})",
+    "any": "tx.Any({x})",
+    "copy": "{x}",
+    "view": "{x}",
+    "conj": "{x}",
+    "conjugate": "{x}",
+    "real": "{x}",
+    "size": "np.size({x})",
+}
+_NUMBERS = "tx.lower({x})(t, x, u, params), which returns an array"
+_PARTS = "tx.Concat or tx.Stack of the parts, since an expression never changes"
+_NO_ORDER = "tx.Max, tx.Min or tx.Where; or lower it, tx.lower({x}), and order the numbers"
+_PRECISION = "nothing: values have the precision of the arrays that come in"
+_NO_STEPS = "tx.Linterp over steps, since nothing rounds"
+#: Others, with what to take in their place.
+PROSE = {
+    **dict.fromkeys(("item", "tolist", "tobytes", "tofile", "dump", "dumps", "data", "numpy"), _NUMBERS),
+    **dict.fromkeys(("fill", "put", "setfield", "setflags", "itemset", "at"), _PARTS),
+    **dict.fromkeys(("argmax", "argmin", "argsort", "argpartition", "partition", "sort", "nonzero"), _NO_ORDER),
+    **dict.fromkeys(("astype", "dtype", "itemsize", "nbytes"), _PRECISION),
+    "searchsorted": "tx.Linterp, tx.Interp or tx.Where",
+    "round": _NO_STEPS,
+    "imag": "nothing: expressions are real",
+}
+
+
+def spelled(name: str, x: str) -> str | None:
+    """How an attribute of arrays is written of the expression that is written x; None for what is none."""
+    text = CODE.get(name) or PROSE.get(name)
+    return text.format(x=x) if text else None
+
+
+class MissingAttribute(OperationError, AttributeError):
+    """An attribute that arrays have and expressions have not: `hasattr` says False."""
+
+
+def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
+    """The error for an attribute that an expression has not; `of_numpy`: a function of NumPy that takes expressions."""
+    if not name.startswith("_"):
+        text = repr(expr)
+        x = text if len(text) <= 20 else "x"
+        fix = spelled(name, x) or (f"np.{name}({x})" if of_numpy else None)
+        if fix:
+            return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
+    return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
+
+
+def for_jax() -> property:
+    """`__jax_array__`: refuses where a function of JAX wants an array, and is not there where JAX's operators ask.
+
+    It raises a ModelError and no OperationError, for JAX puts a message of its own in the place of a TypeError.
+    """
+
+    def refuse(expr: Any) -> NoReturn:
+        from ..jax_inside import makes_an_array
+
+        if not makes_an_array(sys._getframe(1)):
+            raise AttributeError("__jax_array__", name="__jax_array__", obj=expr)
+        raise ModelError(
+            f"a function of jax or jax.numpy expects arrays, got the expression {repr(expr)[:60]}.\n"
+            "  fix: write np for jnp, np.sin(x), np.linalg.norm(x), or the node, tx.Sin(x), tx.linalg.Norm(x); "
+            "or lower first, tx.lower(x)"
+        )
+
+    return property(refuse)
