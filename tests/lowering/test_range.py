@@ -144,3 +144,11 @@ def test_differences_keep_the_sign_of_zero() -> None:
         assert float(negative(x, 0.0)[1]) == np.pi
         over = tx.fast(lambda x, y: (1.0 / (x - y), 1.0 / (y - x)), backend=backend)
         assert [float(value) for value in over(x, x)] == [np.inf, np.inf]
+
+
+def test_differences_in_derivatives_are_one() -> None:
+    """There x - y is -(y - x), of which the sign counts."""
+    for x, y in ((1.5, 0.25), (0.25, 1.5)):
+        function = lambda x, y: (x - y) ** 3 * jnp.sin(x * y)  # noqa: E731
+        found = jax.hessian(tx.fast(function, backend=BACKENDS[1]))(x, y)
+        assert float(found) == pytest.approx(float(jax.hessian(function)(x, y)), rel=1e-12)
