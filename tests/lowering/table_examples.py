@@ -9,11 +9,11 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
+from twistax.in_range import norm, quotient
 from twistax.lowering.native.backend import Native
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
 from twistax.lowering.scalar.table import OPERATIONS
-from twistax.in_range import norm, quotient
 from twistax.table_load import Table, load
 
 REAL, TRUTH, PLACES = np.array([0.5, -1.5]), np.array([True, False]), np.array([2, 0])
