@@ -30,7 +30,7 @@ def _defined(name: str, function: Callable[..., jax.Array], abstract: Callable[.
 # ---- quotients -------------------------------------------------------------------------------------------------------
 
 
-def quotient(a: jax.Array, b: jax.Array) -> jax.Array:
+def quotient(a: Any, b: Any) -> jax.Array:
     """a / b, entry by entry with broadcasting. Its derivative is da / b - (a / b) (db / b)."""
     dtype = jnp.result_type(a, b)
     if not jnp.issubdtype(dtype, jnp.floating) or a.dtype != b.dtype:
@@ -79,7 +79,7 @@ def scales(dtype: Any) -> tuple[float, float, float]:
     return 2.0 ** (info.nmant // 2 + 1 - half), 2.0 ** (half - 4), 2.0 ** (half + 8)
 
 
-def norm(x: jax.Array) -> jax.Array:
+def norm(x: Any) -> jax.Array:
     """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$, zero at zero."""
     found: jax.Array = norm_p.bind(x, kept=0)
     return found

@@ -68,8 +68,8 @@ def test_transformations_of_jax_give_the_gradient(way: str, backend: Any) -> Non
         near(jax.jvp(function, (p,), (p,))[1], slope(p) @ p)
         near(jax.grad(lambda p: function(p)[0])(p), slope(p)[0])
         near(jax.vmap(jax.jacfwd(function))(np.stack([p, 2.0 * p]))[0], slope(p))
-        second = jax.jacfwd(jax.jacfwd(lambda p: function(p).sum()))(p)
-        np.testing.assert_allclose(second, curvature(p), rtol=0.0, atol=1e-5 * np.abs(curvature(p)).max())
+    second = jax.jacfwd(jax.jacfwd(lambda p: function(p).sum()))(POSITION)
+    np.testing.assert_allclose(second, curvature(POSITION), rtol=0.0, atol=1e-5 * np.abs(curvature(POSITION)).max())
     if backend is not None:
         near(tx.fast(jax.jacfwd(plain), backend=backend)(POSITION), slope(POSITION))
 
@@ -144,3 +144,11 @@ def test_differences_keep_the_sign_of_zero() -> None:
         assert float(negative(x, 0.0)[1]) == np.pi
         over = tx.fast(lambda x, y: (1.0 / (x - y), 1.0 / (y - x)), backend=backend)
         assert [float(value) for value in over(x, x)] == [np.inf, np.inf]
+
+
+def test_differences_in_derivatives_are_one() -> None:
+    """There x - y is -(y - x), of which the sign counts."""
+    for x, y in ((1.5, 0.25), (0.25, 1.5)):
+        function = lambda x, y: (x - y) ** 3 * jnp.sin(x * y)  # noqa: E731
+        found = jax.hessian(tx.fast(function, backend=BACKENDS[1]))(x, y)
+        assert float(found) == pytest.approx(float(jax.hessian(function)(x, y)), rel=1e-12)

@@ -150,7 +150,7 @@ def _of_many(name: str, pair: str) -> Operation:
 
 
 def _quotient_slopes(g: Graph, a: tuple[int, ...], y: int) -> Sequence[Slope]:
-    """Of y = a / b: 1 / b, and -y (1 / b) as two factors: 1 / b^2 may be zero in floating point where y t / b is not."""
+    """Of y = a / b: 1 / b, and -y (1 / b) as two factors: 1 / b^2 may be zero where y t / b is not."""
     inverse = _inverse(g, a[1])
     return [inverse, (g.neg(y), inverse)]
 
