@@ -11,13 +11,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..errors import IntegrationError
+from ..errors import IntegrationError, ModelError
 from ..groups import SpecialEuclidean, SpecialOrthogonal
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from ..lowering.on_host import on_host
-from .charts import Exponential, StateCoordinates
+from .charts import Exponential
 from .method import Stepper
 from .run import Outcome, Result
 from .steps import Steps
@@ -126,11 +126,17 @@ def _turns(stepper: Stepper, rates: dict[str, Any], h: Any) -> dict[str, float]:
     which alone do not hold any turn.
     """
     angular = {}
-    exponential = isinstance(getattr(stepper.method, "chart", Exponential()), Exponential)
-    if exponential and isinstance(stepper.stored, StateCoordinates):
+    if isinstance(getattr(stepper.method, "chart", Exponential()), Exponential) and _has_coordinates(stepper):
         for name, group in stepper.dynamics.group.factors.items():
             if isinstance(group, SpecialOrthogonal):
                 angular[name] = rates[name]
             elif isinstance(group, SpecialEuclidean):
                 angular[name] = group.order.split(rates[name])[1]
     return {name: float(h) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}
+
+
+def _has_coordinates(stepper: Stepper) -> bool:
+    try:
+        return bool(stepper.coordinates.parts)
+    except ModelError:
+        return False
