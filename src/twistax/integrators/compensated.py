@@ -33,7 +33,6 @@ class Compensated(Coordinates):
 
     def __init__(self, plain: Coordinates, count: int) -> None:
         self._plain, self._count = plain, count
-        self.rate, self.tangent = plain.rate, plain.tangent
 
     def _high(self, y: Block) -> Block:
         return y[: self._count]
@@ -62,6 +61,12 @@ class Compensated(Coordinates):
             return y
         pairs = [_sum(a, b + r) for a, b, r in zip(high, moved, low, strict=True)]
         return (*(s for s, _ in pairs), *(r for _, r in pairs))
+
+    def rate(self, omega: jax.Array) -> Block:
+        return self._plain.rate(omega)
+
+    def tangent(self, z: Block) -> jax.Array:
+        return self._plain.tangent(z)
 
     def slope(self, z: Block, moved: Block, omega: Block) -> Block:
         return self._plain.slope(z, self._high(moved), omega)

@@ -11,12 +11,12 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..errors import IntegrationError
+from ..errors import IntegrationError, ModelError
 from ..jax_inside import is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import is_finite
 from ..lowering.on_host import on_host
-from .charts import Exponential, StateCoordinates
+from .charts import Exponential
 from .method import Stepper
 from .run import Outcome, Result
 from .steps import Steps
@@ -125,9 +125,15 @@ def _turns(stepper: Stepper, rates: dict[str, Any], h: Any) -> dict[str, float]:
     which alone do not hold any turn.
     """
     angular = {}
-    exponential = isinstance(getattr(stepper.method, "chart", Exponential()), Exponential)
-    if exponential and isinstance(stepper.stored, StateCoordinates):
+    if isinstance(getattr(stepper.method, "chart", Exponential()), Exponential) and _has_coordinates(stepper):
         for name, group in stepper.dynamics.group.factors.items():
             if group.angular.any():
                 angular[name] = np.asarray(rates[name])[group.angular]
     return {name: abs(float(h)) * float(np.linalg.norm(np.asarray(w))) for name, w in angular.items()}
+
+
+def _has_coordinates(stepper: Stepper) -> bool:
+    try:
+        return bool(stepper.coordinates.parts)
+    except ModelError:
+        return False

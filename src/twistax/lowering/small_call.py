@@ -112,7 +112,8 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     """
     if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist() or jax.default_backend() != "cpu":
         return function(*arguments)
-    if jax.config.jax_disable_jit:  # operations one by one would have the attribute
+    debugging: Any = jax.config
+    if debugging.jax_disable_jit:  # operations one by one would have the attribute
         return function(*arguments)
     flat, leaves, whole = on_leaves(function, arguments)
     outside = _INSIDE.set(True)
