@@ -37,8 +37,8 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        Between Dynamics Mode Order PhasedSolution Result columns.Column Simulator Solution Statistics Sweep
-        Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
+        AtStart Between Crossings Dynamics Mode Order PhasedSolution Result columns.Column Simulator Solution Statistics
+        Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization

@@ -250,6 +250,10 @@ ROWS = [
     # events
     bad("an expression as an event", lambda: decays(event=s), "event", "tx.Event"),
     bad("a function as an event", lambda: decays(event=lambda t, x, u, p: x["x"]), "event", "function", "tx.Event"),
+    bad("an event that ends by text", lambda: tx.Event(s, terminal="no"), "terminal", "'no'"),
+    bad("an event at the start by text", lambda: tx.Event(s, at_start="stop"), "at_start", "tx.AtStart"),
+    bad("room for crossings without events", lambda: decays(max_crossings=3), "max_crossings", "event"),
+    bad("saved times the wrong way", lambda: decays(t0=1.0, t1=0.0, save_at=[0.2, 0.5]), "save_at", "0.2 before 0.5"),
     bad("no events", lambda: decays(event=[]), "event", "[]"),
     bad("an event of a vector", lambda: tx.Event(tx.State("v", 3)), "Event", "(3,)"),
     bad("an event of a number", lambda: tx.Event(3.0), "Event", "3.0"),

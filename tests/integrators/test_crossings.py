@@ -76,7 +76,7 @@ def test_a_perigee_below_the_ground_is_met() -> None:
         E = -np.arccos((1.0 - radius / a) / e)  # of the impact, before the perigee
         impact = (E - e * np.sin(E) + np.pi) / n
         assert found.result is tx.Result.EVENT
-        np.testing.assert_allclose(found.ts, [impact], atol=10.0 if depth < 1e3 else 1.0)
+        np.testing.assert_allclose(found.ts, [impact], atol=1.0 if depth < 1e3 else 0.1)
         np.testing.assert_allclose(np.linalg.norm(found.xs["r"][0]), radius, rtol=1e-12)
         assert found.stats.steps < 60
 

@@ -315,7 +315,8 @@ def watch_of(
     senses, terminal, at_start = zip(*((e.sense, e.terminal, e.at_start) for e in events), strict=True)
     if max_crossings is not None and all(terminal):
         raise InputError(
-            "max_crossings is for events that do not end the integration: tx.Event(condition, terminal=False)"
+            "max_crossings is for events that do not end the integration, and all of these do.\n"
+            "  fix: leave it out, or tx.Event(condition, terminal=False)"
         )
     room = _ROOM if max_crossings is None else whole("max_crossings", max_crossings)
     return Watch(tuple(functions), senses, terminal, at_start, int(room), tuple(inputs)), values

@@ -219,7 +219,10 @@ def planned(
             controls.check_span(min(span), max(span))
     signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
     if event is None and max_crossings is not None:
-        raise InputError("max_crossings is for events that do not end the integration, but event is left out")
+        raise InputError(
+            "max_crossings is for events that do not end the integration, but event is left out.\n"
+            "  fix: leave it out too, or event=tx.Event(condition, terminal=False)"
+        )
     watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals, max_crossings)
     traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
     if traced and isinstance(signals, OfTime):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import functools
 from typing import Any
 
+import jax
 import jax.numpy as jnp
 import numpy as np
 
@@ -16,6 +17,7 @@ from ...scenes.scene import placed
 from ..checks import Check, Expected, Section, at_most, between, ends, refused, simulated
 
 _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
+_NAN, _INF = float("nan"), float("inf")
 
 
 @functools.cache
@@ -60,8 +62,72 @@ def _tilted() -> float:
     return abs(float(sol.ts[-1]) - np.arccos(-0.75))
 
 
+@functools.cache
+def _ball() -> tx.Dynamics:
+    """A ball that is thrown."""
+    h, v = tx.State("h"), tx.State("v")
+    return tx.compile(tx.System(rates={h: v, v: -tx.Parameter("pull", value=10.0) + 0.0 * v}))
+
+
+def _thrown(*events: tx.Event, speed: float = 10.0, **how: Any) -> tx.Solution:
+    how = {"t0": 0.0, "t1": 3.0, "rtol": 1e-9, "method": _METHODS["Tsit5"]} | how
+    at = how["t0"]
+    start = {"h": speed * at - 5.0 * at * at, "v": speed - 10.0 * at}
+    return simulated(_ball(), start, event=list(events), **how)
+
+
+_H = tx.State("h")
+_LEVEL, _GROUND = tx.Event(_H - 3.0, terminal=False), tx.Event(_H, direction=False)
+#: When the ball, thrown at 10 m/s under 10 m/s^2, is 3 m up: 1 - 0.4^(1/2) s and 1 + 0.4^(1/2) s.
+_PASSES = 1.0 + np.array([-1.0, 1.0]) * np.sqrt(0.4)
+
+
+def _crossings(**how: Any) -> float:
+    """The largest error of the times at which the ball passes 3 m, s; NaN if there are not two, one each way."""
+    found, backward = _thrown(_LEVEL, _GROUND, **how).crossings, "t0" in how
+    assert found is not None
+    wanted = _PASSES[::-1] if backward else _PASSES
+    if found.count != 2 or list(found.directions) != [1, -1]:
+        return _NAN
+    return float(np.max(np.abs(np.asarray(found.ts) - wanted)))
+
+
+def _moved() -> float:
+    """The error of the derivatives of both times with respect to the speed: 0.1 -+ 1 / 40^(1/2) s per m/s."""
+
+    def times(speed: jax.Array) -> jax.Array:
+        start = {"h": 0.0, "v": speed}
+        sol = tx.integrate(_ball(), start, t1=3.0, steps=20, event=[_LEVEL, _GROUND], max_crossings=4)
+        return sol.crossings.ts[:2]
+
+    wanted = 0.1 + np.array([-1.0, 1.0]) / np.sqrt(40.0)
+    return float(np.max(np.abs(np.asarray(jax.jit(jax.jacfwd(times))(10.0)) - wanted)))
+
+
+def _impact(depth: float) -> float:
+    """By how many s an impact on a sphere, shortly before a perigee under it, is missed: by Kepler's equation."""
+    mu, radius, apogee = 3.986004418e14, 6.371e6, 4.2e7
+    r, w = tx.State("r", shape=(2,)), tx.State("w", shape=(2,))
+    orbit = tx.compile(tx.System(rates={r: w, w: -mu * r / tx.linalg.Norm(r) ** 3}))
+    a, e = 0.5 * (apogee + radius - depth), (apogee - radius + depth) / (apogee + radius - depth)
+    n, start = np.sqrt(mu / a**3), {"r": [apogee, 0.0], "w": [0.0, np.sqrt(mu * (2.0 / apogee - 1.0 / a))]}
+    ground = tx.Event(tx.linalg.Norm(r) - radius, direction=False)
+    sol = simulated(orbit, start, t1=2.0 * np.pi / n, rtol=1e-6, method=_METHODS["DOP853"], event=ground)
+    E = -np.arccos((1.0 - radius / a) / e)
+    return abs(float(sol.ts[-1]) - (E - e * np.sin(E) + np.pi) / n)
+
+
+def _begun(at_start: tx.AtStart | None) -> float:
+    """When a ball that falls from the level that ends its fall is stopped, s."""
+    return float(_thrown(tx.Event(_H, direction=False, at_start=at_start), speed=0.0).ts[-1])
+
+
+def _full() -> tx.Solution:
+    return _thrown(_LEVEL, max_crossings=1, dt=0.1, control=tx.StepControl(dtmax=0.2))
+
+
 _LATE = between(1.0, unit="s")
-_TWO_ROOTS, _TWO_EVENTS = "two roots of one condition within a step, at 0.51 and 0.53 s: the end", ("late", "early")
+_TWO_ROOTS, _TWO_EVENTS = "two roots of one condition within a step, at 0.51 and 0.53 s", ("late", "early")
 
 EVENTS: Section = [
     "The last step is taken again up to the root, to round-off of the time.",
@@ -72,15 +138,30 @@ EVENTS: Section = [
     _reached("before the edge of a step by 2e-16 s", 0.5 - 2e-16, 5e-16),
     _reached("after the edge of a step by 2e-16 s", 0.5 + 2e-16, 5e-16),
     "Whether it counts as ended or as stopped, the time is the same.",
-    Check("at the end, at 1 s", "RK4", at_most(3e-16, "s"), lambda: abs(_end("reaching", 1.0) - 1.0)),
-    "A condition that is zero at the start is no event: a body that leaves the ground has not landed.",
+    Check("at the end, at 1 s", "RK4", at_most(5e-16, "s"), lambda: abs(_end("reaching", 1.0) - 1.0)),
+    "A condition of any direction that is zero at the start is no event: a body that leaves the ground has not landed.",
     Check("at the start: the end", "RK4", _LATE, _end, "reaching", 0.0),
+    "One that goes past zero there, in the direction of the event, is.",
+    Check("a ball that begins to fall at the ground: the end", "Tsit5", at_most(0.0, "s"), _begun, None),
+    "Unless it is told to wait until it has been on the other side.",
+    Check("the same, at_start=AtStart.IGNORE", "Tsit5", between(3.0, unit="s"), _begun, tx.AtStart.IGNORE),
     "Of several roots in a step the first counts, whichever was named first.",
     Check("two events in one step, at 0.56 and 0.53 s", "RK4", at_most(3e-16, "s"), _miss, 0.53, *_TWO_EVENTS, which=1),
-    "The sign is the same at both ends of the step: such a pair is passed over, as the documentation says.",
-    Check(_TWO_ROOTS, "RK4", _LATE, _end, "product"),
-    "Steps shorter than the time between the roots see them.",
-    Check("the same, 0.02 s a step", "RK4", at_most(3e-15, "s"), _miss, 0.51, "product", dt=0.02),
+    "The sign is the same at both ends of the step; the polynomial of the step is looked at too.",
+    Check(_TWO_ROOTS, "RK4", at_most(3e-15, "s"), _miss, 0.51, "product"),
+    "A perigee that steps pass over, 10 km and 100 m under the ground; the rest is the tolerance.",
+    Check("an impact near the perigee, 10 km deep, rtol 1e-6", "DOP853", at_most(0.1, "s"), _impact, 1e4),
+    Check("an impact near the perigee, 100 m deep, rtol 1e-6", "DOP853", at_most(1.0, "s"), _impact, 100.0),
+    "Events that do not end the integration are kept with their times.",
+    Check("two crossings on the way", "Tsit5", at_most(1e-12, "s"), _crossings),
+    "Both in the first step, of 2.5 s.",
+    Check("two crossings in a step", "Tsit5", at_most(1e-12, "s"), _crossings, dt=2.5),
+    "The same events, in the other order.",
+    Check("two crossings backward in time", "Tsit5", at_most(1e-12, "s"), _crossings, t0=3.0, t1=-1.0),
+    "By the implicit function theorem.",
+    Check("derivatives of their times with respect to the speed", "RK4", at_most(1e-9), _moved),
+    "More crossings than there is room for end the integration; none is lost in silence.",
+    Check("more crossings than max_crossings", "Tsit5", ends(tx.Result.MAX_CROSSINGS, 1.0, 2.0), _full),
     "Without a change of sign there is no event; take the derivative as the condition.",
     Check("a condition that touches zero, at 0.55 s: the end", "RK4", _LATE, _end, "touching"),
     "The root is found in the group, within the tolerance of the integration.",
@@ -120,6 +201,14 @@ def _switched(u: Any, **options: Any) -> float:
     return abs(float(sol.xs["x"][-1]) - float((2.0 - np.exp(-0.4)) * np.exp(0.4 - 1.0) - 1.0))
 
 
+def _returned(**options: Any) -> float:
+    """How far x' = F - x is from its start after 1 s and the way back."""
+    options |= {"u": _TABLE, "method": _METHODS["Tsit5" if "rtol" in options else "RK4"]}
+    there = simulated(_system("driven"), {"x": 0.25}, t1=1.0, **options)
+    back = simulated(_system("driven"), there.last, t0=1.0, t1=0.0, **options)
+    return abs(float(back.xs["x"][-1]) - 0.25)
+
+
 _chosen = functools.partial(_switched, rtol=1e-10, method=_METHODS["Tsit5"])
 
 
@@ -141,14 +230,19 @@ JUMPS: Section = [
     Check("the same, not named", "Tsit5", at_most(1e-7), _chosen, _switch),
     "Where the switch falls between two equal steps, the order is kept.",
     Check("a table, on the edge of a step of 0.1 s", "RK4", at_most(1e-6), _switched, _TABLE, dt=0.1),
-    "Equal steps do not see a switch inside of them: the order is lost.",
-    Check("a table, inside of a step of 1/6 s", "RK4", at_most(0.3), _switched, _TABLE, dt=1.0 / 6.0),
+    "Equal steps are split at a switch inside of them, and the order is kept.",
+    Check("a table, inside of a step of 1/6 s", "RK4", at_most(1e-5), _switched, _TABLE, dt=1.0 / 6.0),
+    Check("a table, inside of a step of 1/48 s", "RK4", at_most(5e-9), _switched, _TABLE, dt=1.0 / 48.0),
+    "A function's jumps are not seen from outside; named, they split steps.",
+    Check("a function, inside of a step, named", "RK4", at_most(5e-9), _switched, _switch, dt=1.0 / 48.0, jumps=[0.4]),
+    "The same switch from the other side.",
+    Check("there and back across a table, steps of 1/48 s", "RK4", at_most(1e-8), _returned, dt=1.0 / 48.0),
+    Check("there and back across a table, rtol 1e-10", "Tsit5", at_most(1e-8), _returned, rtol=1e-10),
     "What is commanded from the end on does not reach back.",
     Check("a table with a jump at the start and at the end, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _AT_ENDS),
 ]
 
 _TOP = SCENES["euler-top"]
-_NAN, _INF = float("nan"), float("inf")
 
 
 @functools.cache
