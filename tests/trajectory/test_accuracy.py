@@ -72,8 +72,8 @@ def test_free_nodes_do_not_hide_what_they_gain() -> None:
         tx.Minimize(running=running),
         nodes=Mesh(20, free=True),
         final_time=25.0,
-        initial={x: 1.0},
-        final={x: 1.5},
+        initial={x: 1.5},
+        final={x: 1.0},
     ).solve()
     assert result.cost < 1.33
     assert result.status is Status.COARSE
@@ -81,20 +81,20 @@ def test_free_nodes_do_not_hide_what_they_gain() -> None:
 
 def test_the_change_of_the_objective_is_that_of_a_finer_method() -> None:
     """On the same mesh, so that the controls are as free as before."""
-    rough, fine = (lagging(nodes=26, method=tx.RKMK(tx.tableaus.RK4), substeps=n).solve() for n in (1, 24))
+    rough, fine = (lagging(nodes=41, substeps=n).solve() for n in (2, 24))
     own = rough.accuracy
     assert own is not None
     assert fine.accuracy is not None
-    assert abs(fine.cost - rough.cost) > 1e-3
+    assert abs(fine.cost - rough.cost) > 1e-5
     assert own.change == pytest.approx(fine.cost - rough.cost, rel=0.15)
     assert abs(fine.accuracy.change) < 1e-5
 
 
 def test_the_change_of_a_maximum_has_its_sign() -> None:
     x, u = lag().states[0], lag().controls[0]
-    asked: dict[str, Any] = {"nodes": 26, "final_time": 2.0, "initial": {"x": 1.0, "z": 0.0}, "substeps": 1}
+    asked: dict[str, Any] = {"nodes": 41, "final_time": 2.0, "initial": {"x": 1.0, "z": 0.0}, "substeps": 2}
     most = Problem(lag(), tx.Maximize(running=-(x**2) - 0.01 * u**2), **asked).solve()
-    least = lagging(nodes=26, method=tx.RKMK(tx.tableaus.RK4), substeps=1).solve()
+    least = lagging(nodes=41, substeps=2).solve()
     assert most.accuracy is not None
     assert least.accuracy is not None
     assert most.accuracy.change == pytest.approx(-least.accuracy.change, rel=1e-6)
@@ -104,7 +104,7 @@ def test_a_tolerance_of_the_mesh_is_as_asked() -> None:
     result = lagging().solve(mesh_tolerance=np.inf)
     assert result.status is Status.SOLVED
     assert "too coarse" not in result.explain()
-    for size in (0.0, -1.0, "fine", np.nan):
+    for size in (0.0, -1.0, np.nan):
         with pytest.raises(tx.TrajectoryError, match="mesh_tolerance"):
             lagging().solve(mesh_tolerance=size)
         with pytest.raises(tx.TrajectoryError, match="mesh_tolerance"):
@@ -214,10 +214,10 @@ def test_an_end_condition_without_slope_is_never_solved_elsewhere(condition: str
 
 
 def test_a_row_without_slope_is_named() -> None:
-    result = to_rest("v", 21).solve()
+    result = to_rest("p", 21).solve()
     assert result.status is Status.DEGENERATE
     assert not result.solved
-    assert "'final: (v ** 2.) <= 0.' at node 20" in result.message
+    assert "'final: ((p - 1.) ** 2.) <= 0.' at node 20" in result.message
     assert result.message in result.explain()
 
 
@@ -228,7 +228,8 @@ def test_a_solution_as_a_start_is_the_result() -> None:
     problem = lagging()
     result = problem.solve()
     again = problem.solve(warm=result)
-    assert (again.iterations, again.cost, again.status) == (0, result.cost, result.status)
+    assert (again.iterations, again.status) == (0, result.status)
+    assert again.cost == pytest.approx(result.cost, rel=1e-14)
     np.testing.assert_array_equal(again.xs["x"], result.xs["x"])
     # What is asked now decides.
     assert problem.solve(warm=result, tolerance=1e-12).iterations > 0

@@ -38,7 +38,7 @@ def turning() -> tx.trajectory.Problem:
         final_time=(0.5, 10.0),
         initial={R: np.eye(3), w: np.zeros(3)},
         final={R: np.asarray(tx.SO3.exp(jnp.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
-        **HEUN,
+        **{**HEUN, "substeps": 4},
     )
 
 
