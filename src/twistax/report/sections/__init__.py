@@ -13,6 +13,7 @@ from . import (
     lookups,
     maps,
     mechanisms,
+    moving_masses,
     optimal,
     rivals,
     scalars,
@@ -33,6 +34,8 @@ STABILITY: dict[str, Section] = {
     "jumps": edges.JUMPS,
     "inputs": edges.INPUTS,
     "failures": edges.FAILURES,
+    "masses": moving_masses.MOVING_MASSES,
+    "loops": moving_masses.LOOPS,
 }
 
 FIGURES: dict[str, Section] = {
