@@ -224,8 +224,8 @@ def loop_diagnostics(
 
     - `rank`: how many rows of the closures are independent here, of all m.
     - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
-    - `reciprocal_condition`: $d_min / d_max$ of the rows chosen, from 1 down to the tolerance: how far the posture is from a
-      singular one, where a row begins to depend on the others.
+    - `reciprocal_condition`: $d_min / d_max$ of the rows chosen, from 1 down to the tolerance: how far the posture is
+      from a singular one, where a row begins to depend on the others.
     - `misalignment`: the largest d of a row that was left out, over d_max: what closures say twice and not quite
       alike, such as axes that are not parallel to the last digit.
     - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
