@@ -34,6 +34,8 @@ OTHER: dict[str, Callable[[Any], Any]] = {
     "outside": lambda outside: tx.tables.Clamped() if outside != tx.tables.Clamped() else tx.tables.Refused(),
     "sequence": lambda sequence: sequence[::-1].swapcase(),
     "model": lambda model: dataclasses.replace(model, radius=np.nextafter(model.radius, 9.0)),
+    "tolerance": lambda tolerance: np.nextafter(tolerance, 1.0).item(),
+    "blocks": lambda blocks: (*blocks, 1),
     "name": lambda name: f"{name}_",
     "Constant.name": lambda name: None,
     "Time.name": lambda name: None,

@@ -114,7 +114,9 @@ def test_an_axis_that_is_a_little_off_changes_nothing(closure: str) -> None:
         off = moving(four_bar(tilt, loop))
         np.testing.assert_allclose(off(0.0, start())["qd"], qdd, rtol=1e-6)
         carried = off.outputs(0.0, start())
-        np.testing.assert_allclose(carried["F"], found["F"], rtol=0.0, atol=1e-6 * size if tilt <= 1e-6 else 1e-5 * size)
+        np.testing.assert_allclose(
+            carried["F"], found["F"], rtol=0.0, atol=1e-6 * size if tilt <= 1e-6 else 1e-5 * size
+        )
         assert carried["wrench_error"] < 1e-7
 
 

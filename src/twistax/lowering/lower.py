@@ -26,9 +26,9 @@ def lower(expr: Any) -> Lowered:
     """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
 
     The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. x, u and params
-    are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have states that
-    the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once. Precision is
-    that of x.
+    are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have states
+    that the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once. Precision
+    is that of x.
 
     Returns:
         f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.

@@ -220,12 +220,14 @@ def loop_diagnostics(
 ) -> dict[str, Expr]:
     """How far the closures determine motion and wrenches in a posture, each a scalar (), by name.
 
+    With d the distances of rows of $G_s = D G E^-1$ from those chosen before, by the measure of `loops.Metric`:
+
     - `rank`: how many rows of the closures are independent here, of all m.
     - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
-    - `reciprocal_condition`: the distance of the last row chosen from the others over that of the first, from 1 down to
-      the tolerance: zero in a singular posture, where a row begins to depend on the others.
-    - `misalignment`: the largest distance of a row that was left out from those chosen, over that of the first: what
-      closures say twice and not quite alike, such as axes that are not parallel to the last digit.
+    - `reciprocal_condition`: $d_min / d_max$ of the rows chosen, from 1 down to the tolerance: how far the posture is
+      from a singular one, where a row begins to depend on the others.
+    - `misalignment`: the largest d of a row that was left out, over d_max: what closures say twice and not quite
+      alike, such as axes that are not parallel to the last digit.
     - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
       round-off leaves of the equations, and what misalignment makes of redundant wrenches, both over the smallest
       distance.
@@ -234,6 +236,7 @@ def loop_diagnostics(
         mechanism: with one loop or more.
         q, qd, tau, wrenches: as for `forward_dynamics`; of the last two `wrench_error` depends alone.
     Raises: as `closed_dynamics`.
+    Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, for ranks by pivots.
     """
     return _motion("loop_diagnostics", mechanism, q, qd, tau, wrenches).diagnostics()
 

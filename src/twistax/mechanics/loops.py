@@ -38,9 +38,9 @@ class Metric:
     likes.
 
     Attributes:
-        length: l, m; None: the mean distance of the joints of the mechanism from those before.
-        tolerance: between 0 and 1. Angles to which the axes of a model are rounded lie below it. In single precision it
-            is 2e-3 at least.
+        length: l (), m; None: the mean distance of the joints of the mechanism from those before.
+        tolerance: (), between 0 and 1. Angles to which the axes of a model are rounded lie below it. In single
+            precision it is 2e-3 at least.
     Raises: ModelError for a length that is not positive, or a tolerance out of its range.
     """
 

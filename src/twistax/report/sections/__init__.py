@@ -14,6 +14,7 @@ from . import (
     lookups,
     maps,
     mechanisms,
+    moving_masses,
     optimal,
     rivals,
     scalars,
@@ -39,6 +40,8 @@ STABILITY: dict[str, Section] = {
     "flight": flight_limits.FLIGHT,
     "statuses": statuses.STATUSES,
     "spoiled": spoiled.SPOILED,
+    "masses": moving_masses.MOVING_MASSES,
+    "loops": moving_masses.LOOPS,
 }
 
 FIGURES: dict[str, Section] = {
