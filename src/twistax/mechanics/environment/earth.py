@@ -144,6 +144,8 @@ class OffPole(Entrywise):
     precision, 5e-7, 3 m, in single precision. There the cosine of the latitude is noise, and so is all that is divided
     by it.
 
+    Shapes: s -> s.
+
     Attributes:
         latitude: rad.
     """
