@@ -876,7 +876,7 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "local axes at a pole",
-            " * earth.OffPole(latitude)",
+            " + earth.OffPole(latitude)",
             "",
             "mechanics/test_flight.py",
         ),

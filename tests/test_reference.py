@@ -55,7 +55,6 @@ NO_ERRORS = {
         mechanics.environment.atmosphere.Temperature""",
     "what it is part of checks it": """
         columns.Rotations
-        mechanics.environment.upper_atmosphere.UpperAtmosphere
         Maximize Minimize Control trajectory.Phase
         charts.SplitExponential""",
     "it is called by a vehicle, which has checked": """

@@ -1,5 +1,7 @@
 """Bad uses of units, of the flight layer, and of trim."""
 
+import dataclasses
+
 import numpy as np
 from table import bad
 
@@ -68,6 +70,14 @@ ROWS = [
     bad("a degree of text", lambda: EGM2008.up_to("8"), "'8'"),
     bad("a boom in no air", lambda: flight.probe(3, np.ones(3)), "air", "3"),
     bad("a rate relative to the earth by name", lambda: craft.rate("earth"), "relative_to", "'earth'"),
+    bad(
+        "a rate relative to local axes at a pole",
+        lambda: craft.start(np.pi / 2, 0.0, 0.0, relative_to=flight.local_axes),
+        "local_axes",
+        "1.5707963267948966",
+        "fixed_axes",
+    ),
+    bad("gases of no mass", lambda: dataclasses.replace(flight.EARTH.air, gases=((0.0, 1.0),)), "gases", "0.0"),
     bad("turbulence of text", lambda: flight.even_turbulence("a", (1.0, 1.0, 1.0)), "lengths", "'a'"),
     bad(
         "a big thrust",

@@ -364,7 +364,8 @@ def _class_of(named: str) -> type | None:
 
 def _below(base: type) -> Iterator[type]:
     """All classes below one, wherever they are defined."""
-    for cls in base.__subclasses__():
+    classes: list[type] = base.__subclasses__()
+    for cls in classes:
         yield cls
         yield from _below(cls)
 

@@ -138,11 +138,13 @@ def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
 
 
 class OffPole(Entrywise):
-    """1 where there is a north, NaN at a pole, entry by entry: a factor of what exists off the poles alone.
+    """0 where there is a north, NaN at a pole, entry by entry: a summand of what exists off the poles alone.
 
     A latitude counts as a pole where its cosine is at most four units of round-off: 1e-15, 6 nm on the Earth, in double
     precision, 5e-7, 3 m, in single precision. There the cosine of the latitude is noise, and so is all that is divided
     by it.
+
+    Shapes: s -> s.
 
     Attributes:
         latitude: rad.
@@ -155,7 +157,8 @@ class OffPole(Entrywise):
     def evaluate(self, *values: Array) -> Array:
         (latitude,) = values
         noise = 4.0 * jnp.finfo(latitude.dtype).eps
-        return jnp.where(jnp.abs(jnp.cos(latitude)) > noise, 1.0, jnp.nan).astype(latitude.dtype)
+        # By the latitude, so that the derivative at a pole is NaN too.
+        return latitude * jnp.where(jnp.abs(jnp.cos(latitude)) > noise, 0.0, jnp.nan).astype(latitude.dtype)
 
 
 class Meridian(Expr):

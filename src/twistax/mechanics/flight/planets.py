@@ -156,5 +156,5 @@ def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_veloc
     velocity, (meridian, normal) = to_expr(ned_velocity), planet.figure.radii(latitude)
     north = velocity[0] / (meridian + altitude)
     east = velocity[1] / (normal + altitude)
-    turning = -east * Tan(latitude) * earth.OffPole(latitude)
+    turning = -east * Tan(latitude) + earth.OffPole(latitude)
     return fixed_axes(planet, latitude, altitude, ned_velocity) + Concat(east, -north, turning)
