@@ -225,14 +225,8 @@ def _check_products(check: Check, sample: Sample, value: Mapping[str, Any]) -> N
         allowed = 1e-14 + 1e-13 * np.abs(sample.d).max()
         fix = "look at log: near zero it must not lose digits, as arccos and 1 - cos do"
         check.close("Log(Exp(d)) = d", value["log"], sample.d, allowed, fix, at)
-    _same(
-        check,
-        "g (+) d = g Exp(d)",
-        value["retract"][0],
-        value["retract"][1],
-        "look at retract: perturbations act on the right",
-        at,
-    )
+    fix = "look at retract: perturbations act on the right"
+    _same(check, "g (+) d = g Exp(d)", value["retract"][0], value["retract"][1], fix, at)
     _same(check, "(g (+) e) (-) g = e", value["difference"], sample.e, "look at difference: Log(g^-1 h)", at)
 
 
