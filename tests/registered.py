@@ -22,10 +22,11 @@ def every_module() -> list[str]:
 
 
 def concrete_classes(base: type[T]) -> list[type[T]]:
-    """All classes of the package below a base that have no abstract members, in the order of their names."""
+    """All classes of the package below a base, in the order of their names, but private ones and abstract ones."""
     every_module()
     waiting: list[type[T]] = [base]
     for cls in waiting:
         waiting += cls.__subclasses__()
     inside = {cls for cls in waiting if cls.__module__.startswith("twistax.") and not inspect.isabstract(cls)}
+    inside = {cls for cls in inside if not cls.__name__.startswith("_")}
     return sorted(inside, key=lambda cls: (cls.__module__, cls.__qualname__))

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from .checks import listed
 from .errors import InputError, ModelError
-from .groups import SE3, SO3, Group, euler
+from .groups import SE3, SO3, ElementPart, Group, euler
 
 #: A panel with more curves than this has no legend.
 _NAMED = 9

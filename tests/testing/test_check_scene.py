@@ -64,7 +64,7 @@ def whirled() -> tx.System:
 
 
 BROKEN = [
-    ({"exact": shifted}, r"x'\(t\) = f\(t, x\(t\)\) for the closed form.*look at 'w'"),
+    ({"exact": shifted}, r"x'\(t\) = f\(t, x\(t\)\) for the closed form.*look at 'R'"),
     ({"start": with_another({"w": 2.0 * TOP.start["w"]})}, "the closed form begins at the start"),
     ({"exact": None, "reference": with_another({})}, "the end is where the system leads"),
     ({"exact": None, "reference": {"w": TOP.start["w"]}}, "end has all states"),

@@ -92,4 +92,4 @@ def flat(tree: Any) -> jax.Array:
 
 def difference_quotient(values: Any) -> np.ndarray:
     """The derivative at 0 of values at the multiples of STEP in STENCIL, in its order; off by 1e-12 or so."""
-    return np.tensordot(list(STENCIL.values()), np.asarray(values), 1) / STEP
+    return np.asarray(np.tensordot(list(STENCIL.values()), np.asarray(values), 1) / STEP)

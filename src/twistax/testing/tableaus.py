@@ -60,7 +60,7 @@ def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeT
             fix = "look for a wrong digit in a or b, or say a lower order"
             check.holds(f"the conditions of order {size} of {name}", off <= _EXACT, told.format(off), fix)
     with jax.enable_x64(True):
-        fitted = fitted_order(method(tableau), tableau.order)  # type: ignore[arg-type]
+        fitted = fitted_order(method(tableau), tableau.order)
     told = f"halved steps say {fitted:.2f} for {tableau.order}"
     fix = "say the order of the conditions on a group: those of a commutator-free tableau are more than of its sums"
     check.holds("the method converges with the order of the tableau", fitted > tableau.order - 0.25, told, fix)

@@ -230,10 +230,10 @@ def _spreads(shooting: Shooting, point: Point) -> tuple[jax.Array, jax.Array]:
             own = _moving(_range(flat) / 2.0, flat)
         else:
             own = jnp.full(factor.dimension, _TURN)
-            for part in factor.parts:
-                if part.sized:
-                    moved = part.of(values).reshape(len(values), -1)
-                    own = own.at[np.array(part.entries)].set(_range(moved).max() / 2.0)
+            for piece in factor.parts:
+                if piece.sized:
+                    moved = piece.of(values).reshape(len(values), -1)
+                    own = own.at[np.array(piece.entries)].set(_range(moved).max() / 2.0)
         d.append(own)
     for name, part in shooting.local.controls.slices.items():
         flat, leaf = point.us[:, part], shooting.leaves[name]
