@@ -36,6 +36,8 @@ BOUND = 1e-12
 #: Random states of each model.
 STATES = 2
 COLUMNS = ("load as they are", "load as their error says", "agree", "differ", "are refused")
+#: Of files whose meshes are missing, so that no peer loads them: MuJoCo compiles them without.
+MORE = "agree without meshes"
 
 
 # ---- peers -----------------------------------------------------------------------------------------------------------
@@ -276,7 +278,7 @@ def without_meshes(path: Path, kind: str, package: Path, robot: Any) -> Verdict:
     if isinstance(robot, str) or kind != "MJCF":
         return Verdict("no peer loads")
     worst = difference(robot, Mujoco(path, package))
-    return Verdict("loads without a peer" if worst <= BOUND else "differ", f"{worst:.1e}")
+    return Verdict(MORE if worst <= BOUND else "differ", f"{worst:.1e}")
 
 
 @contextlib.contextmanager
@@ -297,23 +299,24 @@ def main(arguments: list[str]) -> None:
     parser = argparse.ArgumentParser(description=(__doc__ or "").splitlines()[0])
     parser.add_argument("folders", nargs="+", type=Path)
     parser.add_argument("--details", action="store_true")
-    parser.add_argument("--apart", help="name of a folder whose files have a row of their own")
+    parser.add_argument("--without", help="name of a folder whose files are left out")
     options = parser.parse_args(arguments)
     counts = collections.defaultdict[tuple[str, str], collections.Counter[str]](collections.Counter)
     for folder in options.folders:
         for path, kind in models_in(folder):
+            if options.without in path.parts:
+                continue
             with quiet():
                 verdict = verdict_on(path, kind, folder)
-            part = f"{folder.name}, {options.apart}" if options.apart in path.parts else folder.name
-            counts[part, kind][verdict.what] += 1
+            counts[folder.name, kind][verdict.what] += 1
             if verdict.how and verdict.how != verdict.what:
-                counts[part, kind][verdict.how] += 1
-            if options.details and verdict.what not in ("no model", "no peer loads", "loads without a peer"):
+                counts[folder.name, kind][verdict.how] += 1
+            if options.details and verdict.what not in ("no model", "no peer loads", MORE):
                 print(path.relative_to(folder), verdict.what, verdict.how, verdict.detail, sep=" | ", flush=True)
-    print(f"\n| package | format | models | {' | '.join(COLUMNS)} |\n|---|---|{'---|' * (1 + len(COLUMNS))}")
+    print(f"\n| package | format | models | {' | '.join((*COLUMNS, MORE))} |\n|---|---|{'---|' * (2 + len(COLUMNS))}")
     for (package, kind), count in counts.items():
         models = count["agree"] + count["differ"] + count["are refused"]
-        row = [package, kind, models, *(count[name] for name in COLUMNS)]
+        row = [package, kind, models, *(count[name] for name in (*COLUMNS, MORE))]
         print(f"| {' | '.join(map(str, row))} |", dict(count) if options.details else "")
 
 
