@@ -45,7 +45,7 @@ class _Path(NamedTuple):
 class _Packing(NamedTuple):
     state: Callable[[jax.Array], Blocks]  # reads what is packed
     carry: Callable[[jax.Array], Carry]
-    slopes: Callable[[jax.Array], Any] | None
+    slopes: Any  # the same; None where there are none
 
 
 class _Step(NamedTuple):

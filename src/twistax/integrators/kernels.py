@@ -70,8 +70,8 @@ class KernelSteps(NamedTuple):
         self, stepper: Stepper, grid: Grid, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
     ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
-        state, structure = jax.tree.flatten(state)
-        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), state)
+        leaves, structure = jax.tree.flatten(state)
+        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
         return jax.tree.unflatten(structure, found), count
 
 

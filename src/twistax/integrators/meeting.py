@@ -36,7 +36,7 @@ class _Job(NamedTuple):
     or a root.
     """
 
-    index: jax.Array  # of the pair and the condition; beyond all of them where nothing is left
+    item: jax.Array  # of the pair and the condition; beyond all of them where nothing is left
     looks: jax.Array  # whether it is an extremum
     sign: jax.Array  # of the condition where the part begins
     low: jax.Array  # where a part with a root begins and ends
@@ -100,11 +100,11 @@ class _Search:
 
     def run(self, known: Watched) -> Watched:
         """With what is crossed, in order, up to an event that ends the integration."""
-        before = None if known.crossed is None else known.crossed.count
+        before = None if known.crossed is None else known.crossed.used
         begun = known._replace(s=jnp.full_like(known.s, jnp.inf))
         start = self._job(self._after(jnp.zeros((), int) - 1), *self._pair(self._after(jnp.zeros((), int) - 1)))
-        _, found = jax.lax.while_loop(lambda now: now[0].index < self.flags.size, self._one, (start, begun))
-        if found.crossed is not None:
+        _, found = jax.lax.while_loop(lambda now: now[0].item < self.flags.size, self._one, (start, begun))
+        if found.crossed is not None and before is not None:
             # What is crossed after the integration has ended is not.
             rows = found.crossed
             late = (jnp.arange(len(rows.which)) >= before) & ((rows.s > found.s) | (found.full & ~found.met))
@@ -142,7 +142,7 @@ class _Search:
     def _one(self, now: tuple[_Job, Watched]) -> tuple[_Job, Watched]:
         """After a part of the step was taken."""
         (job, known), stride, h = now, self.stride, self.stride.h
-        number = job.index % self.width
+        number = job.item % self.width
         moved = self.advance(stride.t, stride.y, job.place)
         given = (stride.t, h, moved, number, stride.t + job.place)
         value = beside(_one_value, self.watch, self.stepper, *given)
@@ -163,16 +163,16 @@ class _Search:
         tip, wanted = job.extremum.middle[0], self.senses[number]
         first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
         found = job.looks & job.extremum.past
-        half, follows = 0.5 * self.spacing, self._after(job.index)
+        half, follows = 0.5 * self.spacing, self._after(job.item)
         follows = jnp.where(
-            known.full | (known.met & (follows // self.width > self._row(job.index))), self.flags.size, follows
+            known.full | (known.met & (follows // self.width > self._row(job.item))), self.flags.size, follows
         )
         none = -jnp.ones_like(h)
         parts = [
-            (widens, (job.index, job.looks, job.sign, *self._beside(job, at_low, half), job.rest)),
-            (found & first, (job.index, ~found, job.sign, job.low, tip, jnp.where(second, job.high, none))),
-            (found & second, (job.index, ~found, -job.sign, tip, job.high, none)),
-            (~job.looks & (job.rest > job.high), (job.index, job.looks, -job.sign, job.high, job.rest, none)),
+            (widens, (job.item, job.looks, job.sign, *self._beside(job, at_low, half), job.rest)),
+            (found & first, (job.item, ~found, job.sign, job.low, tip, jnp.where(second, job.high, none))),
+            (found & second, (job.item, ~found, -job.sign, tip, job.high, none)),
+            (~job.looks & (job.rest > job.high), (job.item, job.looks, -job.sign, job.high, job.rest, none)),
         ]
         chosen: Any = (follows, *self._pair(follows))
         for condition, part in reversed(parts):
@@ -187,7 +187,7 @@ class _Search:
 
     def _with_root(self, known: Watched, job: _Job, there: jax.Array) -> Watched:
         """With a root, where it is there."""
-        stride, number, root = self.stride, job.index % self.width, job.bracket.root
+        stride, number, root = self.stride, job.item % self.width, job.bracket.root
         terminal = jnp.asarray(np.array(self.watch.terminal))[number]
         ends = there & terminal
         sooner = ends & (root < known.s)
@@ -297,7 +297,7 @@ class CrossingRows(NamedTuple):
     xs: Any  # the states by name
     which: jax.Array  # the numbers of the events, -1 beyond the count
     directions: jax.Array  # 1 where the condition rises, else -1; 0 beyond the count
-    count: jax.Array
+    used: jax.Array  # the count
 
 
 def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
@@ -307,7 +307,7 @@ def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t)
         return refined(stepper, watch, row.y, row.h, meeting).s
 
-    s = jax.lax.map(one, crossed._replace(count=()))
+    s = jax.lax.map(one, crossed._replace(used=()))
     return crossed._replace(s=s)
 
 
@@ -320,4 +320,5 @@ def crossing_rows(stepper: Stepper, crossed: Crossed, ys: Blocks) -> CrossingRow
     order = jnp.argsort(jax.lax.stop_gradient(ts), stable=True)
     directions = jnp.where(there, jnp.where(crossed.rises, 1, -1), 0)
     rows = jax.tree.map(lambda a: a[order], (stepper.clock(ts), xs, crossed.which, directions))
-    return CrossingRows(*rows, there.sum())
+    ts, xs, which, directions = rows
+    return CrossingRows(ts, xs, which, directions, there.sum())

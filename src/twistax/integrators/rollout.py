@@ -126,7 +126,7 @@ def _with_crossings(stepper: Stepper, run: Run, found: Rollout, advance_all: Any
     found, crossed = found._replace(at_start=run.watched.held), run.watched.crossed
     if crossed is None:
         return found
-    ys = advance_all(crossed.y, Part(crossed.t, crossed.s), crossed.count)
+    ys = advance_all(crossed.y, Part(crossed.t, crossed.s), crossed.used)
     return found._replace(crossings=crossing_rows(stepper, crossed, ys))
 
 

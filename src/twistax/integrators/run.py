@@ -75,7 +75,7 @@ class Crossed(NamedTuple):
     s: jax.Array  # how far into the step it lies
     which: jax.Array  # the number of the event; -1 for rows without one
     rises: jax.Array  # whether the condition rises
-    count: jax.Array  # rows in use
+    used: Any  # rows in use
 
     @classmethod
     def none(cls, room: int, t: jax.Array, y: Any) -> Crossed:
@@ -83,18 +83,18 @@ class Crossed(NamedTuple):
         zero = jnp.zeros((), int)
         one = cls(zero, t, t, y, t, zero - 1, jnp.asarray(False), zero)
         found: Crossed = jax.tree.map(lambda a: jnp.broadcast_to(a, (room, *a.shape)), one)
-        return found._replace(count=zero)
+        return found._replace(used=zero)
 
     def with_one(self, one: Crossed, here: jax.Array) -> tuple[Crossed, jax.Array]:
         """With one more row, where it is here; whether there was no room for it."""
-        room, count = len(self.which), self.count
+        room, count = len(self.which), self.used
         fits, row = here & (count < room), jnp.minimum(count, room - 1)
 
         def put(rows: jax.Array, value: jax.Array) -> jax.Array:
             return rows.at[row].set(jnp.where(fits, value.astype(rows.dtype), rows[row]))
 
-        found: Crossed = jax.tree.map(put, self._replace(count=()), one._replace(count=()))
-        return found._replace(count=count + fits.astype(count.dtype)), here & (count >= room)
+        found: Crossed = jax.tree.map(put, self._replace(used=()), one._replace(used=()))
+        return found._replace(used=count + fits.astype(count.dtype)), here & (count >= room)
 
 
 class Watched(NamedTuple):

@@ -76,10 +76,10 @@ class Crossings:
     def of(cls, rows: CrossingRows) -> Crossings:
         """Those of a rollout; where numbers are known without the rows beyond the count."""
         if is_traced(rows):
-            return cls(*rows)
-        count = int(rows.count)
-        known = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], rows[:-1]))
-        return cls(*known, count)
+            return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
+        count = int(rows.used)
+        ts, xs, which, directions = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], tuple(rows)[:-1]))
+        return cls(ts, xs, which, directions, count)
 
 
 class Dense(NamedTuple):

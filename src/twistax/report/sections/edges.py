@@ -70,8 +70,8 @@ def _ball() -> tx.Dynamics:
 
 
 def _thrown(*events: tx.Event, speed: float = 10.0, **how: Any) -> tx.Solution:
-    how = {"t0": 0.0, "t1": 3.0, "rtol": 1e-9, "method": _METHODS["Tsit5"]} | how
-    at = how["t0"]
+    how = dict[str, Any]({"t0": 0.0, "t1": 3.0, "rtol": 1e-9, "method": _METHODS["Tsit5"]}) | how
+    at: float = how["t0"]
     start = {"h": speed * at - 5.0 * at * at, "v": speed - 10.0 * at}
     return simulated(_ball(), start, event=list(events), **how)
 
@@ -98,6 +98,7 @@ def _moved() -> float:
     def times(speed: jax.Array) -> jax.Array:
         start = {"h": 0.0, "v": speed}
         sol = tx.integrate(_ball(), start, t1=3.0, steps=20, event=[_LEVEL, _GROUND], max_crossings=4)
+        assert sol.crossings is not None
         return sol.crossings.ts[:2]
 
     wanted = 0.1 + np.array([-1.0, 1.0]) / np.sqrt(40.0)
