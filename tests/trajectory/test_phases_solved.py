@@ -117,7 +117,7 @@ def test_limits_between_nodes() -> None:
 def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
     """Halves of intervals have the same controls, so the dynamics hold; each phase has nodes of its own."""
     result = solved()
-    errors = refine.interval_errors(result)
+    errors = result.accuracy.intervals
     assert [own.shape for own in errors] == [(NODES - 1,)] * 2
     assert np.max(errors) < 1e-9
     finer, warm = refine._finer(result, errors, 1e-3, rests=False) or (None, None)

@@ -188,6 +188,11 @@ def test_values_that_are_not_finite_are_said() -> None:
     result = Problem(dynamics, tx.Minimize(p), nodes=4, final_time=1.0, initial={p: 0.0}, **EULER).solve()
     assert result.status is Status.NON_FINITE
     assert "'dynamics of p' between nodes 0 and 1 is nan" in result.message
+    assert result.accuracy is None
+    for read in ("mesh_error", "between_nodes", "dense", "extremes"):
+        with pytest.raises(tx.TrajectoryError, match="no rollout of a point that is not finite"):
+            getattr(result, read)
+    assert "no finer rollout: there is no rollout of a point that is not finite" in result.explain()
 
 
 @functools.cache

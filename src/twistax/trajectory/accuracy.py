@@ -153,12 +153,13 @@ class Looks:
             mesh_tolerance: the largest error of the mesh of a status that says that the problem is solved.
             tolerance: limits that are exceeded by more, in their scales, are named.
         """
-        if outcome.status is Status.NON_FINITE or not _is_finite((outcome.point, outcome.values)):
+        ended_well = outcome.status in AT_OPTIMUM
+        if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
             return outcome
         look = jax.tree.map(np.asarray, self._look(outcome.point, given, outcome.values, outcome.scales))
         accuracy = self._accuracy(look, outcome, mesh_tolerance, tolerance)
         outcome = outcome._replace(accuracy=accuracy, flat=self._flat(look, outcome))
-        if outcome.status not in AT_OPTIMUM:
+        if not ended_well:
             return outcome
         if outcome.flat is not None:
             return outcome._replace(status=Status.DEGENERATE)

@@ -113,6 +113,11 @@ class Found:
         """
         return self.warm.shifted(steps)
 
+    def _need_finite(self) -> None:
+        """Raise TrajectoryError where the dynamics have no value between some nodes: nothing is rolled out there."""
+        if not np.isfinite(list(self.violations.values())).all():
+            raise TrajectoryError(f"there is no rollout of a point that is not finite. {self.message}")
+
     def __repr__(self) -> str:
         return (
             f"{type(self).__name__}({self.message} cost={self.cost:.6g}, violation={self.violation:.1e}, "

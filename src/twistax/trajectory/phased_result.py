@@ -44,15 +44,18 @@ class PhasedResult(Found):
     @functools.cached_property
     def between_nodes(self) -> dict[str, float]:
         """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        self._need_finite()
         return self._by_phase([phase.between_nodes for phase in self.phases])
 
     @functools.cached_property
     def mesh_error(self) -> dict[str, dict[str, float]]:
         """State name -> how far a rollout of its phase, in ten times as many steps, ends from the planned node."""
+        self._need_finite()
         return self._by_phase([phase.mesh_error for phase in self.phases])
 
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> tuple[Replay, ...]:
         """The replay of each phase from its own first node; see `TrajectoryResult.replay`."""
+        self._need_finite()
         return tuple(phase.replay(method, steps, **options) for phase in self.phases)
 
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:

@@ -9,7 +9,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..errors import IntegrationError
+from ..errors import IntegrationError, TrajectoryError
 from ..expr import Control, State
 from ..plots import Panel, chosen, draw, panels
 from ..precision import in_double
@@ -61,7 +61,7 @@ def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, 
     """Times, states and controls of a dense rollout, or at the nodes where it does not reach its end."""
     try:
         along = part.dense
-    except IntegrationError:
+    except (IntegrationError, TrajectoryError):
         count = len(part.ts)
         return part.ts, part.xs, {n: np.concatenate([us, us[-1:]])[:count] for n, us in part.us.items()}
     return along.ts, along.xs, along.us
@@ -103,6 +103,6 @@ def _rollout(part: Trajectory, name: str) -> list[tuple[Array, Array]]:
     """A state along a dense rollout of the controls, where it reaches its end."""
     try:
         along = part.dense
-    except IntegrationError:
+    except (IntegrationError, TrajectoryError):
         return []
     return [(along.ts, along.xs[name])]

@@ -132,6 +132,11 @@ class TrajectoryResult(Found, Trajectory):
 
     meshes: tuple[Meshed, ...] = ()
 
+    def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
+        """As `Trajectory.replay`. Raises TrajectoryError, too, where values of the problem are not finite there."""
+        self._need_finite()
+        return super().replay(method, steps, rtol=rtol, atol=atol)
+
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """As `Trajectory.plot`, with the multipliers of what is active."""
         return drawn([self], names, units, self.message, {name: self.multipliers[name] for name in self.active})
