@@ -1254,8 +1254,8 @@ MUTATIONS: list[Mutation] = [
         "mechanics/momentum.py",
         (
             "energy without springs",
-            "terms += [] if stored is None else [stored]",
-            "pass",
+            "segment.link.drive.sprung:",
+            "False:",
             "mechanics/test_springs.py",
         ),
     ),
