@@ -1480,8 +1480,8 @@ MUTATIONS: list[Mutation] = [
         "mechanics/momentum.py",
         (
             "energy without springs",
-            "terms += [] if stored is None else [stored]",
-            "pass",
+            "segment.link.drive.sprung:",
+            "False:",
             "mechanics/test_springs.py",
         ),
     ),

@@ -120,6 +120,31 @@ def test_an_axis_that_is_a_little_off_changes_nothing(closure: str) -> None:
         assert carried["wrench_error"] < 1e-7
 
 
+def test_a_four_bar_linkage_moves_as_pinocchio_says() -> None:
+    """Its constraint dynamics, of the closure as a contact of points."""
+    pin: Any = pytest.importorskip("pinocchio")
+    model, at = pin.Model(), lambda x: pin.SE3(np.eye(3), np.array([x, 0.0, 0.0]))
+    numbers = []
+    for parent, place, length in ((0, 0.0, 0.4), (1, 0.4, 1.0), (0, 0.9, 0.8)):
+        number = model.addJoint(parent, pin.JointModelRY(), at(place), f"joint{len(numbers)}")
+        rigid = pin.Inertia(1.0, np.array([0.5 * length, 0.0, 0.0]), np.diag([0.01, 0.05, 0.05]))
+        model.appendBodyToJoint(number, rigid, pin.SE3.Identity())
+        numbers.append(number)
+    closure = pin.RigidConstraintModel(
+        pin.ContactType.CONTACT_3D, model, numbers[1], at(1.0), numbers[2], at(0.8), pin.ReferenceFrame.LOCAL
+    )
+    models, datas, data = pin.StdVec_RigidConstraintModel(), pin.StdVec_RigidConstraintData(), model.createData()
+    models.append(closure)
+    datas.append(closure.createData())
+    pin.initConstraintDynamics(model, data, models, datas)
+    x, settings = start(), pin.ProximalSettings(1e-12, 1e-12, 50)
+    expected = pin.constraintDynamics(model, data, x["q"], x["qd"], np.zeros(3), models, datas, settings)
+    dynamics = moving(four_bar(0.0, loops.Point("c", "pin", "tip")))
+    np.testing.assert_allclose(dynamics(0.0, x)["qd"], expected, rtol=1e-8)
+    force = np.linalg.norm(dynamics.outputs(0.0, x)["F"])
+    np.testing.assert_allclose(force, np.linalg.norm(datas[0].contact_force.linear), rtol=1e-8)
+
+
 def test_an_axis_that_is_off_locks_the_linkage() -> None:
     """What is no round-off counts: three rows on three freedoms leave no motion."""
     found = moving(four_bar(1e-2, loops.Point("c", "pin", "tip"))).outputs(0.0, start())

@@ -116,10 +116,8 @@ class Drive:
             terms.append(-(to_expr(self.stiffness) * (position - self.rest)))
         return sum(terms[1:], terms[0]) if terms else None
 
-    def stored(self, position: Expr) -> Expr | None:
-        """The energy in the spring of one freedom (), J; None without a spring."""
-        if _is_zero(self.stiffness):
-            return None
+    def stored(self, position: Expr) -> Expr:
+        """$k (q - q_0)^2 / 2$ (), J, in the spring of one freedom."""
         return 0.5 * (to_expr(self.stiffness) * (position - self.rest) ** 2)
 
     @property

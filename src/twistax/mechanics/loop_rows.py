@@ -63,7 +63,7 @@ class LoopRows:
     @functools.cached_property
     def scaled(self) -> Expr:
         """G_s (m, n)."""
-        return self.measures[:, None] * self.G * (1.0 / self.speeds)
+        return Constant(self.measures[:, None]) * self.G * (1.0 / self.speeds)
 
     @functools.cached_property
     def gram(self) -> Expr:
@@ -91,7 +91,7 @@ class LoopRows:
         if len(self.measures) == 1:
             return mu
         X = solved(self._of_chosen(self.gram), self.chosen[:, None] * self.gram) * self._felt
-        return self.measures * (X.T @ solved(self._of_chosen(mirrored(X @ X.T)), mu / self.measures))
+        return Constant(self.measures) * (X.T @ solved(self._of_chosen(mirrored(X @ X.T)), mu / self.measures))
 
     @property
     def _felt(self) -> Expr:

@@ -54,9 +54,8 @@ def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     terms: list[Expr] = []
     for segment, place in zip(mechanism.segments, places, strict=True):
         deflection = segment.link.joint.deflection(place)
-        for k in range(0 if deflection is None else len(segment.freedoms)):
-            stored = segment.link.drive.stored(deflection[k])
-            terms += [] if stored is None else [stored]
+        if deflection is not None and segment.link.drive.sprung:
+            terms += [segment.link.drive.stored(deflection[k]) for k in range(len(segment.freedoms))]
     return _sum(terms)
 
 
