@@ -9,7 +9,7 @@ import pytest
 
 import twistax as tx
 from registered import concrete_classes
-from twistax.mechanics import joints
+from twistax.mechanics import Link, Mechanism, SpatialInertia, joints
 from twistax.testing import LawError, check_joint
 from users_groups import SO2
 
@@ -132,8 +132,19 @@ class OnUsersGroup(joints.Joint):
         return tx.lie.Pose(R, np.zeros(3))
 
 
-def test_a_joint_on_a_group_of_users_passes() -> None:
+def test_a_joint_on_a_group_of_users_passes_and_moves_a_mechanism_as_the_hinge_it_is() -> None:
     check_joint(OnUsersGroup("wheel"))
+    body = SpatialInertia(mass=2.0, center_of_mass=(0.3, 0.1, -0.6), inertia=np.diag([0.24, 0.3, 0.1]))
+    angle, rates = 0.7, {}
+    R = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+    positions = {"group": {"q": [0.4], "wheel_position": R}, "hinge": {"q": [0.4, angle]}}
+    for name, wheel in (("group", OnUsersGroup("wheel")), ("hinge", joints.Revolute("wheel", Z))):
+        arm = Link(joints.Revolute("arm", (0.0, 1.0, 0.0)), body, tx.pose())
+        on = Link(wheel, body, tx.pose(position=[0.0, 0.2, 0.0]), parent="arm")
+        dynamics = tx.compile(Mechanism([arm, on]).system())
+        x = {key: np.asarray(value) for key, value in positions[name].items()} | {"qd": np.array([1.0, -2.0])}
+        rates[name] = dynamics(0.0, x, {"tau": np.array([0.1, 0.2])})["qd"]
+    np.testing.assert_allclose(rates["group"], rates["hinge"], atol=1e-12)
 
 
 @pytest.mark.usefixtures("unchecked")

@@ -77,6 +77,8 @@ class RootAtZero(SquaredDistance):
 
 
 class Cancelling(SquaredDistance):
+    cases = ({"a": [0.3, -1.1, 2.2], "b": [1.0, 2.0, 3.0]},)
+
     def evaluate(self, *values: Any) -> Any:
         return (super().evaluate(*values) + 1e6 / 3.0) - 1e6 / 3.0
 
