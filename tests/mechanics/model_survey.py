@@ -198,8 +198,9 @@ def difference(robot: Mechanism, peer: Pinocchio | Mujoco) -> float:
             unit = np.sqrt(np.diag(M))
             unit = np.where(unit > 0.0, unit, 1.0)
             worst = max(worst, np.abs((values["mass "] - M) / np.outer(unit, unit)).max())
-            forces = np.abs(bias / unit)
-            worst = max(worst, np.abs((values["bias "] - bias) / unit).max() / max(forces.max(), 1e-3))
+            # Forces that cancel are compared with those of accelerations of one.
+            forces = max(np.abs(bias / unit).max(), unit.max())
+            worst = max(worst, np.abs((values["bias "] - bias) / unit).max() / forces)
     return float(worst)
 
 

@@ -122,6 +122,13 @@ def test_what_is_not_known_is_noted(tmp_path: Path) -> None:
     )
 
 
+def test_a_spherical_joint_is_a_ball(tmp_path: Path) -> None:
+    """URDF has none; Bullet and MuJoCo read it."""
+    loaded = robot(tmp_path, *PAIR, joint("j", "base", "rod", kind="spherical"))
+    assert isinstance(loaded.segments[0].link.joint, mechanics.joints.Spherical)
+    assert loaded.notes == ("joints of the type spherical, which URDF does not have and Bullet and MuJoCo read: 'j'",)
+
+
 def test_limits_that_stand_for_something_else(tmp_path: Path) -> None:
     """Below the lower one is no limit by convention; zeros are limits, and said to be."""
     limits = [
@@ -212,15 +219,15 @@ def test_round_off_in_an_inertia_is_none(tmp_path: Path) -> None:
 FIXED = joint("weld", "rod", "pad", kind="fixed")
 
 
-@pytest.mark.parametrize("order", [(0, 1, 2, 3), (1, 2, 0, 3)])
-def test_massless_links_that_are_fixed_are_merged(order: tuple[int, ...], tmp_path: Path) -> None:
+@pytest.mark.parametrize(("order", "parameters"), [((0, 1, 2, 3), False), ((0, 1, 2, 3), True), ((1, 2, 0, 3), False)])
+def test_massless_links_that_are_fixed_are_merged(order: tuple[int, ...], parameters: bool, tmp_path: Path) -> None:
     """Inertia without mass is added, in whatever order the file has the links and joints."""
     pads = [link(name, inertial(0, "0.1 0.1 0.1")) for name in ("pad", "spot")]
     parts = [FIXED, joint("more", "rod", "spot", kind="fixed"), joint("end", "rod", "tip", kind="fixed"),
              joint("j", "base", "rod")]  # fmt: skip
     loaded = robot(
         tmp_path, link("base"), link("rod"), *pads, link("tip", inertial(2.0, at="0 0 0")),
-        *(parts[i] for i in order),
+        *(parts[i] for i in order), parameters=parameters,
     )  # fmt: skip
     reach = 0.3**2
     np.testing.assert_allclose(acceleration(loaded), 1.0 / (0.1 + 0.1 + 1.0 + 2.0 * reach), rtol=1e-12)

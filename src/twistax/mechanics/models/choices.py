@@ -84,7 +84,7 @@ class Choices:
             self.doubts[owner] = _Doubt(why, mass < 0.0, element)
         self._bodies.append(owner)
         return SpatialInertia(
-            mass=self.of(owner, "mass", mass),
+            mass=self.of(owner, "mass", mass) if mass else mass,  # two that may be zero have no centre together
             center_of_mass=self.of(owner, "center_of_mass", center),
             inertia=self.of(owner, "inertia", tensor),
             physical=why is None,

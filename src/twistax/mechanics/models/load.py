@@ -45,6 +45,7 @@ def load(
             `<link>_center_of_mass` (3,), `<link>_inertia` (3, 3) about it, `<joint>_origin` (3,), `<joint>_axis` (3,),
             `<joint>_damping`, `<joint>_friction`, of MJCF `<body>_origin` in place of the joint's, and also
             `<joint>_armature` and `<joint>_stiffness`, without what its servo adds. Other values compile nothing anew.
+            A mass of zero stays zero.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
         gravity: (3,), m/s2, in the base's axes; the file's, or 9.81 downwards along z, unless given.
         physical: refuse a mass or inertia that no body has. False takes all as they are, `{"tool": False}` that of the

@@ -20,7 +20,7 @@ from ...system import free_name
 from ..arguments import matrix
 from ..bodies import SpatialInertia
 from ..drives import Drive
-from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute
+from ..joints import Fixed, Free, Joint, Planar, Prismatic, Revolute, Spherical
 from ..tree import Link
 from .choices import Choices
 from .looks import UrdfLooks
@@ -52,7 +52,7 @@ class Urdf:
             raise tree.links[tree.root].wrong(
                 "there is no joint, so nothing moves.\n  fix: floating=True, if the link is free in space"
             )
-        self._limits = collections.defaultdict[str, list[str]](list)
+        self._remarks = collections.defaultdict[str, list[str]](list)
         self._names = {*tree.links, *tree.joints}
         choices.length = self._length(robot)
         self._looks = UrdfLooks(robot, self._placed)
@@ -68,7 +68,7 @@ class Urdf:
             self.links += self._links(joint, None if floating else tree.root)
         if not any(link.joint.dofs for link in self.links):
             self.notes.append("no joint moves; floating=True frees the root link")
-        self.notes += [f"{what} {listed(joints)}" for what, joints in self._limits.items()] + self._looks.notes
+        self.notes += [f"{what} {listed(joints)}" for what, joints in self._remarks.items()] + self._looks.notes
 
     def _free_root(self, root: Element) -> Link:
         name = free_name("root", self._tree.joints)
@@ -122,6 +122,11 @@ class Urdf:
             return Fixed(name), None
         if kind == "floating":
             return Free(name), None
+        if kind == "spherical":
+            self._remarks["joints of the type spherical, which URDF does not have and Bullet and MuJoCo read:"].append(
+                name
+            )
+            return Spherical(name), None
         if kind == "planar":
             from ..inertia_frames import rotation_to
 
@@ -181,15 +186,15 @@ class Urdf:
             if attribute in limit.attributes:
                 numbers[what] = limit.number(attribute)
                 if numbers[what] == 0.0 and kind != "fixed":
-                    self._limits[
+                    self._remarks[
                         f"{attribute} 0, which many programs write where it is not known, taken as the limit of joints"
                     ].append(name)
         if kind not in ("revolute", "prismatic"):
             if kind == "continuous" and limit.attributes.keys() & {"lower", "upper"}:
-                self._limits["lower and upper of the continuous joints"].append(name)
+                self._remarks["lower and upper of the continuous joints"].append(name)
             return numbers
         lower, upper = limit.number("lower", 0.0), limit.number("upper", 0.0)
         if lower > upper:
-            self._limits["lower above upper, which by convention stands for no limits, of joints"].append(name)
+            self._remarks["lower above upper, which by convention stands for no limits, of joints"].append(name)
             return numbers
         return numbers | {"lower": lower, "upper": upper}
