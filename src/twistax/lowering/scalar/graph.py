@@ -257,7 +257,7 @@ class Graph:
         return self._signed(self.div, _DIV, a, b)
 
     def over(self, a: int, factor: int) -> int:
-        """factor a; a / b where the factor is 1 / b: the derivative of 1 / b may leave the range where this one does not.
+        """factor a; where the factor is 1 / b, a / b: the derivative of 1 / b may leave the range where its own does not.
 
         Emitters share 1 / b.
         """
