@@ -257,9 +257,9 @@ class Graph:
         return self._signed(self.div, _DIV, a, b)
 
     def over(self, a: int, factor: int) -> int:
-        """factor a; where the factor is 1 / b, a / b: the derivative of 1 / b may leave the range where its own does not.
+        """factor a; a / b where the factor is 1 / b.
 
-        Emitters share 1 / b.
+        Its derivative stays in range where that of 1 / b does not. Emitters share 1 / b.
         """
         divisor = self.reciprocal_of(factor)
         return self.mul(factor, a) if divisor is None else self.div(a, divisor)
