@@ -635,7 +635,7 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "cotangents are products at once",
-            "return Cotangent(self.weight, g.mul(self.rate, slope))",
+            "return Cotangent(self.weight, g.over(slope, self.rate))",
             "return Cotangent(g.scaled(slope, self.total(g)), g.one)",
             "lowering/test_range.py::test_the_derivative_of_a_quotient_has_no_square_of_the_divisor",
         ),

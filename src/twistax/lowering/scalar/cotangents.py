@@ -31,10 +31,10 @@ class Cotangent(NamedTuple):
     def through(self, g: Graph, slope: int | tuple[int, int]) -> Cotangent:
         """That of an argument of an operation with this derivative."""
         if isinstance(slope, tuple):
-            return Cotangent(g.scaled(g.mul(self.rate, slope[0]), self.weight), slope[1])
+            return Cotangent(g.scaled(g.over(slope[0], self.rate), self.weight), slope[1])
         if self.rate == g.one:
             return Cotangent(g.scaled(slope, self.weight), g.one)
-        return Cotangent(self.weight, g.mul(self.rate, slope))
+        return Cotangent(self.weight, g.over(slope, self.rate))
 
     def total(self, g: Graph) -> int:
         """The product."""

@@ -215,10 +215,8 @@ class Operation(Entry):
 
 def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
     """A derivative times a tangent."""
-    if not isinstance(slope, tuple):
-        return g.mul(slope, tangent)
-    weight, rate = slope
-    return g.mul(weight, g.mul(rate, tangent))
+    weight, rate = slope if isinstance(slope, tuple) else (g.one, slope)
+    return g.mul(weight, g.over(tangent, rate))
 
 
 class Select(Operation):

@@ -256,6 +256,14 @@ class Graph:
             return self.node(_POW, self.nodes[b][1], self.neg(self.nodes[b][2]))
         return self._signed(self.div, _DIV, a, b)
 
+    def over(self, a: int, factor: int) -> int:
+        """factor a; a / b where the factor is 1 / b.
+
+        Its derivative stays in range where that of 1 / b does not. Emitters share 1 / b.
+        """
+        divisor = self.reciprocal_of(factor)
+        return self.mul(factor, a) if divisor is None else self.div(a, divisor)
+
     def _signed(self, make: Callable[[int, int], int], operation: Operation, a: int, b: int) -> int:
         """A product or a quotient, signs in front."""
         first, second = self.nodes[a], self.nodes[b]

@@ -336,7 +336,7 @@ _ROWS = [
         casadi=_python(operator.pow),
     ),
     _named("atan2", np.arctan2, 2, partials=_angle),
-    _function("sqrt", np.sqrt, lambda g, x, y: (g.one, g.div(g.constant(0.5), y)), llvm=Forms(_intrinsic("sqrt"))),
+    _function("sqrt", np.sqrt, lambda g, x, y: (g.one, _inverse(g, g.add(y, y))), llvm=Forms(_intrinsic("sqrt"))),
     _function(
         "cbrt",
         np.cbrt,

@@ -6,7 +6,7 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 from .entry import Operation, Slope
 
@@ -46,9 +46,8 @@ class WholePower(Operation):
 def whole_power(n: int) -> WholePower:
     """The operation x^n."""
 
-    def computed(x: Number) -> Number:
-        one_over: Number = 1 / x if n < 0 else x  # type: ignore[operator]
-        return by_squaring(operator.mul, one_over, abs(n))
+    def computed(x: Any) -> Any:
+        return by_squaring(operator.mul, 1 / x if n < 0 else x, abs(n))
 
     def written(g: Graph, x: int) -> int:
         return by_squaring(g.mul, g.div(g.one, x) if n < 0 else x, abs(n))
