@@ -13,15 +13,17 @@ from __future__ import annotations
 
 import dataclasses
 from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
 
-from ..checks import number
+from ..checks import listed, number, short
 from ..errors import ModelError
 from ..expr import Concat, Constant, Cross, Expr
 from ..expr.lie import SO3Log
 from ..expr.lie.base import unit_vector
+from .arguments import of_kind
 from .joints import complement
 
 __all__ = ["Axis", "Loop", "Metric", "Point", "Pose"]
@@ -137,3 +139,20 @@ class Pose(Loop):
 
     def gap(self, T: Expr) -> Expr:
         return Concat(T[:3, :3].T @ T[:3, 3], SO3Log(T[:3, :3]))
+
+
+def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]) -> None:
+    """Raise ModelError for loops of a mechanism that are none, or join a body with itself; for two of one name.
+
+    Args:
+        segment: the number of the segment that a frame is fixed to.
+    """
+    of_kind("Mechanism", "loop_metric", metric, Metric)
+    for loop in loops:
+        if not isinstance(loop, Loop):
+            raise ModelError(f"Mechanism expects loops, such as loops.Point, got {short(loop)}")
+        if segment(loop.frame) == segment(loop.other):
+            raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
+    names = [loop.name for loop in loops]
+    if len(set(names)) < len(names):
+        raise ModelError(f"two loops have one name, got {listed(names)}")

@@ -15,10 +15,10 @@ from ..errors import ModelError
 from ..expr import Constant, Constraint, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
-from .arguments import of_kind, of_shape
+from .arguments import of_shape
 from .bodies import SpatialInertia
 from .drives import Drive
-from .loops import Loop, Metric
+from .loops import Loop, Metric, check_loops
 from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
 if TYPE_CHECKING:
@@ -97,18 +97,7 @@ class Mechanism:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)
         self.freedoms(self.driven)
-        self._check_loops()
-
-    def _check_loops(self) -> None:
-        of_kind("Mechanism", "loop_metric", self.loop_metric, Metric)
-        for loop in self.loops:
-            if not isinstance(loop, Loop):
-                raise ModelError(f"Mechanism expects loops, such as loops.Point, got {short(loop)}")
-            if self.frame(loop.frame).segment == self.frame(loop.other).segment:
-                raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
-        names = [loop.name for loop in self.loops]
-        if len(set(names)) < len(names):
-            raise ModelError(f"two loops have one name, got {listed(names)}")
+        check_loops(self.loops, self.loop_metric, lambda name: self.frame(name).segment)
 
     @functools.cached_property
     def redundant_closures(self) -> int:
