@@ -35,8 +35,8 @@ from .watch import AT_OPTIMUM, Status
 MESH = 1e-2
 #: Multipliers beyond this, in scales of moves, are of rows without slope.
 _RUN_AWAY = 1e8
-#: How many moves of all unknowns there are, and how long they are in scales.
-_MOVES, _LENGTH = 2, 1e-3
+#: How many moves of all unknowns there are, and how long they are in scales. In one of them changes may cancel.
+_MOVES, _LENGTH = 4, 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -126,7 +126,7 @@ class Looks:
         rng = np.random.default_rng(0)
         free = shooting.free._replace(d=shooting.stirred)
         self._moves = [
-            Step(*(np.where(own, rng.choice([-1.0, 1.0], size=own.shape), 0.0) for own in free)) for _ in range(_MOVES)
+            Step(*(np.where(own, _apart_from_zero(rng, own.shape), 0.0) for own in free)) for _ in range(_MOVES)
         ]
 
     def prepare(self, point: Point, given: Given, values: Values, scales: Scales) -> None:
@@ -209,6 +209,12 @@ def _exceeded(own: Any, closely: Closely, shares: Array, tolerance: float, place
             as_written = [closely.shown[stage, k] for k, shown in enumerate(own.path.shown) if shown == name]
             by = max(as_written, default=closely.rows[stage, row])
             found[name] = Exceeded(float(by), share, f"between nodes {stage} and {stage + 1}{place}")
+    return found
+
+
+def _apart_from_zero(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
+    """Numbers from 0.5 to 1 of any sign: equal ones would cancel in a sum."""
+    found: Array = rng.choice([-1.0, 1.0], size=shape) * rng.uniform(0.5, 1.0, size=shape)
     return found
 
 
