@@ -595,12 +595,6 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "lowering/scalar/graph.py",
         (
-            "a - b for b - a",
-            "return self.neg(self._known[_SUB, b, a])",
-            "return int(self._known[_SUB, b, a])",
-            "lowering/test_range.py::test_differences_in_derivatives_are_one",
-        ),
-        (
             "x - y that cancels is -0",
             "if self.differentiating and self.numbers[b] is None and (_SUB, b, a) in self._known:",
             "if self.numbers[b] is None and (_SUB, b, a) in self._known:",
@@ -632,12 +626,6 @@ MUTATIONS: list[Mutation] = [
             "weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)",
             "weights[term.rate] = term.weight",
             "lowering/test_scalar_elementwise.py lowering/test_scalar_composition.py",
-        ),
-        (
-            "cotangents are products at once",
-            "return Cotangent(self.weight, g.over(slope, self.rate))",
-            "return Cotangent(g.scaled(slope, self.total(g)), g.one)",
-            "lowering/test_range.py::test_the_derivative_of_a_quotient_has_no_square_of_the_divisor",
         ),
     ),
     *_at(
