@@ -396,10 +396,6 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
         array = _half_free(name, what, array, group)
     defect = group.known_defect(np.where(np.isnan(array), np.asarray(group.identity(), float), array))
     if not defect <= _ROTATION_TOLERANCE:
-        fix = (
-            "build it with tx.pose(position=..., euler=... or quaternion=...)"
-            if group.rigid
-            else "take the nearest element, that which normalize of the group gives"
-        )
-        raise ModelError(f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n  fix: {fix}")
+        off = f"off by {defect:.2g}"
+        raise ModelError(f"{name!r}: {what} is not an element of {group.name} ({off}).\n  fix: {group.remedy}")
     return array
