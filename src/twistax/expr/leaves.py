@@ -365,8 +365,7 @@ _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
     """An element of which whole parts are open, NaN, such as the position of a pose; any other entries cannot be."""
-    parts = group.parts if len(group.parts) > 1 else ()
-    rest = array.copy()
+    parts, rest = group.parts if len(group.parts) > 1 else (), array.copy()
     for part in parts:
         if np.isnan(array[part.place]).all():
             rest[part.place] = 0.0
