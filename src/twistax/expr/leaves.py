@@ -365,8 +365,7 @@ _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
     """An element of which whole parts are open, NaN, such as the position of a pose; any other entries cannot be."""
-    parts = group.parts if len(group.parts) > 1 else ()
-    rest = array.copy()
+    parts, rest = group.parts if len(group.parts) > 1 else (), array.copy()
     for part in parts:
         if np.isnan(array[part.place]).all():
             rest[part.place] = 0.0
@@ -396,10 +395,6 @@ def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | No
         array = _half_free(name, what, array, group)
     defect = group.known_defect(np.where(np.isnan(array), np.asarray(group.identity(), float), array))
     if not defect <= _ROTATION_TOLERANCE:
-        fix = (
-            "build it with tx.pose(position=..., euler=... or quaternion=...)"
-            if group.rigid
-            else "take the nearest element, that which normalize of the group gives"
-        )
-        raise ModelError(f"{name!r}: {what} is not an element of {group.name} (off by {defect:.2g}).\n  fix: {fix}")
+        off = f"off by {defect:.2g}"
+        raise ModelError(f"{name!r}: {what} is not an element of {group.name} ({off}).\n  fix: {group.remedy}")
     return array

@@ -56,6 +56,8 @@ class Group(ABC):
     flat: ClassVar[bool] = False
     #: Whether elements are rotations (3, 3) or poses (4, 4): those that the nodes of `tx.lie` take.
     rigid: ClassVar[bool] = False
+    #: What errors say of how to make an element.
+    remedy: ClassVar[str] = "take the nearest element, that which normalize of the group gives"
 
     @classmethod
     def examples(cls) -> tuple[Group, ...]:

@@ -88,6 +88,7 @@ class _MatrixGroup(Group):
 
     _maps: ClassVar[ModuleType]
     rigid: ClassVar[bool] = True
+    remedy: ClassVar[str] = "build it with tx.pose(position=..., euler=... or quaternion=...)"
 
     def _reordered(self, a: Any) -> Any:
         """To linear first or back, which is the same."""
