@@ -212,6 +212,8 @@ def test_round_off_in_an_inertia_is_none(tmp_path: Path) -> None:
     loaded = robot(tmp_path, *parts)
     assert loaded.notes == ("inertias that are round-off, here zero: of 'rod'",)
     np.testing.assert_allclose(acceleration(loaded), 1.0 / (1.3 * 0.1**2), rtol=1e-12)
+    bare = inertial(1.3, "0 0 0", "0 2.4e-35 0", at="0 0 0")
+    robot(tmp_path, link("base"), link("rod", bare), joint("j", "base", "rod").replace("0 0.3 0.1", "0 0 0"))
     with pytest.raises(tx.ModelError, match="link 'rod' has a mass or inertia that no body has"):
         robot(tmp_path, link("base"), link("rod", inertial(1e-19, "0 0 0", "0 0 -1e-20")), joint("j", "base", "rod"))
 

@@ -77,10 +77,10 @@ class Urdf:
         return Link(Free(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
 
     def _length(self, robot: Element) -> float:
-        """The largest distance of a joint or a centre of mass from the frame that it is written in, m."""
+        """The largest distance of a joint or a centre of mass from the frame it is written in, m; 1 without any."""
         inertials = [inertial for link in robot.all("link") for inertial in link.all("inertial")]
         origins = [element.first("origin") for element in (*robot.all("joint"), *inertials)]
-        return max((float(np.linalg.norm(self._placed(origin)[1])) for origin in origins), default=0.0)
+        return max((float(np.linalg.norm(self._placed(origin)[1])) for origin in origins), default=0.0) or 1.0
 
     def _links(self, element: Element, root: str | None) -> list[Link]:
         """The link that a joint carries, for a planar joint with a link without mass before it."""
