@@ -150,7 +150,6 @@ def test_every_robot(path: Path, floating: bool, unchecked: None) -> None:
             mechanics.load(path)
         return
     if not floating and "<joint" not in path.read_text():
-        with pytest.raises(tx.ModelError, match="there is no joint, so nothing moves"):
-            mechanics.load(path)
+        assert any("no joint moves" in note for note in mechanics.load(path).notes)
         return
     compared(path, floating, count=20)

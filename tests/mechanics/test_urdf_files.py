@@ -93,12 +93,22 @@ TWICE = '<limit lower="0" upper="1" effort="1" velocity="1"/>'
          r"line 4, <joint name='j'>: Drive expects effort"),
         ((*PAIR, joint("j", "base", "rod").replace("0 0 1", "0 0 0")), r"<joint name='j'>: .*axis"),
         ((*PAIR, joint("j", "base", "rod", kind="planar").replace("0 0 1", "0 0 0")), r"<joint name='j'>: .*axis"),
-        ((link("base", inertial()),), r"line 2, <link name='base'>: there is no joint(.|\n)*fix: floating=True"),
     ],
 )  # fmt: skip
 def test_refused_with_file_element_line_and_remedy(parts: tuple[str, ...], message: str, tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match=rf"^robot\.urdf, (in )?(.|\n)*{message}"):
         robot(tmp_path, *parts)
+
+
+def test_a_single_link_is_at_rest_or_free(tmp_path: Path) -> None:
+    at_rest = robot(tmp_path, link("base", inertial()))
+    assert at_rest.dofs == 0
+    assert [own.name for own in at_rest.links] == ["base"]
+    assert "no joint moves; floating=True frees the root link" in at_rest.notes
+    with pytest.raises(tx.ModelError, match="expects a mechanism with a joint that moves"):
+        at_rest.system()
+    free = robot(tmp_path, link("base", inertial()), floating=True)
+    assert free.dofs == 6
 
 
 # ---- noted -----------------------------------------------------------------------------------------------------------

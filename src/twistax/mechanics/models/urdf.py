@@ -48,21 +48,18 @@ class Urdf:
         self.notes = notes_on(robot)
         self._tree = tree = UrdfTree(robot)
         self.notes += tree.notes
-        if not tree.joints and not floating:
-            raise tree.links[tree.root].wrong(
-                "there is no joint, so nothing moves.\n  fix: floating=True, if the link is free in space"
-            )
         self._remarks = collections.defaultdict[str, list[str]](list)
         self._names = {*tree.links, *tree.joints}
         choices.length = self._length(robot)
         self._looks = UrdfLooks(robot, self._placed)
         root = tree.links[tree.root]
-        self.base = free_name("world", tree.links) if floating else tree.root
-        self.shapes = () if floating else self._looks.of(root)
+        alone = not tree.joints  # then the root is what the mechanism consists of
+        self.base = free_name("world", tree.links) if floating or alone else tree.root
+        self.shapes = () if floating or alone else self._looks.of(root)
         self.links = list[Link]()
-        if floating:
-            self.links.append(self._free_root(root))
-        elif self._body(root) is not None:
+        if floating or alone:
+            self.links.append(self._root(root, Free if floating else Fixed))
+        if not floating and self._body(root) is not None:
             self.notes.append(f"the mass of {tree.root!r}, which does not move")
         for joint in tree.joints.values():
             self.links += self._links(joint, None if floating else tree.root)
@@ -70,11 +67,11 @@ class Urdf:
             self.notes.append("no joint moves; floating=True frees the root link")
         self.notes += [f"{what} {listed(joints)}" for what, joints in self._remarks.items()] + self._looks.notes
 
-    def _free_root(self, root: Element) -> Link:
+    def _root(self, root: Element, kind: type[Free | Fixed]) -> Link:
         name = free_name("root", self._tree.joints)
         if name != "root":
             self.notes.append(f"the free joint of the root link is {name!r}: a joint of the file is named 'root'")
-        return Link(Free(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
+        return Link(kind(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
 
     def _length(self, robot: Element) -> float:
         """The largest distance of a joint or a centre of mass from the frame it is written in, m; 1 without any."""
