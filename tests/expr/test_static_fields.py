@@ -43,6 +43,8 @@ OTHER: dict[str, Callable[[Any], Any]] = {
     "group": lambda group: tx.SE3 if group is not tx.SE3 else tx.SO3,
     "AxisRotation.axis": lambda axis: axis[1:] + axis[:1],
     "Vmap.axis": lambda axis: axis + 1,
+    "Rate.depth": lambda depth: depth + 1,
+    "along": lambda along: along[::-1],
     "body": lambda body: body + 1.0,
     "placeholders": lambda placeholders: placeholders[::-1] + placeholders[:1],
     "air": lambda air: dataclasses.replace(air, molar_mass=np.nextafter(air.molar_mass, 99.0)),

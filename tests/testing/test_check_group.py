@@ -110,14 +110,11 @@ class Changeable(SO2):
 
 
 @dataclasses.dataclass(frozen=True)
-class OneDigitShort(SO2):
-    """Right in double precision, not in single: differences of near numbers."""
+class OutOfRange(SO2):
+    """Right in double precision, not in single: a product leaves its range."""
 
     def exp(self, d: Any) -> Any:
-        far = 5e2 + d[0]
-        c, s = jnp.cos(far), jnp.sin(far)
-        back = np.array([[np.cos(5e2), np.sin(5e2)], [-np.sin(5e2), np.cos(5e2)]])
-        return jnp.array([[c, -s], [s, c]]) @ jnp.asarray(back, d.dtype)
+        return super().exp(d * 1e25 * 1e25 * 1e-25 * 1e-25)
 
 
 BROKEN: list[tuple[Group, str]] = [
@@ -126,7 +123,7 @@ BROKEN: list[tuple[Group, str]] = [
     (Backwards(scaled=False), r"Exp\(Ad_g e\)"),
     (OnTheLeft(scaled=False), r"g \(\+\) d = g Exp\(d\).*perturbations act on the right"),
     (SwappedParts(scaled=False), "leaves the part 'position' as it is"),
-    (ByArccos(), r"Log\(Exp\(d\)\) = d.*near zero it must not lose digits"),
+    (ByArccos(), r"(Log\(Exp\(d\)\) = d|Exp\(Log\(g\)\) = g).*look at log"),
     (NoInverse(), r"Exp\(-d\) = Exp\(d\)\^-1"),
     (BlindToDrift(), "defect notices drift"),
     (Unrepaired(), "normalize repairs drift"),
@@ -134,7 +131,7 @@ BROKEN: list[tuple[Group, str]] = [
     (Promoting(), "shape and precision of identity"),
     (AnotherShape(), r"shape and precision of Ad.*got \(\(1,\), 'float64'\) for \(\(1, 1\), 'float64'\)"),
     (Changeable(), "a group is a value.*frozen"),
-    (OneDigitShort(), "in single precision"),
+    (OutOfRange(), "in single precision"),
 ]
 
 

@@ -47,7 +47,7 @@ def spoiled() -> ButcherTableau:
 @pytest.mark.parametrize(
     ("tableau", "words"),
     [
-        (spoiled(), "the conditions of order 4 of the solution"),
+        (spoiled(), "the conditions of order 3 of the solution"),
         (ButcherTableau("labelled", 3, tx.tableaus.HEUN.a, tx.tableaus.HEUN.b, tx.tableaus.HEUN.c), "order 3"),
         # Its sums are those of the classical method of order 4; its exponentials do not stand in the order they must.
         (

@@ -7,9 +7,10 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 
 from ..errors import ModelError, OperationError, ShapeError
-from ..groups import Euclidean
+from ..groups import Euclidean, Group
 from .fields import ExprLike
 from .graph import evaluate_all, leaves_of, postorder, substitute
 from .leaves import Constant, Control, Leaf, State, Time
@@ -19,6 +20,8 @@ from .node import Expr, Shape, to_expr
 class _Placeholder(Leaf):
     """A leaf that moves, inside the body of a Rate."""
 
+    group: Group | None
+
     abstract = True
 
     def __init__(self, depth: int, number: int, of: Leaf) -> None:
@@ -26,10 +29,10 @@ class _Placeholder(Leaf):
         self._declare(f"r_{depth}.{number}", of.shape, group=getattr(of, "group", None))
 
     def static_key(self) -> tuple[Any, ...]:
-        return (self.name, self.shape, repr(self.__dict__["group"]))
+        return (self.name, self.shape, repr(self.group))
 
     def makes_group_element(self, *operands: bool) -> bool:
-        group = self.__dict__["group"]
+        group = self.group
         return group is not None and not isinstance(group, Euclidean)
 
 
@@ -46,6 +49,8 @@ class Rate(Expr):
     Attributes:
         body: the operand, with other leaves in place of those that move.
         placeholders: these.
+        depth: how many Rates stand one inside of another.
+        along: the leaves that move, then their rates.
     Raises:
         ModelError: the operand depends on a state or control whose rate is not there.
         ShapeError: a rate of another shape than that of its leaf, or of its body velocity.
@@ -53,7 +58,9 @@ class Rate(Expr):
     """
 
     body: Expr
-    placeholders: tuple[Expr, ...]
+    placeholders: tuple[_Placeholder, ...]
+    depth: int
+    along: tuple[Expr, ...]  # the leaves that move, then their rates
     cases = (
         (lambda cls, x, v: cls(x[0] * x[1] ** 2 * x, {x: v}), {"x": [0.3, -0.4, 0.8], "v": [1.0, 2.0, -0.5]}),
         (
@@ -66,7 +73,7 @@ class Rate(Expr):
         expr = to_expr(operand)
         expr.check_shape()
         pairs = list(_moving(expr, rates_by_name(rates or {})))
-        depth = 1 + max((node.__dict__["depth"] for node in postorder(expr) if isinstance(node, Rate)), default=0)
+        depth = 1 + max((node.depth for node in postorder(expr) if isinstance(node, Rate)), default=0)
         placeholders = tuple(_Placeholder(depth, k, leaf) for k, (leaf, _) in enumerate(pairs))
         body = substitute(expr, {leaf.key(): own for (leaf, _), own in zip(pairs, placeholders, strict=True)})
         node = object.__new__(cls)
@@ -77,7 +84,7 @@ class Rate(Expr):
     def __init__(self, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> None:
         """Everything is done by `__new__`: the fields are not the arguments."""
 
-    def _fill(self, body: Expr, placeholders: tuple[Expr, ...], depth: int, along: tuple[Expr, ...]) -> None:
+    def _fill(self, body: Expr, placeholders: tuple[_Placeholder, ...], depth: int, along: tuple[Expr, ...]) -> None:
         self.__dict__.update(body=body, placeholders=placeholders, depth=depth, along=along)
         self._seal()
 
@@ -90,8 +97,25 @@ class Rate(Expr):
         own = {placeholder.key() for placeholder in self.placeholders}
         return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
 
+    @property
+    def operand(self) -> Expr:
+        """The expression."""
+        count = len(self.placeholders)
+        return substitute(self.body, {own.key(): leaf for own, leaf in zip(self.placeholders, self.along[:count])})
+
+    @property
+    def rates(self) -> dict[str, Expr]:
+        """The rates of the states and controls that the expression depends on, by name."""
+        count = len(self.placeholders)
+        moving = dict(zip((leaf.key() for leaf in self.along[:count]), self.along[count:], strict=True))
+        found: dict[str, Expr] = {}
+        for leaf in changing(self.operand):
+            if not isinstance(leaf, Time):
+                found[leaf.name] = moving.get(leaf.key(), Constant(np.zeros(_rate_shape(leaf))))
+        return found
+
     def children(self) -> list[Expr]:
-        return [*self.__dict__["along"], *self._captured]
+        return [*self.along, *self._captured]
 
     def child_names(self) -> list[str]:
         count = len(self.placeholders)
@@ -99,17 +123,17 @@ class Rate(Expr):
         return moving + ["body"] * len(self._captured)
 
     def outline(self) -> list[tuple[str, Expr]]:
-        return [("body", self.body), *zip(self.child_names(), self.__dict__["along"], strict=False)]
+        return [("body", self.body), *zip(self.child_names(), self.along, strict=False)]
 
     def with_children(self, children: list[Expr]) -> Rate:
-        along = children[: len(self.__dict__["along"])]
+        along = children[: len(self.along)]
         pairs = zip(self._captured, children[len(along) :], strict=True)
         exchange = {old.key(): new for old, new in pairs if old.key() != new.key()}
         body = substitute(self.body, exchange) if exchange else self.body
-        if body is self.body and all(a is b for a, b in zip(along, self.__dict__["along"], strict=True)):
+        if body is self.body and all(a is b for a, b in zip(along, self.along, strict=True)):
             return self
         copy = object.__new__(Rate)
-        copy._fill(body, self.placeholders, self.__dict__["depth"], tuple(along))
+        copy._fill(body, self.placeholders, self.depth, tuple(along))
         return copy
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -135,13 +159,13 @@ class Rate(Expr):
         if body is self.body:
             return self
         copy = object.__new__(Rate)
-        copy._fill(body, self.placeholders, self.__dict__["depth"], self.__dict__["along"])
+        copy._fill(body, self.placeholders, self.depth, self.along)
         return copy
 
     def to_text(self, *operands: str) -> str:
         count = len(self.placeholders)
-        moving = (f"{placeholder.name}={operand}" for placeholder, operand in zip(self.placeholders, operands))  # type: ignore[attr-defined]
-        rates = (f"{placeholder.name}'={operand}" for placeholder, operand in zip(self.placeholders, operands[count:]))  # type: ignore[attr-defined]
+        moving = (f"{placeholder.name}={operand}" for placeholder, operand in zip(self.placeholders, operands))
+        rates = (f"{placeholder.name}'={operand}" for placeholder, operand in zip(self.placeholders, operands[count:]))
         return f"Rate({', '.join([repr(self.body), *moving, *rates])})"
 
     def to_latex(self, *operands: str) -> str:
@@ -177,17 +201,21 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
                 f"Rate: the expression depends on the {kind} {leaf.name!r}, whose rate is not known.\n"
                 f"  fix: rates={{{leaf.name!r}: its rate}}; zero for what stays as it is"
             )
-        rate, group = rates[leaf.name], getattr(leaf, "group", None)
-        wanted = leaf.shape if group is None or isinstance(group, Euclidean) else (group.dimension,)
+        rate, wanted = rates[leaf.name], _rate_shape(leaf)
         if rate.shape != wanted:
             raise ShapeError(f"Rate expects the rate of {leaf.name!r} with shape {wanted}, got {rate.shape}")
         if not (isinstance(rate, Constant) and not rate.value.any()):
             yield leaf, rate
 
 
-def _ambient(placeholder: Expr, value: jax.Array, rate: jax.Array) -> jax.Array:
+def _rate_shape(leaf: Leaf) -> Shape:
+    group = getattr(leaf, "group", None)
+    return leaf.shape if group is None or isinstance(group, Euclidean) else (group.dimension,)
+
+
+def _ambient(placeholder: _Placeholder, value: jax.Array, rate: jax.Array) -> jax.Array:
     """The rate of the array that is a leaf's value."""
-    group = placeholder.__dict__["group"]
+    group = placeholder.group
     if group is None or isinstance(group, Euclidean):
         return rate
     moved = lambda s: group.retract(value, s * rate)  # noqa: E731
