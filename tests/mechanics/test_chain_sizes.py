@@ -29,5 +29,5 @@ def test_operations_of_the_mass_matrix(unchecked: None) -> None:
     f = tx.lower(mass_matrix(chain_models.panda(), q))
     program = scalarize(lambda q: [f(0.0, {"q": q})], jax.ShapeDtypeStruct((7,), np.float64))
     assert program.counts()["sin"] == program.counts()["cos"] == 6
-    # Two differences stand as x - y and as y - x: neither is the other's negative where they cancel, by the sign of zero.
+    # Differences stand as x - y and as y - x: where they cancel neither is the other's negative, by the sign of zero.
     assert program.operations <= 491
