@@ -1111,6 +1111,12 @@ MUTATIONS: list[Mutation] = [
             "_Step(after.t, after.t, now.y, step,",
             "integrators/test_along.py::test_a_polynomial_has_its_order_and_costs_no_evaluations",
         ),
+        (
+            "polynomials go forward along steps that go backward",
+            "step, stepper.clock(step), found.slopes",
+            "step, step, found.slopes",
+            "integrators/test_backward.py::test_polynomials_backward_in_a_kernel_and_in_a_loop_of_batches",
+        ),
     ),
     *_at(
         "integrators/charts.py",

@@ -83,6 +83,20 @@ def test_there_and_back_across_the_jumps_of_a_table(how: dict) -> None:
             assert rows.stats.rejected <= 3
 
 
+def test_polynomials_backward_in_a_kernel_and_in_a_loop_of_batches() -> None:
+    """Along steps whose direction is traced too; jit without vmap is a kernel where the backend has them."""
+    ends = jnp.array([1.0, -0.8])
+
+    def rows(t1: jax.Array) -> dict[str, jax.Array]:
+        given = {"rtol": 1e-9, "save_at": t1 * jnp.array([0.0, 0.3, 0.77, 1.0]), "between": tx.Between.POLYNOMIAL}
+        return tx.integrate(system(), exact(0.0), t1=t1, u={"F": 0.5}, **given).xs
+
+    every, last = jax.jit(jax.vmap(rows))(ends), jax.jit(rows)(ends[1])
+    wanted = exact(ends[1] * jnp.array([0.0, 0.3, 0.77, 1.0]))
+    near({name: value[1] for name, value in every.items()}, wanted, 1e-7)
+    near(last, wanted, 1e-7)
+
+
 def test_a_batch_of_both_directions_under_jit_and_derivatives() -> None:
     """The end is exact(t1) from exact(0): its derivative with respect to t1 is the rate there."""
 

@@ -55,6 +55,7 @@ class _Step(NamedTuple):
     begin: jax.Array
     y: jax.Array
     h: jax.Array
+    in_s: jax.Array  # the same by time: negative where an integration goes backward
     slopes: Any
     y_end: jax.Array
 
@@ -144,9 +145,12 @@ class AdaptiveSteps(Steps):
         return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched, carry)
 
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
-        """The packed state at a time up to the end of a step."""
+        """The packed state at a time up to the end of a step.
+
+        It reads no arrays of the stepper: they may be traced, and rows are made of what a step left alone.
+        """
         share = (t - step.begin) / step.h
-        moved = stepper.between(read(step.y), step.h, step.slopes, share)
+        moved = stepper.method.between(stepper.dynamics, read(step.y), step.in_s, step.slopes, share)
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
@@ -401,7 +405,9 @@ class AdaptiveSteps(Steps):
             watched=None,
             rows=None,
         )
-        return after, None if found.slopes is None else _Step(after.t, now.t, now.y, step, found.slopes, after.y)
+        if found.slopes is None:
+            return after, None
+        return after, _Step(after.t, now.t, now.y, step, stepper.clock(step), found.slopes, after.y)
 
     def _error(self, stepper: Stepper, before: Blocks, after: Blocks, errors: tuple[Blocks, ...]) -> jax.Array:
         """The square of the error in units of what is allowed; two estimates are weighed as in the program DOP853."""

@@ -70,20 +70,29 @@ def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArr
     phi = np.stack([_weight(tree, a) for tree in trees])
     powers = np.arange(1, order + 1)
     wanted = np.where(sizes[:, None] == powers, 1.0 / np.array([_density(tree) for tree in trees])[:, None], 0.0)
-    one = np.eye(stages)
     # There are hundreds of trees for a dozen stages: phi w = wanted is R w = Q' wanted, where it can be met.
     q, r = np.linalg.qr(phi)
-    # Rows of equations for w, read row by row: order conditions, slope at the start, value and slope at the end.
-    equations = [np.kron(r, np.eye(order)), *(np.kron(one, v) for v in (np.eye(order)[:1], [powers**0], [powers]))]
-    matrix, target = np.concatenate(equations), np.concatenate([(q.T @ wanted).ravel(), first, ends, last])
-    found, read = np.zeros(order * stages), np.full(order * stages, True)
+    target = q.T @ wanted
+    # Slope at the start, value and slope at the end.
+    at, to = np.stack([powers == 1, powers**0, powers], 1).astype(float), np.stack([first, ends, last], 1)
+    weights, read = np.zeros((stages, order)), np.full(stages, True)
     for _ in range(3):  # then what rounding left, then without stages that need not be read, of DOP853 four
-        found[read] += np.linalg.lstsq(matrix[:, read], target - matrix @ found, rcond=1e-12)[0]
-        read = np.repeat(np.abs(found.reshape(stages, order)).max(1) > _UNREAD, order)
-        found[~read] = 0.0
-    found[::order] = first  # the slope at the start, to the last bit
-    weights, off = found.reshape(stages, order), np.abs(matrix @ found - target).max()
-    return weights, float(max(off, np.abs(phi @ weights - wanted).max()))
+        weights[read] += _smallest(r[:, read], target - r @ weights, at, (to - weights @ at)[read])
+        read = np.abs(weights).max(1) > _UNREAD
+        weights[~read] = 0.0
+    weights[:, 0] = first  # the slope at the start, to the last bit
+    return weights, float(max(np.abs(weights @ at - to).max(), np.abs(phi @ weights - wanted).max()))
+
+
+def _smallest(a: Any, b: Any, at: Any, to: Any) -> NDArray[Any]:
+    """The x with the smallest sum of squares for a x = b and x at = to, where both can be met.
+
+    One system of equations for all entries of x would be ten times as wide: a BLAS with threads waits for them there,
+    for seconds where other programs keep the processor busy.
+    """
+    x = np.linalg.pinv(a, rcond=1e-12) @ b
+    # What x misses at the ends lies in the null space of a, where both can be met.
+    return np.asarray(x + (to - x @ at) @ np.linalg.pinv(at))
 
 
 # ---- rooted trees: each is the sorted tuple of those that hang from its root -----------------------------------------

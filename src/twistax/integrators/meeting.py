@@ -23,7 +23,7 @@ _FEW = 3
 class Stride(NamedTuple):
     """A step that was taken."""
 
-    steps: jax.Array  # the accepted steps before
+    steps: Any  # the accepted steps before; None where no crossing is written
     t: jax.Array
     h: jax.Array
     y: Any  # the stored state where it begins
@@ -50,6 +50,24 @@ class _Job(NamedTuple):
     def place(self) -> jax.Array:
         """Where the condition is to be evaluated."""
         return jnp.where(self.looks, self.extremum.place, self.bracket.place)
+
+
+class _Ends(NamedTuple):
+    """Of what is known of the conditions that which ends the search, as in `Watched`."""
+
+    met: jax.Array
+    which: jax.Array
+    s: jax.Array
+    full: jax.Array
+
+
+class _Root(NamedTuple):
+    """A root of a condition, as in `Crossed`."""
+
+    crosses: jax.Array  # whether it is there, of an event that does not end the integration
+    number: jax.Array
+    s: jax.Array
+    rises: jax.Array
 
 
 def watched_along(
@@ -88,7 +106,7 @@ class _Search:
     One loop, which takes a part of the step in each pass: a compiled step is large.
     """
 
-    def __init__(self, watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, values: jax.Array) -> None:
+    def __init__(self, watch: Watch, advance: Any, stepper: Stepper, stride: Stride, values: jax.Array) -> None:
         self.watch, self.advance, self.stepper, self.stride, self.values = watch, advance, stepper, stride, values
         self.pairs, self.width = len(values) - 1, values.shape[1]
         self.spacing = stride.h / self.pairs
@@ -96,6 +114,10 @@ class _Search:
         self.finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
         self.suspects, self.tips = near_zero(values)
         self.flags = (watch.hits(values) | self.suspects).reshape(-1)
+        # Of each item its pair and its condition, and of what stands for none those of the last pair: kernels do not
+        # divide whole numbers.
+        pairs, numbers = np.divmod(np.arange(self.flags.size + 1), self.width)
+        self.rows, self.numbers = jnp.asarray(np.minimum(pairs, self.pairs - 1)), jnp.asarray(numbers)
         self.senses = jnp.asarray(np.asarray(watch.senses, values.dtype))
 
     def run(self, known: Watched) -> Watched:
@@ -118,12 +140,9 @@ class _Search:
 
     def _pair(self, index: jax.Array) -> tuple[jax.Array, ...]:
         """Of a pair and a condition: whether to look for an extremum, the sign where it begins, both ends, no rest."""
-        row, number = self._row(index), index % self.width
+        row, number = self.rows[index], self.numbers[index]
         low, high = self._at(row), self._at(row + 1)
         return self.suspects[row, number], jnp.sign(self.values[row, number]), low, high, -jnp.ones_like(high)
-
-    def _row(self, index: jax.Array) -> jax.Array:
-        return jnp.minimum(index // self.width, self.pairs - 1)
 
     def _at(self, row: jax.Array) -> jax.Array:
         """Where a place is, by its row."""
@@ -132,7 +151,7 @@ class _Search:
     def _job(
         self, index: jax.Array, looks: jax.Array, sign: jax.Array, low: jax.Array, high: jax.Array, rest: jax.Array
     ) -> _Job:
-        row, number = self._row(index), index % self.width
+        row, number = self.rows[index], self.numbers[index]
         ends = self.values[row, number], self.values[row + 1, number]
         place, none = self._at(row) + self.tips[row, number] * self.spacing, jnp.zeros((), int)
         extremum = Extremum((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
@@ -141,13 +160,30 @@ class _Search:
 
     def _one(self, now: tuple[_Job, Watched]) -> tuple[_Job, Watched]:
         """After a part of the step was taken."""
-        (job, known), stride, h = now, self.stride, self.stride.h
-        number = job.item % self.width
+        (job, known), stride = now, self.stride
         moved = self.advance(stride.t, stride.y, job.place)
-        given = (stride.t, h, moved, number, stride.t + job.place)
-        value = beside(_one_value, self.watch, self.stepper, *given)
+        room = jnp.asarray(True) if known.crossed is None else known.crossed.used < len(known.crossed.which)
+        ends = _Ends(known.met, known.which, known.s, known.full)
+        given = (stride.t, stride.h, self.values, job, ends, room, moved)
+        # Hundreds of scalars: as part of the loop they take XLA longer than all else.
+        job, ends, root = beside(_after_part, self.watch, self.stepper, *given)
         cost = self.stepper.method.evaluations_of(self.stepper.dynamics)
-        known = known._replace(evaluations=known.evaluations + cost)
+        known = known._replace(evaluations=known.evaluations + cost, **ends._asdict())
+        if known.crossed is None:
+            return job, known
+        none = jnp.zeros((), int)
+        row = Crossed(stride.steps, stride.t, stride.h, stride.y, root.s, root.number, root.rises, none)
+        return job, known._replace(crossed=known.crossed.with_one(row, root.crosses)[0])
+
+    def after(self, job: _Job, ends: _Ends, room: jax.Array, moved: Any) -> tuple[_Job, _Ends, _Root]:
+        """What is looked for next, after a part of the step was taken, and a root, where it is there.
+
+        Args:
+            room: whether there is room for a crossing.
+        """
+        t, h = self.stride.t, self.stride.h
+        number = self.numbers[job.item]
+        value = self.watch.values(self.stepper, t, h, t + job.place, moved)[number]
         job = job._replace(extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value))
 
         # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
@@ -157,7 +193,7 @@ class _Search:
         lost = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
         widens = ~job.looks & job.bracket.done & lost & (job.widened == 0)
         done = jnp.where(job.looks, job.extremum.done, job.bracket.done & ~widens)
-        known = self._with_root(known, job, done & ~job.looks & ~lost)
+        ends, root = self._with_root(ends, room, job, done & ~job.looks & ~lost)
 
         # Up to an extremum the condition goes the way that its sign says, then back.
         tip, wanted = job.extremum.middle[0], self.senses[number]
@@ -165,7 +201,7 @@ class _Search:
         found = job.looks & job.extremum.past
         half, follows = 0.5 * self.spacing, self._after(job.item)
         follows = jnp.where(
-            known.full | (known.met & (follows // self.width > self._row(job.item))), self.flags.size, follows
+            ends.full | (ends.met & (self.rows[follows] > self.rows[job.item])), self.flags.size, follows
         )
         none = -jnp.ones_like(h)
         parts = [
@@ -178,30 +214,23 @@ class _Search:
         for condition, part in reversed(parts):
             chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
         another = self._job(*chosen)._replace(widened=jnp.where(widens, jnp.where(at_low, -1, 1), 0))
-        return jax.tree.map(lambda a, b: jnp.where(done | widens, a, b), another, job), known
+        return jax.tree.map(lambda a, b: jnp.where(done | widens, a, b), another, job), ends, root
 
     def _beside(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The half of a pair next to a part."""
         low = jnp.where(at_low, jnp.maximum(job.low - half, 0.0), job.high)
         return low, jnp.where(at_low, job.low, jnp.minimum(job.high + half, self.stride.h))
 
-    def _with_root(self, known: Watched, job: _Job, there: jax.Array) -> Watched:
+    def _with_root(self, ends: _Ends, room: jax.Array, job: _Job, there: jax.Array) -> tuple[_Ends, _Root]:
         """With a root, where it is there."""
-        stride, number, root = self.stride, job.item % self.width, job.bracket.root
+        number, s = self.numbers[job.item], job.bracket.root
         terminal = jnp.asarray(np.array(self.watch.terminal))[number]
-        ends = there & terminal
-        sooner = ends & (root < known.s)
-        known = known._replace(
-            met=known.met | ends,
-            which=jnp.where(sooner, number, known.which),
-            s=jnp.where(sooner, root, known.s),
+        stops, crosses = there & terminal, there & ~terminal
+        sooner = stops & (s < ends.s)
+        which, first = jnp.where(sooner, number, ends.which), jnp.where(sooner, s, ends.s)
+        return _Ends(ends.met | stops, which, first, ends.full | (crosses & ~room)), _Root(
+            crosses, number, s, job.sign < 0.0
         )
-        if known.crossed is None:
-            return known
-        none = jnp.zeros((), int)
-        own = Crossed(stride.steps, stride.t, stride.h, stride.y, root, number, job.sign < 0.0, none)
-        crossed, full = known.crossed.with_one(own, there & ~terminal)
-        return known._replace(crossed=crossed, full=known.full | full)
 
 
 def halted_code(watched: Watched, code: jax.Array) -> jax.Array:
@@ -210,10 +239,19 @@ def halted_code(watched: Watched, code: jax.Array) -> jax.Array:
     return jnp.where(watched.met, Result.EVENT.value, code)
 
 
-def _one_value(
-    watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, moved: Any, number: jax.Array, time: jax.Array
-) -> jax.Array:
-    return watch.values(stepper, t, h, time, moved)[number]
+def _after_part(
+    watch: Watch,
+    stepper: Stepper,
+    t: jax.Array,
+    h: jax.Array,
+    values: jax.Array,
+    job: _Job,
+    ends: _Ends,
+    room: jax.Array,
+    moved: Any,
+) -> tuple[_Job, _Ends, _Root]:
+    stride = Stride(None, t, h, None, None, None)
+    return _Search(watch, None, stepper, stride, values).after(job, ends, room, moved)
 
 
 # ---- after the loop ------------------------------------------------------------------------------------------------
