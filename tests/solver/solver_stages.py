@@ -104,14 +104,12 @@ class Staged:
 
     def solve(self, start: Array, stop: Any = None, size: Any = None, warm: Any = None, **options: float) -> Solution:
         functions = PythonFunctions(self.stages, self._numbers, self._slopes, self._bends, stop=stop)
-        found = solve(
+        return solve(
             *(self.stages, functions.functions, self.lower, self.upper, start),
             size=size,
             warm=warm,
             options=Options(**options),
         )
-        functions.check()
-        return found
 
     def by_ipopt(self, start: Array, tolerance: float = 1e-8) -> tuple[Array, float, int]:
         """The point, the cost and the iterations of IPOPT, with its own choices."""

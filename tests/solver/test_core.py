@@ -5,6 +5,7 @@ import shutil
 import subprocess
 import threading
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -108,7 +109,7 @@ def test_infeasible_is_told_from_hard(duration: float, status: Status) -> None:
 def test_a_warm_start_ends_at_once() -> None:
     problem, start = PROBLEMS["swing_up"]()
     cold = problem.solve(start)
-    near = {"warm_start": 1, "barrier_start": 1e-9, "bound_push": 1e-9, "bound_share": 1e-9, "slack_push": 1e-9}
+    near = {"barrier_start": 1e-9, "bound_push": 1e-9, "bound_share": 1e-9, "slack_push": 1e-9}
     warm = problem.solve(cold.z, warm=cold, **near)
     assert warm.status is Status.SOLVED
     assert warm.statistics["iterations"] <= 2 < cold.statistics["iterations"]
@@ -175,7 +176,9 @@ def test_the_text_is_made_of_these_sources() -> None:
 
 def test_every_option_has_a_source() -> None:
     assert list(SOURCES) == list(Options.__dataclass_fields__)
-    assert all(re.search(r"\[WB\]|IPOPT|1:|weight|largest count|residual", source) for source in SOURCES.values())
+    assert all(
+        re.search(r"\[WB\]|IPOPT|1:|weight|largest count|residual|factor", source) for source in SOURCES.values()
+    )
 
 
 def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
@@ -196,3 +199,85 @@ def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
     }
     # No variables: what is in .data or .bss could be state.
     assert not [line for line in symbols if re.search(r" [BbDC] ", line)]
+
+
+# ---- what goes wrong -------------------------------------------------------------------------------------------------
+
+
+def test_a_start_that_is_not_finite_returns_no_leftovers() -> None:
+    """Multipliers are zero and measures NaN, whatever the memory held before."""
+    stages = [Stage(1, 1, after=lambda x, u, p: [x[0] / u[0]]), Stage(1, equalities=lambda x, u, p: [x[0], x[0] - 1])]
+    filled = [np.full(5000, 7.7e77) for _ in range(4)]
+    del filled
+    solution = Staged(stages).solve(np.zeros(3))
+    assert solution.status is Status.NON_FINITE
+    np.testing.assert_array_equal(np.concatenate([solution.lam, solution.ye, solution.zl, solution.zu]), 0.0)
+    assert np.isnan(solution.statistics["cost"])
+    assert np.isnan(solution.statistics["error"])
+
+
+def refusing(problem: Staged, first: int, last: int) -> list[int]:
+    """Values are not finite from one call to another; counts the calls."""
+    values, calls = problem._numbers, [0]
+
+    def numbers(z: np.ndarray) -> Any:
+        calls[0] += 1
+        return (np.nan, *values(z)[1:]) if first <= calls[0] <= last else values(z)
+
+    problem._numbers = numbers
+    return calls
+
+
+def test_a_line_search_without_violation_ends() -> None:
+    """There the shortest step is zero long: lengths that are halved must still come to an end."""
+    problem = Staged([Stage(1, cost=lambda x, u, p: (x[0] - 1) ** 2, after=lambda x, u, p: [x[0]]), Stage(1)])
+    calls = refusing(problem, 3, 10**9)
+    assert problem.solve(np.zeros(2)).status is not Status.SOLVED
+    assert calls[0] < 3000
+
+
+@pytest.mark.parametrize("count", [1, 2])
+def test_equalities_may_depend_on_each_other(count: int) -> None:
+    stages = [
+        Stage(1, 1, cost=lambda x, u, p: u[0] ** 2, after=lambda x, u, p: [x[0] + u[0]], states_within=(0.0, 0.0)),
+        Stage(1, 1, cost=lambda x, u, p: u[0] ** 2, after=lambda x, u, p: [x[0] + u[0]]),
+        Stage(1, equalities=lambda x, u, p: [x[0] - 1.0] * count),
+    ]
+    solution = Staged(stages).solve(np.zeros(5))
+    assert solution.status is Status.SOLVED
+    assert solution.statistics["cost"] == pytest.approx(0.5, abs=1e-7)
+    assert solution.ye.sum() == pytest.approx(-1.0, abs=1e-5)
+
+
+@pytest.mark.parametrize("off", [1e-5, 3e-7, 1e-7])
+def test_a_small_violation_is_restored(off: float) -> None:
+    """After a line search that failed. Squares of so small a violation are no stationary point of it."""
+    problem = Staged([Stage(1, after=lambda x, u, p: [x[0]]), Stage(1, equalities=lambda x, u, p: [x[0] - 1.0])])
+    refusing(problem, 3, 60)
+    solution = problem.solve(np.full(2, 1.0 + off))
+    assert solution.statistics["restorations"] == 1
+    assert solution.status is Status.SOLVED
+
+
+@pytest.mark.parametrize(("most", "status"), [(5, Status.MAX_ITERATIONS), (100, Status.SOLVED)])
+def test_few_steps_of_a_restoration_say_nothing_of_feasibility(most: int, status: Status) -> None:
+    """Source: A. Waechter, L. T. Biegler, Failure of global convergence for a class of interior point methods for
+    nonlinear programming, Math. Program. 88 (2000), equation (5)."""
+    rows = lambda x, u, p: [x[0] ** 2 - x[1] - 1.0, x[0] - x[2] - 0.5]  # noqa: E731
+    first = Stage(
+        3,
+        cost=lambda x, u, p: x[0],
+        after=lambda x, u, p: [x[0]],
+        equalities=rows,
+        states_within=([-np.inf, 0.0, 0.0], np.inf),
+    )
+    solution = Staged([first, Stage(1)]).solve(np.array([-2.0, 3.0, 1.0, -2.0]), restoration_iterations=most)
+    assert solution.status is status
+
+
+def test_options_are_checked() -> None:
+    problem, start = least_time()
+    with pytest.raises(tx.TrajectoryError, match="iterations expects"):
+        problem.solve(start, iterations=1e10)
+    with pytest.raises(tx.TrajectoryError, match="tolerance expects"):
+        problem.solve(start, tolerance=np.nan)

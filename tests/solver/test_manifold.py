@@ -106,9 +106,7 @@ class Reorientation:
         lower, upper = np.full(self.stages.variables, -np.inf), np.full(self.stages.variables, np.inf)
         lower[:3] = upper[:3] = 0.0
         coordinates = np.zeros(self.stages.variables)
-        found = solve(self.stages, functions.functions, lower, upper, start, coordinates, options=Options())
-        functions.check()
-        return found
+        return solve(self.stages, functions.functions, lower, upper, start, coordinates, options=Options())
 
 
 def test_the_shortest_turn_is_a_geodesic() -> None:

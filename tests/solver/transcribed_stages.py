@@ -107,12 +107,10 @@ class StagesOf:
     def solve(self, options: Any) -> Solution:
         functions = PythonFunctions(self.stages, self._numbers, self._jacobians, self._hessians, self._retract)
         ends = np.full(self.stages.variables, np.inf)
-        found = solve(
+        return solve(
             *(self.stages, functions.functions, -ends, ends, self._start, np.zeros_like(ends)),
             options=options,
         )
-        functions.check()
-        return found
 
     def _numbers(self, z: Array) -> Any:
         found = self._values(self.point(z))

@@ -98,7 +98,7 @@ class StageFunctions:
     Attributes:
         values, jacobians, hessians, retract, transport, stop: addresses; 0 where there is no such function.
         user: what they get as first argument.
-        owner: what must live as long as the functions.
+        owner: what must live as long as the functions; its `check`, if it has one, is called after a solve.
     """
 
     values: int
@@ -199,7 +199,8 @@ def solve(
         z: the start.
         v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
         size: units of v, by which steps and errors are measured; 1 where None.
-        warm: a result whose slacks and multipliers are the first ones; `options.warm_start` must be 1.
+        warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
+            `barrier_start` and small pushes keep it near.
     Raises:
         TrajectoryError: arrays of other shapes, bounds that cannot be, a state after the first that bounds fix.
     """
@@ -218,7 +219,8 @@ def solve(
         functions.user or None,
         *(getattr(functions, f) or None for f in ("values", "jacobians", "hessians", "retract", "transport", "stop")),
     )
-    core, chosen = library(), (options or Options()).as_structure()
+    chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
+    core = library()
     workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
     log = np.zeros((int(chosen.iterations) + 1, 10))
     statistics = _Statistics(log=log.ctypes.data, log_rows=len(log))
@@ -235,6 +237,9 @@ def solve(
             by_reference[3],
         )
     )
+    check = getattr(functions.owner, "check", None)
+    if check is not None:
+        check()
     if status is Status._BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and sizes positive numbers; "

@@ -6,12 +6,18 @@ import ctypes
 import dataclasses
 from typing import Any
 
+from ..errors import TrajectoryError
 from .sources import options
 
 _OPTIONS = options()
 
 #: Where each option comes from: an equation of the paper, or the option of IPOPT with the same meaning.
 SOURCES: dict[str, str] = {name: source for name, _, source in _OPTIONS}
+
+
+#: Those that are whole numbers in C.
+_COUNTS = {"iterations", "corrections", "watchdog_trigger", "watchdog_steps", "filter_resets", "filter_reset_trigger"}
+_COUNTS |= {"refinements", "restoration_iterations"}
 
 
 class OptionsStructure(ctypes.Structure):
@@ -21,7 +27,11 @@ class OptionsStructure(ctypes.Structure):
 
 
 def _as_structure(self: Any) -> OptionsStructure:
-    return OptionsStructure(*(float(value) for value in dataclasses.astuple(self)))
+    values = [float(value) for value in dataclasses.astuple(self)]
+    for (name, _, _), value in zip(_OPTIONS, values, strict=True):
+        if not value >= 0.0 or (name in _COUNTS and not value < 2.0**31):
+            raise TrajectoryError(f"Options: {name} expects a number of 0 or more, counts below 2^31, got {value}")
+    return OptionsStructure(*values)
 
 
 #: Options of the interior point, all floats; see `SOURCES`. `Options(tolerance=1e-6)` changes one.

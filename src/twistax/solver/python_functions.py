@@ -23,7 +23,7 @@ class PythonFunctions:
         retract: z, d -> z moved by a step d of v; by addition where None.
         transport: d, lambda -> multipliers about moved nodes.
         stop: iteration -> whether to stop.
-    An exception ends the solve and is raised again by `check`.
+    An exception ends the solve, which raises it again.
     """
 
     def __init__(
@@ -67,29 +67,30 @@ class PythonFunctions:
             name: ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, *kinds[name])(self._guarded(f))
             for name, f in written.items()
         }
-        if stop is not None:
-            ask = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)
-            self._callbacks["stop"] = ask(lambda _, iteration: int(bool(stop(iteration))))
+        ask = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)
+        self._callbacks["stop"] = ask(self._guarded(lambda _, iteration: stop is not None and bool(stop(iteration))))
         addresses = {name: ctypes.cast(f, ctypes.c_void_p).value or 0 for name, f in self._callbacks.items()}
         self.functions = StageFunctions(**addresses, owner=self)
 
-    def _guarded(self, function: Callable[..., None]) -> Callable[..., int]:
-        """0, or 1 where it raised: no exception passes through C."""
+    def _guarded(self, function: Callable[..., bool | None]) -> Callable[..., int]:
+        """1 where it says so, or raised, or another one has: no exception passes through C."""
 
         def call(*arguments: Any) -> int:
+            if self.error is not None:
+                return 1
             try:
-                function(*arguments)
+                return int(bool(function(*arguments)))
             except BaseException as error:
                 self.error = error
                 return 1
-            return 0
 
         return call
 
     def check(self) -> None:
         """Raise what a function raised."""
-        if self.error is not None:
-            raise self.error
+        error, self.error = self.error, None
+        if error is not None:
+            raise error
 
 
 _POINTER = ctypes.POINTER(ctypes.c_double)

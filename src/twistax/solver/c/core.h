@@ -32,8 +32,8 @@ typedef enum {
   TWX_BAD_PROBLEM = 7        /* sizes or bounds that cannot be */
 } twx_status;
 
-/* Functions return 0, or another number where the point must be rejected. All pointers of outputs are to zeroed memory
- * that is theirs alone. */
+/* Functions return 0, or another number where the point must be rejected. Outputs of values, jacobians and hessians are
+ * zero before the call; `retract` writes all of `moved`, `transport` changes lambda in place. */
 typedef struct {
   int32_t intervals;          /* N */
   int32_t parameters;         /* entries of p, shared by all stages */

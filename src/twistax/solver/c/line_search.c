@@ -73,7 +73,7 @@ static twx_outcome watch(twx_work *w, twx_search *search, double length) {
     return TWX_STEP;
   }
   if (bad || search->watch_left-- <= 0) {
-    search->watching = 0, search->shortened = -1; /* no watchdog until a step was shortened anew */
+    search->watching = 0, search->shortened = 0;
     return TWX_BACK;
   }
   search->kind = 'w';
@@ -84,8 +84,9 @@ static twx_outcome watch(twx_work *w, twx_search *search, double length) {
 static twx_outcome backtrack(twx_work *w, twx_search *search, twx_reference *from, double longest) {
   const double smallest = twx_smallest_length(w, from);
   double length = longest;
+  int32_t rejected_by_filter = 0; /* whether the last trial that was rejected was so by the filter alone */
   for (int32_t first = 1;; first = 0, length *= 0.5) {
-    if (!first && length < smallest) {
+    if (!first && length <= smallest) {
       search->shortened = 0;
       return TWX_NO_STEP;
     }
@@ -95,14 +96,15 @@ static twx_outcome backtrack(twx_work *w, twx_search *search, twx_reference *fro
       from->length = length;
       break;
     }
+    rejected_by_filter = !bad && from->by_filter;
     if (!bad && first && w->options->corrections > 0 && correct(w, from, length)) {
       use_corrected(w, search);
       search->kind = 'H';
       break;
     }
   }
-  search->by_filter = from->by_filter ? search->by_filter + 1 : 0;
-  search->shortened = search->trials > 1 ? twx_max(search->shortened, 0) + 1 : 0;
+  search->by_filter = rejected_by_filter ? search->by_filter + 1 : 0;
+  search->shortened = search->trials > 1 ? search->shortened + 1 : 0;
   if (twx_switches(w, from, length) && twx_descends(w, from, length, twx_barrier(w, &w->trial)))
     search->kind = search->kind == 'H' ? 'F' : 'f';
   else

@@ -16,8 +16,8 @@ static void add_logarithm(double *sum, double *product, double factor) {
   if (*product < 1e-200 || *product > 1e200) *sum += log(*product), *product = 1;
 }
 
-/* The barrier function with its damping of one-sided bounds. Source: [WB] (3) and 3.7. */
-double twx_barrier(const twx_work *w, const twx_values *at) {
+/* The barrier function without the cost, with its damping of one-sided bounds. Source: [WB] (3) and 3.7. */
+double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier) {
   double logs = 0, damping = 0, product = 1;
   FOR_FREE(w, i) {
     const int low = twx_has(w->lower[i]), high = twx_has(w->upper[i]);
@@ -27,7 +27,11 @@ double twx_barrier(const twx_work *w, const twx_values *at) {
     if (high && !low) damping += twx_above(w, at->v, i);
   }
   for (size_t i = 0; i < w->rows; i++) add_logarithm(&logs, &product, twx_max(at->s[i], TWX_LEAST_SLACK)), damping += at->s[i];
-  return at->cost + w->barrier * (w->options->damping * damping - logs - log(product));
+  return barrier * (w->options->damping * damping - logs - log(product));
+}
+
+double twx_barrier(const twx_work *w, const twx_values *at) {
+  return at->cost + twx_barrier_of_bounds(w, at, w->barrier);
 }
 
 /* The gradient of the Lagrangian by v, in t3. */
@@ -72,5 +76,8 @@ twx_measures twx_measure(twx_work *w, double barrier) {
   const double bound_scale = twx_max(least, of_bounds / twx_max(1, bounds)) / least;
   m.violation = twx_violation(w, &w->here, 1);
   m.error = twx_max(m.stationarity / dual_scale, twx_max(m.violation, m.complementarity / bound_scale));
+  double sum = multipliers + of_bounds; /* the largest of numbers forgets those that are NaN */
+  FOR_FREE(w, i) sum += g[i];
+  if (!isfinite(sum)) m.error = m.stationarity = INFINITY;
   return m;
 }

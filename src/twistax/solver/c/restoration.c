@@ -10,16 +10,15 @@
 #define BARRIER_LEAST 1e-9    /* of the phase; there its stationary point is one of the violation */
 #define BARRIER_DECREASE 0.1
 #define LENGTH_LEAST 1e-12
+#define SLOPE_LEAST 1e-8      /* relative to the squares and the defects: less is a stationary point */
 
 typedef struct {
   double barrier, penalty, slope, merit; /* penalty: of the l1 norm of the defects */
+  double bounds;                         /* the barrier's part of the merit */
 } phase;
 
 static double merit_of(twx_work *w, const phase *f, const twx_values *at) {
-  const double barrier = w->barrier;
-  w->barrier = f->barrier;
-  double merit = twx_barrier(w, at) - at->cost;
-  w->barrier = barrier;
+  double merit = twx_barrier_of_bounds(w, at, f->barrier);
   for (size_t i = 0; i < w->defects; i++) merit += f->penalty * fabs(at->c[i]);
   for (size_t i = 0; i < w->rows; i++) merit += 0.5 * (at->h[i] + at->s[i]) * (at->h[i] + at->s[i]);
   for (size_t i = 0; i < (size_t)w->ne; i++) merit += 0.5 * at->e[i] * at->e[i];
@@ -63,7 +62,7 @@ static void measure_step(twx_work *w, phase *f) {
   }
   for (size_t i = 0; i < (size_t)w->ne; i++) f->slope += w->here.e[i] * (d->ye[i] - w->here.e[i]);
   f->slope -= f->penalty * defects;
-  f->merit = merit_of(w, f, &w->here);
+  f->merit = merit_of(w, f, &w->here), f->bounds = twx_barrier_of_bounds(w, &w->here, f->barrier);
 }
 
 static double search_merit(twx_work *w, const phase *f) {
@@ -85,13 +84,13 @@ static void accept_restoring(twx_work *w) {
 static twx_status reduce_violation(twx_work *w) {
   const twx_options *o = w->options;
   const double before = twx_violation(w, &w->here, 0);
-  phase f = {twx_max(w->barrier, twx_violation(w, &w->here, 1)), 0, 0, 0};
+  phase f = {twx_max(w->barrier, twx_violation(w, &w->here, 1)), 0, 0, 0, 0};
   for (int32_t n = 0; n < (int32_t)o->restoration_iterations; n++) {
     restoring_right_side(w, f.barrier);
     if (!factorize_restoring(w)) return TWX_UNBOUNDED_CURVATURE;
     twx_solve_system(w, &w->right, &w->step, 0);
     measure_step(w, &f);
-    const double length = f.slope > -1e-12 ? 0 : search_merit(w, &f);
+    const double length = f.slope > -SLOPE_LEAST * (f.merit - f.bounds) ? 0 : search_merit(w, &f);
     if (length > 0) {
       accept_restoring(w);
       if (twx_differentiate(w)) return TWX_NON_FINITE;
@@ -104,7 +103,7 @@ static twx_status reduce_violation(twx_work *w) {
       f.barrier *= BARRIER_DECREASE;
     }
   }
-  return TWX_INFEASIBLE;
+  return TWX_MAX_ITERATIONS;
 }
 
 /* Multipliers of bounds that grew too large start anew. */

@@ -155,7 +155,19 @@ static int32_t eliminate_start(twx_work *w) {
   return 1;
 }
 
-/* The border: Lp of its parameters, Z = Lp^-1 S_pe, and the factor C of Z'Z - S_ee + softness. */
+/* The factor C of Z'Z - S_ee + softness. */
+static int32_t factorize_equalities(twx_work *w) {
+  const int32_t np = w->np, ne = w->ne, nb = w->nb;
+  for (int32_t j = 0; j < ne; j++)
+    for (int32_t i = 0; i < ne; i++)
+      w->C[i + (size_t)j * (size_t)ne] =
+          (i == j ? w->softness + w->border_softness : 0) - w->S[np + i + (size_t)(np + j) * (size_t)nb];
+  twx_add_product_transposed(ne, ne, np, w->Z, np, w->Z, np, w->C, ne);
+  return twx_cholesky(ne, w->C, ne);
+}
+
+/* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities. Those that depend on each other have no
+ * factor: they are softened. Source: [WB] Algorithm IC, IC-2. */
 static int32_t factorize_border(twx_work *w) {
   const int32_t np = w->np, ne = w->ne, nb = w->nb;
   const size_t p = w->variables - (size_t)np;
@@ -165,11 +177,10 @@ static int32_t factorize_border(twx_work *w) {
   if (!twx_cholesky(np, w->Lp, np)) return 0;
   for (int32_t j = 0; j < ne; j++) memcpy(w->Z + (size_t)j * (size_t)np, w->S + (size_t)(np + j) * (size_t)nb, sizeof(double) * (size_t)np);
   twx_solve_lower(np, w->Lp, np, ne, w->Z, np);
-  for (int32_t j = 0; j < ne; j++)
-    for (int32_t i = 0; i < ne; i++)
-      w->C[i + (size_t)j * (size_t)ne] = (i == j ? w->softness : 0) - w->S[np + i + (size_t)(np + j) * (size_t)nb];
-  twx_add_product_transposed(ne, ne, np, w->Z, np, w->Z, np, w->C, ne);
-  return twx_cholesky(ne, w->C, ne);
+  w->border_softness = 0;
+  if (factorize_equalities(w)) return 1;
+  w->border_softness = w->options->equality_softness * pow(w->barrier, w->options->equality_softness_power);
+  return factorize_equalities(w);
 }
 
 /* Factor with so many times the identity added to the second derivatives of v and s. 0 where it is no minimum. */

@@ -113,8 +113,8 @@ static void unscale(twx_work *w, double *z, twx_solution *solution) {
 static void load(twx_work *w, const double *z, const twx_solution *solution) {
   twx_iterate *q = &w->iterate;
   memcpy(w->here.z, z, sizeof(double) * w->points);
+  memset(q->v, 0, sizeof(double) * w->point_size);
   memcpy(q->v, solution->v, sizeof(double) * w->variables);
-  memset(q->s, 0, sizeof(double) * w->rows);
   if (!(w->options->warm_start > 0)) return;
   memcpy(q->s, solution->s, sizeof(double) * w->rows), memcpy(q->y, solution->y, sizeof(double) * w->rows);
   memcpy(q->lambda, solution->lambda, sizeof(double) * w->defects), memcpy(q->ye, solution->ye, sizeof(double) * (size_t)w->ne);
@@ -126,6 +126,7 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   twx_work work, *const w = &work;
   twx_statistics fresh = {0};
   fresh.log = statistics->log, fresh.log_rows = statistics->log_rows;
+  fresh.cost = fresh.error = fresh.stationarity = fresh.violation = fresh.complementarity = NAN;
   *statistics = fresh;
   if (!twx_workspace_size(problem)) return statistics->status = TWX_BAD_PROBLEM;
   twx_carve(w, problem, workspace);

@@ -1,9 +1,6 @@
 /* The start of a solve: fixed variables, scales, the push into the bounds, first slacks and multipliers. */
 #include "work.h"
 
-/* A warm start's multipliers of bounds stay within this factor of barrier over slack, or its first step is short. */
-#define WARM_RANGE 10
-
 /* Which variables are fixed; 0 where bounds cannot be. A state after the first is fixed by an equality, not by bounds. */
 static int32_t read_bounds(twx_work *w) {
   const twx_problem *p = w->problem;
@@ -42,8 +39,10 @@ static int32_t push_inside(twx_work *w) {
     d[i] = pushed(o, v[i], w->lower[i], w->upper[i]) - v[i];
   }
   memset(w->step.s, 0, sizeof(double) * w->rows);
+  memcpy(w->trial.z, w->here.z, sizeof(double) * w->points); /* what is reported where the move fails */
   const int32_t bad = twx_move(w, &w->step, 1);
-  memcpy(v, w->trial.v, sizeof(double) * w->variables), memcpy(w->here.z, w->trial.z, sizeof(double) * w->points);
+  memcpy(v, w->trial.v, sizeof(double) * w->variables);
+  if (!bad) memcpy(w->here.z, w->trial.z, sizeof(double) * w->points);
   return bad;
 }
 
@@ -81,18 +80,18 @@ static double within(double a, double low, double high) { return twx_max(twx_min
 static void start_bounds(twx_work *w) {
   const twx_options *o = w->options;
   twx_iterate *q = &w->iterate;
-  const double constant = o->multiplier_start;
+  const double constant = o->multiplier_start, range = o->warm_range;
   const int warm = o->warm_start > 0;
   for (size_t i = 0; i < w->rows; i++) {
     q->s[i] = twx_max(twx_max(warm ? q->s[i] : 0, -w->here.h[i]), o->slack_push);
     const double central = w->barrier / q->s[i];
-    q->zs[i] = warm ? within(q->y[i], central / WARM_RANGE, central * WARM_RANGE) : constant > 0 ? constant : central;
+    q->zs[i] = warm ? within(q->y[i], central / range, central * range) : constant > 0 ? constant : central;
   }
   for (size_t i = 0; i < w->variables; i++) {
     const double low = w->barrier / twx_below(w, q->v, i), high = w->barrier / twx_above(w, q->v, i);
     const int has_low = w->free[i] != 0 && twx_has(w->lower[i]), has_high = w->free[i] != 0 && twx_has(w->upper[i]);
-    q->zl[i] = !has_low ? 0 : warm ? within(q->zl[i], low / WARM_RANGE, low * WARM_RANGE) : constant > 0 ? constant : low;
-    q->zu[i] = !has_high ? 0 : warm ? within(q->zu[i], high / WARM_RANGE, high * WARM_RANGE) : constant > 0 ? constant : high;
+    q->zl[i] = !has_low ? 0 : warm ? within(q->zl[i], low / range, low * range) : constant > 0 ? constant : low;
+    q->zu[i] = !has_high ? 0 : warm ? within(q->zu[i], high / range, high * range) : constant > 0 ? constant : high;
   }
 }
 

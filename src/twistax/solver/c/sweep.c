@@ -97,7 +97,8 @@ static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start,
     twx_add_apply(s->next, nb, w->W + s[1].W, s->next, w->border, lambda);
   }
   memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(double) * (size_t)np);
-  memcpy(d->ye, w->border + np, sizeof(double) * (size_t)w->ne);
+  /* The squares of equalities, weight |Je v + e|^2 / 2, are a part of the multipliers where a row is left soft. */
+  for (int32_t i = 0; i < w->ne; i++) d->ye[i] = w->border[np + i] * (1 + w->weight * w->border_softness);
 }
 
 /* product (rows,) += J (x, u, p) of a block of rows of a stage. */
@@ -135,6 +136,7 @@ static void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const 
 static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
   double size = 0, whole = 0;
   const size_t p = w->variables - (size_t)w->np;
+  const double softness = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
   for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
   memcpy(left->h, r->h, sizeof(double) * w->rows), memcpy(left->e, r->e, sizeof(double) * (size_t)w->ne);
   memcpy(left->c, r->c, sizeof(double) * w->defects);
@@ -164,7 +166,7 @@ static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate
     size = twx_max(size, fabs(left->h[i])), whole = twx_max(whole, twx_max(fabs(r->h[i]), fabs(r->s[i])));
   }
   for (size_t i = 0; i < (size_t)w->ne; i++) {
-    left->e[i] -= w->softness * d->ye[i];
+    left->e[i] -= softness * d->ye[i];
     size = twx_max(size, fabs(left->e[i])), whole = twx_max(whole, fabs(r->e[i]));
   }
   for (size_t i = 0; i < w->defects; i++) size = twx_max(size, fabs(left->c[i])), whole = twx_max(whole, fabs(r->c[i]));

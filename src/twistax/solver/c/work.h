@@ -53,7 +53,7 @@ typedef struct {
   double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
   double *filter;
   int32_t filter_rows;
-  double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
+  double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, border_softness, weight;
 } twx_work;
 
 static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
@@ -101,6 +101,7 @@ typedef struct {
   double error, stationarity, violation, complementarity;
 } twx_measures;
 TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32_t largest);
+TWX_INTERNAL double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier);
 TWX_INTERNAL double twx_barrier(const twx_work *w, const twx_values *at);
 TWX_INTERNAL twx_measures twx_measure(twx_work *w, double barrier);
 

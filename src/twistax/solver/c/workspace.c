@@ -28,7 +28,7 @@ static void take_values(arena *a, const twx_work *w, twx_values *q) {
 
 /* Copies of iterates are one block: v is the first of its arrays. */
 void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from) {
-  memcpy(to->v, from->v, sizeof(double) * (3 * (w->variables + w->rows) + w->defects + (size_t)w->ne));
+  memcpy(to->v, from->v, sizeof(double) * w->point_size);
 }
 
 static int32_t sizes_are_possible(const twx_problem *p) {
@@ -69,6 +69,7 @@ static void place_stages(twx_work *w, const twx_problem *p, twx_stage *stages, t
     t->n = largest(t->n, s.n), t->nh = largest(t->nh, s.nh), t->ne = largest(t->ne, s.ne);
   }
   w->variables = v + (size_t)w->np, w->points = z + (size_t)w->np, w->defects = c, w->rows = h;
+  w->point_size = 3 * (w->variables + w->rows) + w->defects + (size_t)w->ne;
 }
 
 size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
@@ -91,7 +92,7 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   w->Sv = take(&a, V), w->Ss = take(&a, R);
   w->P = take(&a, t.P), w->W = take(&a, t.W), w->L = take(&a, t.L), w->K = take(&a, t.K);
   w->L0 = take(&a, X * X), w->K0 = take(&a, X * B), w->S = take(&a, B * B);
-  w->Lp = take(&a, (size_t)(w->np * w->np)), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, E * E);
+  w->Lp = take(&a, (size_t)w->np * (size_t)w->np), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, E * E);
   w->p = take(&a, V), w->k = take(&a, V), w->border = take(&a, B);
   w->t0 = take(&a, n * n), w->t1 = take(&a, X * (n + B)), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 2 * (V + R + w->defects + E));
   w->filter = take(&a, 2 * TWX_FILTER_ROWS);
