@@ -171,6 +171,42 @@ def test_mass_that_leaves_takes_its_momentum_along() -> None:
     assert still.inner_motion is None
 
 
+def test_a_mass_that_is_a_state_of_rate_zero_stays() -> None:
+    """It does what the same mass does as a number, when the rate is known at once or later."""
+    mass, V, zero = tx.State("mass"), np.array([0.1, -0.2, 0.3, 0.4, 0.5, -0.6]), 0.0 * SPEED
+    x = {"length": np.array(0.3), "speed": np.array(0.7), "mass": np.array(2.0)}
+
+    def body(m: Any, **more: Any) -> SpatialInertia:
+        return SpatialInertia(mass=m, center_of_mass=ROOT + ALONG * LENGTH, inertia=np.eye(3) * (1 + LENGTH**2), **more)
+
+    def motion(b: SpatialInertia) -> dict[str, Any]:
+        whole = hub() + b.in_frame(tx.pose(position=[0.1, 0.2, 0.3]))
+        expressions = {
+            "acceleration": whole.acceleration(V, np.ones(6)),
+            "momentum": whole.momentum(V),
+            "energy": whole.kinetic_energy(V),
+        }
+        return tx.lower(expressions)(0.0, x)
+
+    expected = motion(body(2.0, rates=RATES))
+    leaving = motion(body(mass, rates={**RATES, mass: SPEED}))
+    for name, value in expected.items():
+        assert np.abs(leaving[name] - value).max() > 0.1
+    for staying in (
+        body(mass, rates={**RATES, mass: 0.0}),
+        body(mass, rates={**RATES, mass: zero}),
+        body(mass, rates={**RATES, mass: 0.0}, mass_leaves=False),
+        body(mass).with_rates({**RATES, mass: 0.0}),
+        body(mass).in_frame(tx.pose()).with_rates({**RATES, mass: 0.0}),
+    ):
+        actual = motion(staying)
+        for name, value in expected.items():
+            np.testing.assert_allclose(actual[name], value, rtol=1e-12, atol=1e-12)
+    for rates in ({mass: SPEED}, {}):
+        with pytest.raises(tx.ModelError, match=r"(?s)mass that does not change.*fix: rates="):
+            body(mass, rates={**RATES, **rates}, mass_leaves=False)
+
+
 def test_what_is_not_known_is_refused(unchecked: None) -> None:
     x, angle = tx.State("x"), tx.Control("angle")
     body = SpatialInertia(mass=1.0, center_of_mass=tx.Concat(x, 0.0, 0.0), inertia=np.eye(3))

@@ -204,7 +204,8 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
         rate, wanted = rates[leaf.name], _rate_shape(leaf)
         if rate.shape != wanted:
             raise ShapeError(f"Rate expects the rate of {leaf.name!r} with shape {wanted}, got {rate.shape}")
-        if not (isinstance(rate, Constant) and not rate.value.any()):
+        simplified = rate.canonicalize()
+        if not (isinstance(simplified, Constant) and not simplified.value.any()):
             yield leaf, rate
 
 

@@ -41,15 +41,16 @@ class SpatialInertia:
     counts in all that is computed of the body: $[f; I' w + c x f]$ with $f = m (2 w x c' + c'')$ is what the body takes
     beyond a rigid one, see `inner_motion`. Where the mass changes, mass leaves the body (or joins it), and takes its
     momentum along: there are no such terms, and the forces of what leaves are yours, the thrust and `flight.burning`.
+    A mass that depends on time or on states changes, unless the rates of these states are known to be zero.
 
     Args:
         mass: kg, ().
         center_of_mass: m, (3,), in the frame; its origin unless given.
         inertia: kg m2, (3, 3), about the centre of mass.
         physical: False takes numbers that no body has as they are.
-        rates: of the states that centre and inertia depend on, as those of a System; zero for what stays as it is. A
-            centre that moves needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds the
-            rates of its further states.
+        rates: of the states that mass, centre and inertia depend on, as those of a System; zero for what stays as it
+            is. A centre that moves needs the rates of its states' rates, too. `system` of a mechanism or a vehicle adds
+            the rates of its further states.
         mass_leaves: whether what changes centre and inertia is mass that leaves; None: where the mass changes.
 
     Raises:
@@ -77,19 +78,18 @@ class SpatialInertia:
         self.physical = physical
         if physical:
             _check(_known(self.mass), _known(self.center_of_mass), _known(self.inertia))
-        if mass_leaves is False and changing(self.mass):
+        part = MovingMass(self.mass, self.center_of_mass, self.inertia, rates_by_name(rates or {}))
+        if mass_leaves is False and not part.mass_stays:
             raise ModelError(
                 f"SpatialInertia expects a mass that does not change where mass_leaves=False, got {self.mass!r}: mass "
-                "comes from somewhere and goes somewhere, with its momentum"
+                "comes from somewhere and goes somewhere, with its momentum.\n"
+                "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
             )
-        #: The masses that move in the body; those of bodies that are merged stand side by side.
-        self._moving: tuple[MovingMass, ...] = ()
+        moves = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
+        #: The parts whose centre or inertia changes; those of bodies that are merged stand side by side.
+        self._parts: tuple[MovingMass, ...] = (part,) if moves else ()
         #: The poses that `in_frame` has brought it by.
         self._poses: tuple[Expr, ...] = ()
-        leaves = bool(changing(self.mass)) if mass_leaves is None else mass_leaves
-        if not leaves and changing(self.center_of_mass, self.inertia):
-            own = MovingMass(self.mass, self.center_of_mass, self.inertia, rates_by_name(rates or {}))
-            self._moving = (own,)
 
     @classmethod
     def about_origin(
@@ -118,14 +118,14 @@ class SpatialInertia:
         cls,
         parts: tuple[Expr, Expr, Expr],
         physical: bool,
-        moving: tuple[MovingMass, ...],
+        changing_parts: tuple[MovingMass, ...],
         poses: tuple[Expr, ...],
     ) -> SpatialInertia:
         """Constants are folded, so that they are checked and print as numbers."""
         m, c, tensor = canonicalize_all(parts)
-        found = cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical, mass_leaves=True)
-        found._moving, found._poses = moving, poses
-        return found
+        body = cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical, mass_leaves=True)
+        body._parts, body._poses = changing_parts, poses
+        return body
 
     def with_rates(self, rates: Mapping[Any, ExprLike]) -> SpatialInertia:
         """The same body, where the rates of further states are known; those that it has stay.
@@ -134,9 +134,14 @@ class SpatialInertia:
             rates: as of the constructor.
         Raises: ModelError for keys that are neither states nor names.
         """
-        found = copy.copy(self)
-        found._moving = tuple(part.knowing(rates_by_name(rates)) for part in self._moving)
-        return found
+        body = copy.copy(self)
+        body._parts = tuple(part.knowing(rates_by_name(rates)) for part in self._parts)
+        return body
+
+    @property
+    def _moving(self) -> tuple[MovingMass, ...]:
+        """The masses that move in the body: the parts that change while their mass stays."""
+        return tuple(part for part in self._parts if part.mass_stays)
 
     @property
     def inner_motion(self) -> InnerMotion | None:
@@ -245,9 +250,9 @@ class SpatialInertia:
         def moved(c: Expr, tensor: Expr) -> tuple[Expr, Expr]:
             return Act(T_ab, c), R @ tensor @ R.T
 
-        masses = tuple(MovingMass(p.mass, *moved(p.center_of_mass, p.inertia), p.rates) for p in self._moving)
-        own = (self.mass, *moved(self.center_of_mass, self.inertia))
-        return self._derived(own, self.physical, masses, (*self._poses, T_ab))
+        masses = tuple(MovingMass(p.mass, *moved(p.center_of_mass, p.inertia), p.rates) for p in self._parts)
+        described = (self.mass, *moved(self.center_of_mass, self.inertia))
+        return self._derived(described, self.physical, masses, (*self._poses, T_ab))
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
@@ -256,18 +261,18 @@ class SpatialInertia:
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
-        physical, moving = self.physical and other.physical, self._moving + other._moving
-        poses = self._poses + other._poses
+        physical, poses = self.physical and other.physical, self._poses + other._poses
+        changing_parts = self._parts + other._parts
         for body, massless in ((self, other), (other, self)):
             if isinstance(massless.mass, Constant) and not massless.mass.value:  # two of them have no centre
                 parts = body.mass, body.center_of_mass, self.inertia + other.inertia
-                return self._derived(parts, physical, moving, poses)
+                return self._derived(parts, physical, changing_parts, poses)
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
         apart = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
         tensor = self.inertia + other.inertia + _steiner(reduced, apart)
-        return self._derived((m, c, tensor), physical, moving, poses)
+        return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
         if not isinstance(other, SpatialInertia):

@@ -29,7 +29,7 @@ from ..expr.rate import changing
 
 
 class MovingMass(NamedTuple):
-    """A body of constant mass whose centre or inertia changes, in a frame, with the rates of what it depends on."""
+    """A body whose centre or inertia changes, in a frame, with the rates of what it depends on."""
 
     mass: Expr
     center_of_mass: Expr
@@ -40,10 +40,19 @@ class MovingMass(NamedTuple):
         """With further rates; those that are there stay."""
         return self._replace(rates={**rates, **self.rates})
 
+    @property
+    def mass_stays(self) -> bool:
+        """Whether the rate of the mass is known to be zero."""
+        return not self._unknown(self.mass) and self.rate(self.mass) is None
+
+    def _unknown(self, expr: Expr) -> list[State | Control]:
+        """The states and controls in an expression whose rates are not known."""
+        leaves = changing(expr)
+        return [leaf for leaf in leaves if isinstance(leaf, (State, Control)) and leaf.name not in self.rates]
+
     def rate(self, expr: Expr) -> Expr | None:
         """The rate of an expression; None where it does not change. Raises ModelError where it is not known."""
-        leaves = changing(expr)
-        unknown = [leaf for leaf in leaves if isinstance(leaf, (State, Control)) and leaf.name not in self.rates]
+        unknown = self._unknown(expr)
         if unknown:
             kind, name = type(unknown[0]).__name__.lower(), unknown[0].name
             raise ModelError(
@@ -52,8 +61,8 @@ class MovingMass(NamedTuple):
                 f"  fix: SpatialInertia(..., rates={{{name!r}: its rate}}), zero for what stays as it is, or "
                 "mass_leaves=True where the change is that of mass that leaves the body"
             )
-        found = Rate(expr, self.rates)
-        return found if found.placeholders else None
+        rate = Rate(expr, self.rates)
+        return rate if rate.placeholders else None
 
 
 class InnerMotion(NamedTuple):
