@@ -607,6 +607,12 @@ MUTATIONS: list[Mutation] = [
             "lowering/test_range.py::test_transformations_of_jax_give_the_gradient",
         ),
         (
+            "y^-2 of a product is applied to each factor",
+            "return self.mul(self.mul(x, inverse), inverse)",
+            "return self.mul(*(self.mul(each, inverse) for each in (self.nodes[x][1:] * 2)[:2]))",
+            "lowering/test_range.py::test_products_with_an_inverse_square",
+        ),
+        (
             "a choice by not c",
             "return self.select(self.nodes[c][1], b, a)",
             "return self.select(self.nodes[c][1], a, b)",

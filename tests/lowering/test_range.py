@@ -120,6 +120,25 @@ def test_the_derivative_of_a_quotient_has_no_square_of_the_divisor() -> None:
     assert float(back[0]) == 0.25
 
 
+def test_products_with_an_inverse_square_have_the_range_of_their_factors() -> None:
+    """b / y and c / y may leave the range where b c and y^-2 do not; y^-2 may leave it where b c / y does not."""
+    function = lambda b, c, y: b * c * y**-2  # noqa: E731
+    for backend in BACKENDS:
+        fast = tx.fast(function, backend=backend)
+        for b, c, y, right in (
+            (1e30, 1e-30, 1e-10, 1e20),
+            (1e30, 1e-30, 1e10, 1e-20),
+            (1e-30, 1e30, 1e10, 1e-20),
+            (1e15, 1e15, 1e15, 1.0),
+        ):
+            b, c, y = map(np.float32, (b, c, y))
+            assert float(fast(b, c, y)) == pytest.approx(right, rel=1e-6)
+            assert float(fast(-b, c, y)) == pytest.approx(-right, rel=1e-6)
+    for backend in BACKENDS[1:]:
+        fast = tx.fast(function, backend=backend)
+        assert float(fast(*map(np.float32, (1e20, 1e17, 1e25)))) == pytest.approx(1e-13, rel=1e-6)
+
+
 @pytest.mark.parametrize("size", [1e-30, 3e-16, 1.0, 7e18, 1e30])
 def test_norms_need_no_square_in_range(size: float) -> None:
     p = np.array([3.0, -4.0, 12.0], np.float32) * np.float32(size)
