@@ -657,6 +657,21 @@ MUTATIONS: list[Mutation] = [
             "unit = jnp.where(large, 1.0, jnp.where(small, 1.0, 1.0))",
             "lowering/test_range.py::test_norms_need_no_square_in_range",
         ),
+        (
+            "a norm has a second derivative at zero",
+            "quotient(jnp.where(zero, 0.0, x).astype(x.dtype), ",
+            "quotient(x, ",
+            "lowering/test_range.py::test_second_derivatives_of_norms",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/norms.py",
+        (
+            "a norm of scalars has a second derivative at zero",
+            "g.select(zero, g.zero, g.div(each, divisor))",
+            "g.div(each, divisor)",
+            "lowering/test_range.py::test_second_derivatives_of_norms",
+        ),
     ),
     *_at(
         "lowering/scalar/primitive.py",

@@ -80,7 +80,7 @@ def scales(dtype: Any) -> tuple[float, float, float]:
 
 
 def norm(x: Any) -> jax.Array:
-    """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$, zero at zero."""
+    """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$; all are zero at zero."""
     found: jax.Array = norm_p.bind(x, kept=0)
     return found
 
@@ -103,7 +103,9 @@ def _norm_jvp(primals: Any, tangents: Any, *, kept: int) -> Any:
     (x,), (dx,) = primals, tangents
     y = norm_p.bind(x, kept=kept)
     size = y.reshape(*y.shape, *(1 for _ in x.shape[kept:]))
-    along = quotient(x, jnp.where(size == 0.0, 1.0, size).astype(x.dtype))
+    zero = size == 0.0
+    # At zero the numerator is a number too: so is its derivative zero.
+    along = quotient(jnp.where(zero, 0.0, x).astype(x.dtype), jnp.where(zero, 1.0, size).astype(x.dtype))
     return y, jnp.sum(along * ad.instantiate_zeros(dx), axis=tuple(range(kept, x.ndim)))
 
 

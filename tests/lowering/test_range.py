@@ -153,6 +153,21 @@ def test_norms_need_no_square_in_range(size: float) -> None:
             np.testing.assert_allclose(slopes, np.array([3.0, -4.0, 12.0]) / 13.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1.0, 1e30])
+def test_second_derivatives_of_norms(size: float) -> None:
+    """(1 - p p^T / r^2) / r; zero at zero, as the first one is."""
+    p = np.array([3.0, -4.0, 12.0], np.float32) * np.float32(size)
+    along = np.array([3.0, -4.0, 12.0]) / 13.0
+    right = (np.eye(3) - np.outer(along, along)) / (13.0 * size) if size else np.zeros((3, 3))
+    lowered = tx.lower(tx.linalg.Norm(P))
+    on_arrays = lambda p: lowered(0.0, {"p": p})  # noqa: E731
+    for function in (on_arrays, *(tx.fast(on_arrays, backend=backend) for backend in BACKENDS[1:])):
+        for found in (jax.hessian(function)(p), jax.jacfwd(jax.jacfwd(function))(p)):
+            near(found, right)
+    dynamics = tx.compile(tx.System({P: P * tx.linalg.Norm(P)}), backend=BACKENDS[1])
+    near(dynamics.jacobian(0.0, {"p": p})["x"], 13.0 * size * (np.eye(3) + np.outer(along, along)))
+
+
 def test_differences_keep_the_sign_of_zero() -> None:
     x, y = np.float64(0.3), np.float64(-0.3)
     for backend in BACKENDS:

@@ -45,9 +45,10 @@ def _written(g: Graph, *x: int) -> int:
 
 
 def _slopes(g: Graph, x: tuple[int, ...], y: int) -> Sequence[int]:
-    """x_i / y; zero at zero."""
-    inverse = g.div(g.one, g.select(on(g, "eq", y, g.zero), g.one, y))
-    return [g.mul(each, inverse) for each in x]
+    """x_i / y; zero at zero, as are their derivatives."""
+    zero = on(g, "eq", y, g.zero)
+    divisor = g.select(zero, g.one, y)
+    return [g.select(zero, g.zero, g.div(each, divisor)) for each in x]
 
 
 _NORM = Operation(
