@@ -7,6 +7,7 @@ precision b^-2 is zero for b beyond 1e19, as r^3 is at 7e6 m from the centre of 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -71,12 +72,14 @@ _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 # ---- norms -----------------------------------------------------------------------------------------------------------
 
 
-def scales(dtype: Any) -> tuple[float, float, float]:
-    """(least, largest, factor): numbers between the first two can be squared and added; others times factor, or 1 /
-    factor, can. Powers of two: a product with them is exact."""
+def scales(dtype: Any, terms: int) -> tuple[float, float, float]:
+    """(least, largest, factor): numbers between the first two can be squared, and so many squares added; others times
+    factor, or 1 / factor, can. Powers of two: a product with them is exact."""
     info = jnp.finfo(dtype)
     half = -int(info.minexp) // 2
-    return 2.0 ** (info.nmant // 2 + 1 - half), 2.0 ** (half - 4), 2.0 ** (half + 8)
+    # A sum of so many squares is at most the square of 2^room times the largest entry.
+    room = ((terms - 1).bit_length() + 1) // 2
+    return 2.0 ** (info.nmant // 2 + 1 - half), 2.0 ** (half - room), 2.0 ** (half + 4 + room)
 
 
 def norm(x: Any) -> jax.Array:
@@ -90,7 +93,7 @@ def _norm(x: jax.Array, *, kept: int) -> jax.Array:
     axes = tuple(range(kept, x.ndim))
     if not x.size:
         return jnp.zeros(x.shape[:kept], x.dtype)
-    least, largest, factor = scales(x.dtype)
+    least, largest, factor = scales(x.dtype, math.prod(x.shape[kept:]))
     size = jnp.max(jnp.abs(x), axis=axes, keepdims=True)
     large, small = size > largest, size < least
     unit = jnp.where(large, 1.0 / factor, jnp.where(small, factor, 1.0)).astype(x.dtype)

@@ -153,6 +153,18 @@ def test_norms_need_no_square_in_range(size: float) -> None:
             np.testing.assert_allclose(slopes, np.array([3.0, -4.0, 12.0]) / 13.0, rtol=1e-6)
 
 
+@pytest.mark.parametrize("count", [60, 4096, 50000])
+@pytest.mark.parametrize("size", [1e-34, 5e-16, 5e17, 8e18, 5e35])
+def test_norms_of_many_entries(count: int, size: float) -> None:
+    """Each square is in range, or each scaled one; so is their sum. On scalars up to the size that is unrolled."""
+    x = np.full(count, size, np.float32)
+    value, right = tx.State("x", shape=(count,)), np.float32(size) * np.sqrt(count)
+    backends = BACKENDS if count == 60 else BACKENDS[:1]
+    for backend in backends:
+        dynamics = tx.compile(tx.System({value: 0.0 * value}, outputs={"r": tx.linalg.Norm(value)}), backend=backend)
+        assert float(dynamics.outputs(0.0, {"x": x})["r"]) == pytest.approx(right, rel=1e-5)
+
+
 @pytest.mark.parametrize("size", [0.0, 1e-30, 1.0, 1e30])
 def test_second_derivatives_of_norms(size: float) -> None:
     """(1 - p p^T / r^2) / r; zero at zero, as the first one is."""
