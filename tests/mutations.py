@@ -607,6 +607,12 @@ MUTATIONS: list[Mutation] = [
             "lowering/test_range.py::test_transformations_of_jax_give_the_gradient",
         ),
         (
+            "y^-2 of a product is applied to each factor",
+            "return self.mul(self.mul(x, inverse), inverse)",
+            "return self.mul(*(self.mul(each, inverse) for each in (self.nodes[x][1:] * 2)[:2]))",
+            "lowering/test_range.py::test_products_with_an_inverse_square",
+        ),
+        (
             "a choice by not c",
             "return self.select(self.nodes[c][1], b, a)",
             "return self.select(self.nodes[c][1], a, b)",
@@ -650,6 +656,27 @@ MUTATIONS: list[Mutation] = [
             "unit = jnp.where(large, 1.0 / factor, jnp.where(small, factor, 1.0))",
             "unit = jnp.where(large, 1.0, jnp.where(small, 1.0, 1.0))",
             "lowering/test_range.py::test_norms_need_no_square_in_range",
+        ),
+        (
+            "sums of squares out of range",
+            "room = ((terms - 1).bit_length() + 1) // 2",
+            "room = 0",
+            "lowering/test_range.py::test_norms_of_many_entries",
+        ),
+        (
+            "a norm has a second derivative at zero",
+            "quotient(jnp.where(zero, 0.0, x).astype(x.dtype), ",
+            "quotient(x, ",
+            "lowering/test_range.py::test_second_derivatives_of_norms",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/norms.py",
+        (
+            "a norm of scalars has a second derivative at zero",
+            "g.select(zero, g.zero, g.div(each, divisor))",
+            "g.div(each, divisor)",
+            "lowering/test_range.py::test_second_derivatives_of_norms",
         ),
     ),
     *_at(

@@ -7,6 +7,7 @@ precision b^-2 is zero for b beyond 1e19, as r^3 is at 7e6 m from the centre of 
 from __future__ import annotations
 
 import functools
+import math
 from collections.abc import Callable
 from typing import Any
 
@@ -71,16 +72,18 @@ _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 # ---- norms -----------------------------------------------------------------------------------------------------------
 
 
-def scales(dtype: Any) -> tuple[float, float, float]:
-    """(least, largest, factor): numbers between the first two can be squared and added; others times factor, or 1 /
-    factor, can. Powers of two: a product with them is exact."""
+def scales(dtype: Any, terms: int) -> tuple[float, float, float]:
+    """(least, largest, factor): numbers between the first two can be squared, and so many squares added; others times
+    factor, or 1 / factor, can. Powers of two: a product with them is exact."""
     info = jnp.finfo(dtype)
     half = -int(info.minexp) // 2
-    return 2.0 ** (info.nmant // 2 + 1 - half), 2.0 ** (half - 4), 2.0 ** (half + 8)
+    # A sum of so many squares is at most the square of 2^room times the largest entry.
+    room = ((terms - 1).bit_length() + 1) // 2
+    return 2.0 ** (info.nmant // 2 + 1 - half), 2.0 ** (half - room), 2.0 ** (half + 4 + room)
 
 
 def norm(x: Any) -> jax.Array:
-    """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$, zero at zero."""
+    """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$; all are zero at zero."""
     found: jax.Array = norm_p.bind(x, kept=0)
     return found
 
@@ -90,7 +93,7 @@ def _norm(x: jax.Array, *, kept: int) -> jax.Array:
     axes = tuple(range(kept, x.ndim))
     if not x.size:
         return jnp.zeros(x.shape[:kept], x.dtype)
-    least, largest, factor = scales(x.dtype)
+    least, largest, factor = scales(x.dtype, math.prod(x.shape[kept:]))
     size = jnp.max(jnp.abs(x), axis=axes, keepdims=True)
     large, small = size > largest, size < least
     unit = jnp.where(large, 1.0 / factor, jnp.where(small, factor, 1.0)).astype(x.dtype)
@@ -103,7 +106,9 @@ def _norm_jvp(primals: Any, tangents: Any, *, kept: int) -> Any:
     (x,), (dx,) = primals, tangents
     y = norm_p.bind(x, kept=kept)
     size = y.reshape(*y.shape, *(1 for _ in x.shape[kept:]))
-    along = quotient(x, jnp.where(size == 0.0, 1.0, size).astype(x.dtype))
+    zero = size == 0.0
+    # At zero the numerator is a number too: so is its derivative zero.
+    along = quotient(jnp.where(zero, 0.0, x).astype(x.dtype), jnp.where(zero, 1.0, size).astype(x.dtype))
     return y, jnp.sum(along * ad.instantiate_zeros(dx), axis=tuple(range(kept, x.ndim)))
 
 

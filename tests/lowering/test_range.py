@@ -120,6 +120,25 @@ def test_the_derivative_of_a_quotient_has_no_square_of_the_divisor() -> None:
     assert float(back[0]) == 0.25
 
 
+def test_products_with_an_inverse_square_have_the_range_of_their_factors() -> None:
+    """b / y and c / y may leave the range where b c and y^-2 do not; y^-2 may leave it where b c / y does not."""
+    function = lambda b, c, y: b * c * y**-2  # noqa: E731
+    for backend in BACKENDS:
+        fast = tx.fast(function, backend=backend)
+        for b, c, y, right in (
+            (1e30, 1e-30, 1e-10, 1e20),
+            (1e30, 1e-30, 1e10, 1e-20),
+            (1e-30, 1e30, 1e10, 1e-20),
+            (1e15, 1e15, 1e15, 1.0),
+        ):
+            b, c, y = map(np.float32, (b, c, y))
+            assert float(fast(b, c, y)) == pytest.approx(right, rel=1e-6)
+            assert float(fast(-b, c, y)) == pytest.approx(-right, rel=1e-6)
+    for backend in BACKENDS[1:]:
+        fast = tx.fast(function, backend=backend)
+        assert float(fast(*map(np.float32, (1e20, 1e17, 1e25)))) == pytest.approx(1e-13, rel=1e-6)
+
+
 @pytest.mark.parametrize("size", [1e-30, 3e-16, 1.0, 7e18, 1e30])
 def test_norms_need_no_square_in_range(size: float) -> None:
     p = np.array([3.0, -4.0, 12.0], np.float32) * np.float32(size)
@@ -132,6 +151,33 @@ def test_norms_need_no_square_in_range(size: float) -> None:
         assert float(function(p)) == pytest.approx(13.0 * size, rel=1e-6)
         for slopes in (jax.jacfwd(function)(p), jax.jacrev(function)(p), jax.vmap(jax.grad(function))(p[None])[0]):
             np.testing.assert_allclose(slopes, np.array([3.0, -4.0, 12.0]) / 13.0, rtol=1e-6)
+
+
+@pytest.mark.parametrize("count", [60, 4096, 50000])
+@pytest.mark.parametrize("size", [1e-34, 5e-16, 5e17, 8e18, 5e35])
+def test_norms_of_many_entries(count: int, size: float) -> None:
+    """Each square is in range, or each scaled one; so is their sum. On scalars up to the size that is unrolled."""
+    x = np.full(count, size, np.float32)
+    value, right = tx.State("x", shape=(count,)), np.float32(size) * np.sqrt(count)
+    backends = BACKENDS if count == 60 else BACKENDS[:1]
+    for backend in backends:
+        dynamics = tx.compile(tx.System({value: 0.0 * value}, outputs={"r": tx.linalg.Norm(value)}), backend=backend)
+        assert float(dynamics.outputs(0.0, {"x": x})["r"]) == pytest.approx(right, rel=1e-5)
+
+
+@pytest.mark.parametrize("size", [0.0, 1e-30, 1.0, 1e30])
+def test_second_derivatives_of_norms(size: float) -> None:
+    """(1 - p p^T / r^2) / r; zero at zero, as the first one is."""
+    p = np.array([3.0, -4.0, 12.0], np.float32) * np.float32(size)
+    along = np.array([3.0, -4.0, 12.0]) / 13.0
+    right = (np.eye(3) - np.outer(along, along)) / (13.0 * size) if size else np.zeros((3, 3))
+    lowered = tx.lower(tx.linalg.Norm(P))
+    on_arrays = lambda p: lowered(0.0, {"p": p})  # noqa: E731
+    for function in (on_arrays, *(tx.fast(on_arrays, backend=backend) for backend in BACKENDS[1:])):
+        for found in (jax.hessian(function)(p), jax.jacfwd(jax.jacfwd(function))(p)):
+            near(found, right)
+    dynamics = tx.compile(tx.System({P: P * tx.linalg.Norm(P)}), backend=BACKENDS[1])
+    near(dynamics.jacobian(0.0, {"p": p})["x"], 13.0 * size * (np.eye(3) + np.outer(along, along)))
 
 
 def test_differences_keep_the_sign_of_zero() -> None:

@@ -224,20 +224,10 @@ class Graph:
         for x, y in ((a, b), (b, a)):
             operation = self.nodes[y][0]
             if isinstance(operation, WholePower) and operation.exponent == -2:
-                return self._over_square(x, self.div(self.one, self.nodes[y][1]))
+                # In range where x and the product are, as x / y is between them; y^-2 need not be.
+                inverse = self.div(self.one, self.nodes[y][1])
+                return self.mul(self.mul(x, inverse), inverse)
         return self._signed(self.mul, _MUL, a, b)
-
-    def _over_square(self, a: int, inverse: int) -> int:
-        """a y^-2 of 1 / y, as (b / y) (c / y) where a is b c: y^-2 may be zero in floating point where it is not.
-
-        JAX's derivative of a quotient is such a product.
-        """
-        entry = self.nodes[a]
-        if entry[0] is _NEG:
-            return self.neg(self._over_square(entry[1], inverse))
-        if entry[0] is _MUL:
-            return self.mul(self.mul(entry[1], inverse), self.mul(entry[2], inverse))
-        return self.mul(self.mul(a, inverse), inverse)
 
     def div(self, a: int, b: int) -> int:
         if self.dtypes[a] != self.dtype:

@@ -20,7 +20,7 @@ if TYPE_CHECKING:
 
 
 def _number(*x: Any) -> Any:
-    least, largest, factor = scales(x[0].dtype)
+    least, largest, factor = scales(x[0].dtype, len(x))
     size = functools.reduce(np.maximum, map(np.abs, x))
     unit = np.where(size > largest, 1.0 / factor, np.where(size < least, factor, 1.0)).astype(x[0].dtype)
     return np.sqrt(functools.reduce(np.add, ((each * unit) ** 2 for each in x))) / unit
@@ -35,7 +35,7 @@ def _array(*x: jax.Array) -> jax.Array:
 
 def _written(g: Graph, *x: int) -> int:
     """The root of the sum of squares, in units of a power of two that keep these in range."""
-    least, largest, factor = map(g.constant, scales(g.dtype))
+    least, largest, factor = map(g.constant, scales(g.dtype, len(x)))
     size = functools.reduce(OPERATIONS["max"].on(g), (on(g, "abs", each) for each in x))
     large, small, inverse = on(g, "gt", size, largest), on(g, "lt", size, least), g.div(g.one, factor)
     unit = g.select(large, inverse, g.select(small, factor, g.one))
@@ -45,9 +45,10 @@ def _written(g: Graph, *x: int) -> int:
 
 
 def _slopes(g: Graph, x: tuple[int, ...], y: int) -> Sequence[int]:
-    """x_i / y; zero at zero."""
-    inverse = g.div(g.one, g.select(on(g, "eq", y, g.zero), g.one, y))
-    return [g.mul(each, inverse) for each in x]
+    """x_i / y; zero at zero, as are their derivatives."""
+    zero = on(g, "eq", y, g.zero)
+    divisor = g.select(zero, g.one, y)
+    return [g.select(zero, g.zero, g.div(each, divisor)) for each in x]
 
 
 _NORM = Operation(
