@@ -53,3 +53,13 @@ def test_a_rate_after_a_substitution(rate: tx.Expr, exchange: dict[Any, Any], ri
 def test_a_substitution_without_the_rate_is_refused(rate: tx.Expr, exchange: dict[Any, Any], match: str) -> None:
     with pytest.raises(tx.ModelError, match=match):
         substitute(rate, {leaf.key(): e for leaf, e in exchange.items()})
+
+
+def test_a_rate_on_a_group_after_a_substitution() -> None:
+    """The columns of R turn with R w, R' = R hat(w)."""
+    R, w, e = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), np.array([1.0, 2.0, -0.5])
+    q = tx.Parameter("q", shape=(3,))
+    rate = substitute(tx.Rate(R @ q, {R: w}), {q.key(): R @ e})
+    turn, spin = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]), np.array([0.3, -0.2, 0.5])
+    right = turn @ (np.cross(spin, turn @ e) + turn @ np.cross(spin, e))
+    np.testing.assert_allclose(tx.lower(rate)(0.0, {"R": turn, "w": spin}), right, rtol=1e-14)
