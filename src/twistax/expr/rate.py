@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..errors import ModelError, OperationError, ShapeError
-from ..groups import Euclidean, Group
+from ..groups import Group
 from .fields import ExprLike
 from .graph import evaluate_all, leaves_of, postorder, substitute
 from .leaves import Constant, Control, Leaf, State, Time
@@ -32,8 +32,15 @@ class _Placeholder(Leaf):
         return (self.name, self.shape, repr(self.group))
 
     def makes_group_element(self, *operands: bool) -> bool:
-        group = self.group
-        return group is not None and not isinstance(group, Euclidean)
+        return self.group is not None and self.group.rigid
+
+    def entry_rate(self, value: jax.Array, rate: jax.Array) -> jax.Array:
+        """The rate of the entries of a value."""
+        return rate if self.group is None else self.group.entry_rate(value, rate)
+
+
+#: Leaves of the body with these types do not move because their rates are zero; those with others have no rates.
+_AT_REST = (State, Control, _Placeholder)
 
 
 class Rate(Expr):
@@ -42,6 +49,9 @@ class Rate(Expr):
     Shape: that of the expression. Time has the rate 1, parameters and constants have none. The rate of a state on a
     group is its body velocity, as in the rates of a System. A rate of a rate is the second derivative. Units: those of
     the expression, per second.
+
+    Substitution keeps the rates: an expression in place of a state or control has the rate of that leaf, in which
+    leaves are replaced too. An expression in place of a parameter may depend on the leaves whose rates the Rate knows.
 
     Args:
         operand: the expression.
@@ -52,7 +62,8 @@ class Rate(Expr):
         depth: how many Rates stand one inside of another.
         along: the leaves that move, then their rates.
     Raises:
-        ModelError: the operand depends on a state or control whose rate is not there.
+        ModelError: the operand depends on a state or control whose rate is not there, at once or after a substitution;
+            a substitution makes one leaf of two whose rates differ.
         ShapeError: a rate of another shape than that of its leaf, or of its body velocity.
     Source: A. Griewank, A. Walther, Evaluating Derivatives (2008), chapter 3.
     """
@@ -73,7 +84,7 @@ class Rate(Expr):
         expr = to_expr(operand)
         expr.check_shape()
         pairs = list(_moving(expr, rates_by_name(rates or {})))
-        depth = 1 + max((node.depth for node in postorder(expr) if isinstance(node, Rate)), default=0)
+        depth = 1 + _depth(expr)
         placeholders = tuple(_Placeholder(depth, k, leaf) for k, (leaf, _) in enumerate(pairs))
         body = substitute(expr, {leaf.key(): own for (leaf, _), own in zip(pairs, placeholders, strict=True)})
         node = object.__new__(cls)
@@ -126,15 +137,48 @@ class Rate(Expr):
         return [("body", self.body), *zip(self.child_names(), self.along, strict=False)]
 
     def with_children(self, children: list[Expr]) -> Rate:
-        along = children[: len(self.along)]
-        pairs = zip(self._captured, children[len(along) :], strict=True)
-        exchange = {old.key(): new for old, new in pairs if old.key() != new.key()}
-        body = substitute(self.body, exchange) if exchange else self.body
-        if body is self.body and all(a is b for a, b in zip(along, self.along, strict=True)):
+        count = len(self.along)
+        along, pairs = tuple(children[:count]), list(zip(self._captured, children[count:], strict=True))
+        if all(a is b for a, b in zip(along, self.along, strict=True)) and all(a.key() == b.key() for a, b in pairs):
             return self
+        moving = self._moving_after(along, pairs)
+        exchange = {old.key(): substitute(new, moving) for old, new in pairs if old.key() != new.key()}
+        # Rates that come into the body have placeholders too: those of this one get a depth that is free.
+        depth, placeholders = self.depth + _depth(*exchange.values()), self.placeholders
+        if depth > self.depth:
+            placeholders = tuple(_Placeholder(depth, k, old) for k, old in enumerate(self.placeholders))
+            pairs_of_depths = zip(self.placeholders, placeholders, strict=True)
+            deeper: dict[str, Expr] = {old.key(): new for old, new in pairs_of_depths}
+            exchange = deeper | {key: substitute(new, deeper) for key, new in exchange.items()}
         copy = object.__new__(Rate)
-        copy._fill(body, self.placeholders, self.depth, tuple(along))
+        copy._fill(substitute(self.body, exchange) if exchange else self.body, placeholders, depth, along)
         return copy
+
+    def _moving_after(self, along: Sequence[Expr], pairs: Sequence[tuple[Leaf, Expr]]) -> dict[str, Expr]:
+        """The placeholders by leaf after an exchange of children. Raises ModelError where a rate is not known."""
+        count = len(self.placeholders)
+        rates = {leaf.key(): "" for old, new in pairs if isinstance(old, _AT_REST) for leaf in _with_rates(new)}
+        moving: dict[str, Expr] = {}
+        for leaf, rate, placeholder in zip(along[:count], along[count:], self.placeholders, strict=True):
+            if not isinstance(leaf, (Time, *_AT_REST)):
+                continue
+            if rates.setdefault(leaf.key(), rate.key()) != rate.key():
+                raise ModelError(
+                    f"Rate: the substitution puts {leaf.name!r} in place of leaves whose rates differ.\n"
+                    "  fix: substitute in the expression, then build its Rate"
+                )
+            moving[leaf.key()] = placeholder
+        for old, new in pairs:
+            unknown = [leaf for leaf in _with_rates(new) if leaf.key() not in rates]
+            if unknown:
+                inside = isinstance(unknown[0], _Placeholder)
+                kind, name = "leaf" if inside else type(unknown[0]).__name__.lower(), unknown[0].name
+                raise ModelError(
+                    f"Rate: the substitution puts an expression of the {kind} {name!r}, whose rate is not known, in "
+                    f"place of {old.name!r}, which has no rate.\n"
+                    "  fix: substitute in the expression, then build its Rate with all rates"
+                )
+        return moving
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return self.body.check_shape()
@@ -150,7 +194,7 @@ class Rate(Expr):
 
         if not count:
             return jnp.zeros_like(value())
-        velocities = [_ambient(*each) for each in zip(self.placeholders, leaves, rates, strict=True)]
+        velocities = [p.entry_rate(g, xi) for p, g, xi in zip(self.placeholders, leaves, rates, strict=True)]
         return jax.jvp(value, tuple(leaves), tuple(velocities))[1]
 
     def simplify(self) -> Expr:
@@ -189,6 +233,11 @@ def changing(*roots: Expr) -> list[Leaf]:
     return list(leaves.values())
 
 
+def _with_rates(expr: Expr) -> list[Leaf]:
+    """The leaves that change, with the placeholders of a Rate around this one."""
+    return [*changing(expr), *(leaf for leaf in leaves_of(expr) if isinstance(leaf, _Placeholder))]
+
+
 def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]]:
     """The leaves that move, with their rates."""
     for leaf in changing(expr):
@@ -210,14 +259,10 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
 
 
 def _rate_shape(leaf: Leaf) -> Shape:
-    group = getattr(leaf, "group", None)
-    return leaf.shape if group is None or isinstance(group, Euclidean) else (group.dimension,)
+    group: Group | None = getattr(leaf, "group", None)
+    return leaf.shape if group is None else group.tangent_shape
 
 
-def _ambient(placeholder: _Placeholder, value: jax.Array, rate: jax.Array) -> jax.Array:
-    """The rate of the array that is a leaf's value."""
-    group = placeholder.group
-    if group is None or isinstance(group, Euclidean):
-        return rate
-    moved = lambda s: group.retract(value, s * rate)  # noqa: E731
-    return jax.jvp(moved, (jnp.zeros((), value.dtype),), (jnp.ones((), value.dtype),))[1]
+def _depth(*roots: Expr) -> int:
+    """How many Rates stand one inside of another."""
+    return max((node.depth for node in postorder(*roots) if isinstance(node, Rate)), default=0)
