@@ -44,6 +44,9 @@ def spoiled() -> ButcherTableau:
     return ButcherTableau("spoiled", 4, a, RK4.b, RK4.c)
 
 
+STEPS = np.array(tx.tableaus.CF4.b)
+
+
 @pytest.mark.parametrize(
     ("tableau", "words"),
     [
@@ -53,6 +56,15 @@ def spoiled() -> ButcherTableau:
         (
             CommutatorFreeTableau("turned", 4, tx.tableaus.CF4.a, tx.tableaus.CF4.b[::-1]),
             "converges with the order of the tableau",
+        ),
+        # The order of large steps is 4.4, that of small ones 2.
+        (
+            CommutatorFreeTableau("turned a little", 4, tx.tableaus.CF4.a, 0.999 * STEPS + 0.001 * STEPS[::-1]),
+            "converges with the order of the tableau",
+        ),
+        (
+            ButcherTableau("labelled too low", 1, tx.tableaus.RK4.a, tx.tableaus.RK4.b, tx.tableaus.RK4.c),
+            "the order can be measured",
         ),
     ],
     ids=lambda value: getattr(value, "name", ""),

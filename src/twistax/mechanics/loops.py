@@ -33,7 +33,7 @@ __all__ = ["Axis", "Loop", "Metric", "Point", "Pose"]
 class Metric:
     """How rows of closures are compared with one another: which of them say what others say already.
 
-    With a length l a rotation counts as l times its angle, a slide as its way, and a moment as a force of it over l. In
+    With a length l a rotation counts as l times its angle, a slide as its way, and a moment tau as a force tau / l. In
     that measure, of lengths alone, rows of closures are independent that stand off the others by more than `tolerance`
     times the longest; what others say twice has no part in the motion. The wrenches of closures are the shortest that
     give it: the least sum of $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter: a link may be as light as it

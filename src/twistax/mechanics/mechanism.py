@@ -316,7 +316,9 @@ class Mechanism:
         return AdjointAction(at.T, self.twists(q, qd)[at.segment], inverse=True)
 
     def energy(self, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-        """$T + U$ (), J: the sum of `energies`, which nothing but motors, friction and outer forces change.
+        """$T + U$ (), J: the sum of `energies`.
+
+        It changes by motors, friction, outer forces and masses that move in bodies, and by nothing else.
 
         Raises: as `energies`.
         """

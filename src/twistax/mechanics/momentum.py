@@ -27,7 +27,10 @@ def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
 
 
 def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """The sum of $V.M V / 2$ over all bodies (), J, and of the rotors. Raises ShapeError."""
+    """The sum of $V.M V / 2$ over all bodies (), J, plus that of rotors and of masses that move in bodies.
+
+    Raises ShapeError; ModelError for masses that move by rates that are not known.
+    """
     twists = checked("kinetic_energy", mechanism).twists(q, qd)
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
     rates = mechanism.coordinates("kinetic_energy", "qd", qd)
@@ -95,6 +98,8 @@ def centroidal_momentum(mechanism: Mechanism, q: Positions | None = None, qd: Ex
 
 def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     """A (6, n) kg and kg m, with $A qd$ the centroidal momentum; columns $Ad*_T I_c H$, about the centre of mass.
+
+    Masses that move in bodies have a further momentum relative to their bodies, which $A qd$ does not contain.
 
     Raises ShapeError.
     """

@@ -15,21 +15,21 @@ from jax.flatten_util import ravel_pytree
 from ..errors import ImmutableError, InputError, ShapeError
 from ..expr import Constant, Example, Expr, Inputs, evaluate_all
 from ..jax_inside import quick_compile
-from .laws import Check
+from .laws import STENCIL, Check, difference_quotient
 
-#: The step of a difference quotient of fourth order, its weights, and what it resolves of slopes of order one.
+#: The step of a difference quotient of fourth order, and what it resolves of slopes of order one.
 _STEP, _RESOLVED = 2e-4, 1e-8
-_STENCIL = {2: -1.0 / 12.0, 1: 2.0 / 3.0, -1: -2.0 / 3.0, -2: 1.0 / 12.0}
 _SINGLE = 100.0 * float(np.finfo(np.float32).eps)
 
 
 def check_node(node_class: type[Expr]) -> None:
     """Check that a node class keeps what every node promises, on its `cases` and `kinks`.
 
-    Checked are that the inferred shape is that of the value, and other shapes give ShapeError; float32 stays float32,
-    within 100 round-offs of its size and of what its operands' round-off makes of it; jit = eager = vmap; derivatives
-    forward = reverse = by differences, where a case is smooth, and finite at `kinks`; `canonicalize` keeps the value
-    and is stable; equal trees have equal keys; texts and formulas are whole; nodes never change. No units are checked.
+    Checked are that the inferred shape is that of the value, and shapes are refused by no other error than ShapeError;
+    float32 stays float32, within 100 round-offs of its size and of what its operands' round-off makes of it; jit =
+    eager = vmap; derivatives forward = reverse = by differences, where a case is smooth, and finite at `kinks`;
+    `canonicalize` keeps the value and is stable; equal trees have equal keys; texts and formulas are whole; nodes never
+    change. No units are checked.
 
     Args:
         node_class: a subclass of `Expr` with `cases`.
@@ -140,7 +140,7 @@ def values_and_derivatives(case: Case) -> None:
     at = case.values
     rng = np.random.default_rng(0)
     along, across = rng.normal(size=point.shape), rng.normal(size=int(np.prod(expr.shape)))
-    batch = np.stack([point + _STEP * k * along for k in _STENCIL] + [point])
+    batch = np.stack([point + _STEP * k * along for k in STENCIL] + [point])
 
     fix = "look at evaluate"
     with check.running("its value can be computed and differentiated", fix):
@@ -164,7 +164,7 @@ def values_and_derivatives(case: Case) -> None:
     forward, reverse = across @ results["jvp"], results["vjp"] @ along
     check.close("reverse = forward", reverse, forward, 1e-12 * scale + 1e-11 * abs(forward), fix, at)
     if case.example.smooth:
-        slope = np.tensordot(list(_STENCIL.values()), results["batch"][:-1], 1) / _STEP
+        slope = difference_quotient(results["batch"][:-1], _STEP)
         fix = "look at custom derivatives; where there is none, the case belongs to kinks"
         check.close("the derivative is that of the values", results["jvp"], slope, _RESOLVED * scale, fix, at)
         _single_precision(case, results)

@@ -61,6 +61,12 @@ def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeT
             check.holds(f"the conditions of order {size} of {name}", off <= _EXACT, told.format(off), fix)
     with jax.enable_x64(True):
         fitted = fitted_order(method(tableau), tableau.order)
+    check.holds(
+        "the order can be measured",
+        np.isfinite(fitted),
+        f"errors of steps for the order {tableau.order} are round-off, or not finite",
+        "say the order that the tableau has: a higher one, where it is exact to round-off",
+    )
     told = f"halved steps say {fitted:.2f} for {tableau.order}"
     fix = "say the order of the conditions on a group: those of a commutator-free tableau are more than of its sums"
     check.holds("the method converges with the order of the tableau", fitted > tableau.order - 0.25, told, fix)
@@ -122,7 +128,7 @@ def _turning() -> Dynamics:
 
 
 def fitted_order(method: Method, order: int) -> float:
-    """The order with which steps of a method converge, as far as errors are above round-off."""
+    """The order with which steps of a method converge: by the last errors above round-off; NaN where there are none."""
     start = {"R": so3.exp(np.array([0.3, -0.4, 0.2]))}
 
     def end(steps: int) -> np.ndarray:
@@ -132,4 +138,4 @@ def fitted_order(method: Method, order: int) -> float:
     ends = [end(first * 2**k) for k in range(4)]
     ways = [np.linalg.norm(a - b) for a, b in itertools.pairwise(ends)]
     orders = [np.log2(a / b) for a, b in itertools.pairwise(ways) if b > 1e-13]
-    return float(max(orders, default=order))
+    return float(orders[-1]) if orders else np.nan
