@@ -267,3 +267,33 @@ def test_all_numbers_that_a_condition_is_compared_with_are_data() -> None:
     assert len({function for function, _ in found}) == 1
     values = [float(function(t, x, {}, params, *levels)) for function, levels in found]
     np.testing.assert_allclose(values, [-1.0, 3.0, 1.0])  # of h < a and v < b: the largest of h - a and v - b
+
+
+@pytest.mark.parametrize("how", [{"dt": 0.1}, {"rtol": 1e-5}], ids=["fixed", "adaptive"])
+@pytest.mark.parametrize("direction", [None, False])
+def test_an_event_early_in_the_first_step_is_met_in_single_precision(how: Any, direction: Any) -> None:
+    """A hundred-thousandth of the step after the start: a value is no zero because the step ends far from it."""
+    h, v = tx.State("h"), tx.State("v")
+    falling = tx.compile(tx.System(rates={h: v, v: -9.81 + 0.0 * h}))
+    start = {"h": np.float32(5e-4), "v": np.float32(-50.0)}
+    for event in (tx.Event(h, direction=direction), tx.Event(h < 0.0)):
+        solution = tx.integrate(falling, start, t1=1.0, event=event, **how)
+        assert solution.result is tx.Result.EVENT
+        assert float(solution.ts[-1]) == pytest.approx(1e-5, rel=1e-3)
+
+
+def test_an_event_just_after_the_start_is_met_from_either_side() -> None:
+    x = tx.State("x")
+    falling = tx.compile(tx.System(rates={x: -1.0 + 0.0 * x}))
+    for direction in (None, False):
+        solution = tx.integrate(falling, {"x": 1e-8}, t1=1.0, dt=1.0, event=tx.Event(x, direction=direction))
+        assert solution.result is tx.Result.EVENT
+        assert float(solution.ts[-1]) == pytest.approx(1e-8, rel=1e-6)
+
+
+def test_what_is_small_at_the_end_is_no_event() -> None:
+    """A ten-thousandth of the start, in single precision."""
+    x = tx.State("x")
+    falling = tx.compile(tx.System(rates={x: -0.9999 + 0.0 * x}))
+    solution = tx.integrate(falling, {"x": np.float32(1.0)}, t1=1.0, dt=1.0, event=tx.Event(x))
+    assert solution.result is tx.Result.SUCCESS

@@ -43,9 +43,12 @@ from .run import Crossed, Watched
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 
-#: A value at the start or the end of an integration counts as zero where it is this many units of round-off, or less,
-#: of the one at the other end of the step.
+#: A value at the start counts as zero where it is this many units of round-off, or less, of what it changes by.
 _HAIR = 1e3
+#: And where it would be zero at a time that many units of round-off of the time away.
+_HAIR_OF_TIME = 16.0
+#: One at the end where it is this many units of round-off, or less, of the one where the last step begins.
+_HAIR_AT_END = 64.0
 #: Places within a step at which its polynomial is looked at.
 _PLACES = 7
 #: So many crossings have room unless said otherwise.
@@ -209,8 +212,9 @@ class Watch:
         """
         now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
         senses = np.asarray(self.senses, now.dtype)
-        # What a value may be off by round-off, were it zero, beside what it changes by in the moment.
-        hair = min(_HAIR * float(jnp.finfo(now.dtype).eps) ** 0.5, 0.25)
+        # What a value may be off by round-off of its own or of the time, beside what it changes by in the moment.
+        eps = float(jnp.finfo(now.dtype).eps)
+        hair = jnp.maximum(min(_HAIR * eps**0.5, 0.25), _HAIR_OF_TIME * eps * jnp.abs(t) / s)
         zero = (now == 0.0) | (jnp.abs(now) <= hair * jnp.abs(soon - now))
         side = jnp.where(zero, jnp.sign(soon), jnp.sign(now))
         turns = jnp.sign(now) * jnp.sign(soon) < 0.0
@@ -222,7 +226,7 @@ class Watch:
         )
         met = (stops & (past | zero) & ~leaves) | (crosses & enters)
         # A crossing just after the start that counts is left to the first step.
-        kept = turns & ~zero & (stops | crosses) & (jnp.sign(soon) * senses > 0.0)
+        kept = turns & ~zero & (stops | crosses) & ((senses == 0.0) | (jnp.sign(soon) * senses > 0.0))
         noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)
         return jnp.where(noise, soon, now), met, zero | past, jnp.where(side == 0.0, senses, side) > 0.0
 
@@ -237,8 +241,8 @@ class Watch:
             old: (m,) the values where it begins.
             ends: whether it is the first step, and whether it is the last one.
         Returns:
-            (k + 2, m) values at places at equal distances, zero at the ends where they are zero up to round-off, of
-            NaN the value before; the values to go on with; whether anything may be crossed.
+            (k + 2, m) values at places at equal distances, zero at the end where it is zero up to round-off, of NaN the
+            value before; the values to go on with; whether anything may be crossed.
         """
         now = self.values(stepper, t, h, t + h, end)
         if not isinstance(inside, jax.Array):
@@ -249,11 +253,10 @@ class Watch:
                 return self.values(stepper, t, h, t + share * h, stepper.between(start, h, slopes, share))
 
             inside = jax.vmap(at)(shares)
-        hair = _HAIR * float(jnp.finfo(now.dtype).eps)
-        first, last = ends
-        low = jnp.where(first & (jnp.abs(old) <= hair * jnp.abs(now)), 0.0, old)
+        hair = _HAIR_AT_END * float(jnp.finfo(now.dtype).eps)
+        _, last = ends
         high = jnp.where(last & (jnp.abs(now) <= hair * jnp.abs(old)), 0.0, now)
-        rows = [low]
+        rows = [old]
         for row in [*inside, high]:
             rows.append(jnp.where(jnp.isnan(row), rows[-1], row))
         values = jnp.stack(rows)
