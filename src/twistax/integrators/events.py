@@ -43,8 +43,8 @@ from .run import Crossed, Watched
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 
-#: A value at the start counts as zero where it is this many units of round-off, or less, of what it changes by.
-_HAIR = 1e3
+#: A value at the start counts as zero where it is at most the round-off to this power of what it changes by in a moment.
+_HAIR = 0.3
 #: And where it would be zero at a time that many units of round-off of the time away.
 _HAIR_OF_TIME = 16.0
 #: One at the end where it is this many units of round-off, or less, of the one where the last step begins.
@@ -214,7 +214,7 @@ class Watch:
         senses = np.asarray(self.senses, now.dtype)
         # What a value may be off by round-off of its own or of the time, beside what it changes by in the moment.
         eps = float(jnp.finfo(now.dtype).eps)
-        hair = jnp.maximum(min(_HAIR * eps**0.5, 0.25), _HAIR_OF_TIME * eps * jnp.abs(t) / s)
+        hair = jnp.maximum(eps**_HAIR, _HAIR_OF_TIME * eps * jnp.abs(t) / s)
         zero = (now == 0.0) | (jnp.abs(now) <= hair * jnp.abs(soon - now))
         side = jnp.where(zero, jnp.sign(soon), jnp.sign(now))
         turns = jnp.sign(now) * jnp.sign(soon) < 0.0
