@@ -43,7 +43,7 @@ from .run import Crossed, Watched
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 
-#: A value at the start counts as zero where it is at most the round-off to this power of what it changes by in a moment.
+#: A value at the start counts as zero where it is at most this power of the round-off of what it changes by in a moment.
 _HAIR = 0.3
 #: And where it would be zero at a time that many units of round-off of the time away.
 _HAIR_OF_TIME = 16.0
