@@ -43,7 +43,7 @@ from .run import Crossed, Watched
 #: A step from a stored state: of its time, the state and a length.
 Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
 
-#: A value at the start counts as zero where it is at most this power of the round-off of what it changes by in a moment.
+#: A value at the start counts as zero up to this power of the round-off, of what it changes by in a moment.
 _HAIR = 0.3
 #: And where it would be zero at a time that many units of round-off of the time away.
 _HAIR_OF_TIME = 16.0
@@ -224,7 +224,7 @@ class Watch:
         stops, crosses = (
             np.array([each is mode for each in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
         )
-        met = (stops & (past | zero) & ~leaves) | (crosses & enters)
+        met = jnp.asarray((stops & (past | zero) & ~leaves) | (crosses & enters))
         # A crossing just after the start that counts is left to the first step.
         kept = turns & ~zero & (stops | crosses) & ((senses == 0.0) | (jnp.sign(soon) * senses > 0.0))
         noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)
