@@ -149,8 +149,13 @@ class _Problem(ctypes.Structure):
             (name, ctypes.c_void_p)
             for name in (
                 *("states", "controls", "inequalities", "equalities", "point_states"),
-                *("lower", "upper", "size", "user", "values", "jacobians", "hessians", "retract", "transport", "stop"),
+                *("lower", "upper", "size", "row_size", "equality_size"),
             )
+        ),
+        ("cost_size", ctypes.c_double),
+        *(
+            (name, ctypes.c_void_p)
+            for name in ("largest_step", "user", "values", "jacobians", "hessians", "retract", "transport", "stop")
         ),
     ]
 
@@ -189,6 +194,10 @@ def solve(
     v: Array | None = None,
     *,
     size: Array | None = None,
+    row_size: Array | None = None,
+    equality_size: Array | None = None,
+    cost_size: float = 1.0,
+    largest_step: Array | None = None,
     options: Options | None = None,  # type: ignore[valid-type]
     warm: Solution | None = None,
 ) -> Solution:
@@ -198,7 +207,9 @@ def solve(
         lower, upper: bounds of v; equal where an entry of x_0, u or p is fixed.
         z: the start.
         v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
-        size: units of v, by which steps and errors are measured; 1 where None.
+        size, row_size, equality_size, cost_size: units of v, of the rows h and e, and of the cost, by which steps and
+            errors are measured; 1 where None.
+        largest_step: of v, how far a step may move an entry; any distance where None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
     Raises:
@@ -206,7 +217,13 @@ def solve(
     """
     arrays = _start(stages, z, z if v is None else v, warm)
     limits = [_checked(name, a, stages.variables) for name, a in (("lower", lower), ("upper", upper))]
-    units = None if size is None else _checked("size", size, stages.variables)
+    counts_of_units = (stages.variables, sum(stages.inequalities), sum(stages.equalities))
+    units = [
+        None if a is None else _checked(name, a, count)
+        for name, a, count in zip(("size", "row_size", "equality_size"), (size, row_size, equality_size), counts_of_units)
+    ]
+    farthest = np.full(stages.variables, np.inf) if largest_step is None else largest_step
+    farthest = _checked("largest_step", farthest, stages.variables)
     counts = [np.asarray(c, np.int32) for c in (stages.states, stages.controls, stages.inequalities, stages.equalities)]
     points = None if stages.point_states is None else np.asarray(stages.point_states, np.int32)
     problem = _Problem(
@@ -215,7 +232,9 @@ def solve(
         *(c.ctypes.data for c in counts),
         None if points is None else points.ctypes.data,
         *(a.ctypes.data for a in limits),
-        None if units is None else units.ctypes.data,
+        *(None if a is None else a.ctypes.data for a in units),
+        cost_size,
+        None if largest_step is None else farthest.ctypes.data,
         functions.user or None,
         *(getattr(functions, f) or None for f in ("values", "jacobians", "hessians", "retract", "transport", "stop")),
     )

@@ -23,6 +23,9 @@ _FILES = (
     "line_search",
     "restoration",
     "solve",
+    "kernels",
+    "integrate",
+    "transcription",
 )
 
 _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
@@ -30,14 +33,14 @@ _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
-    return _expanded(_read("core.h"))
+    return _expanded(_read("core.h")) + _expanded(_read("transcription.h"), drop=("core.h",))
 
 
 def amalgamation() -> str:
     """All of the core as one C99 file; only the functions of the header have external linkage."""
     parts = ["#define TWX_INTERNAL static\n", header()]
-    parts.append(_INCLUDE.sub("", _read("work.h")))
-    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "work.h")) for name in _FILES]
+    parts += [_INCLUDE.sub("", _read(name)) for name in ("work.h", "phase.h")]
+    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "work.h", "phase.h")) for name in _FILES]
     return "\n".join(parts)
 
 

@@ -62,18 +62,18 @@ class Border:
         return [*self.times, *(entry for box in self.boxes for entry in entry_names(box.name, box.shape))]
 
     @functools.cached_property
-    def _finite(self) -> list[tuple[int, int]]:
+    def finite(self) -> list[tuple[int, int]]:
         """(entry, side) of every limit that there is."""
         there = np.isfinite(self.limits) & self.free[:, None]
         return [(int(i), int(side)) for i, side in np.argwhere(there)]
 
     @property
     def row_names(self) -> list[str]:
-        return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self._finite]
+        return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self.finite]
 
     def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
         """What must be <= 0."""
-        found = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self._finite]
+        found = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]
         return jnp.stack(found) if found else jnp.zeros(0, b.dtype)
 
     def params(self, b: Any) -> dict[str, Any]:

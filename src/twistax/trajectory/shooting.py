@@ -73,7 +73,7 @@ class Shooting(Transcribed):
         pace: str | None = None,
     ) -> None:
         self.alike: dict[str, str] = {}
-        self.phase, self._is_last = phase, phase == border.phases - 1
+        self.phase, self.is_last = phase, phase == border.phases - 1
         self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self.leaves |= {leaf.name: leaf for leaf in (*dynamics.controls, *norms.controls)}
         self.dynamics, self.mesh, self.substeps = dynamics, mesh, transcription.substeps
@@ -314,7 +314,7 @@ class Shooting(Transcribed):
         params = given.params | self.border.params(b)
         begin, length = self.span(b)
         conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, given.final, params)
-        limits = self.border.rows(b, given.limits) if self._is_last else jnp.zeros(0, b.dtype)
+        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
         return jnp.concatenate([conditions, gap[self.layout.fixed], path[self.layout.end_states], limits, cost[None]])
 
     # ---- derivatives --------------------------------------------------------------------------------------------

@@ -44,6 +44,9 @@ typedef struct {
   const int32_t *point_states; /* (N + 1) entries of z_k, or NULL where z_k is x_k */
   const double *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
   const double *size;         /* of v: units in which the core counts, or NULL for 1 */
+  const double *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
+  double cost_size;           /* unit of the cost */
+  const double *largest_step; /* of v: how far a step may move an entry, or NULL for any distance */
   void *user;
   int32_t (*values)(void *user, const double *z, double *cost, double *c, double *h, double *e);
   /* gradient of the cost by v; by (x_k, u_k, p): F_k of c_k (without the -1 of x_(k+1)), rows of h_k and e_k */

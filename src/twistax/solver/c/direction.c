@@ -45,13 +45,15 @@ void twx_step_of_bounds(twx_work *w, twx_iterate *d) {
   for (size_t i = 0; i < w->rows; i++) d->zs[i] = w->barrier / q->s[i] - q->zs[i] - q->zs[i] / q->s[i] * d->s[i];
 }
 
-/* Source: [WB] (15a). */
+/* Source: [WB] (15a); and no entry moves by more than its largest step. */
 double twx_primal_length(const twx_work *w, const twx_iterate *d) {
   const twx_iterate *q = &w->iterate;
+  const double *const largest = w->problem->largest_step;
   double length = 1;
   FOR_FREE(w, i) {
     if (d->v[i] < 0 && twx_has(w->lower[i])) length = twx_min(length, -w->fraction * twx_below(w, q->v, i) / d->v[i]);
     if (d->v[i] > 0 && twx_has(w->upper[i])) length = twx_min(length, w->fraction * twx_above(w, q->v, i) / d->v[i]);
+    if (largest && w->size[i] * fabs(d->v[i]) > largest[i]) length = twx_min(length, largest[i] / (w->size[i] * fabs(d->v[i])));
   }
   for (size_t i = 0; i < w->rows; i++)
     if (d->s[i] < 0) length = twx_min(length, -w->fraction * q->s[i] / d->s[i]);

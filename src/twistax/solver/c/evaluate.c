@@ -22,7 +22,7 @@ int32_t twx_evaluate(twx_work *w, twx_values *at) {
     const double *size = size_of_next(w, k);
     for (int32_t i = 0; i < w->stages[k].next; i++) sum += at->c[w->stages[k].c + (size_t)i] /= size[i];
   }
-  for (size_t i = 0; i < w->rows; i++) sum += h[i] = h[i] * w->row_scale[i] - w->options->bound_relaxation;
+  for (size_t i = 0; i < w->rows; i++) sum += h[i] = h[i] * w->row_scale[i] - w->options->row_relaxation;
   for (size_t i = 0; i < (size_t)w->ne; i++) sum += e[i] *= w->equality_scale[i];
   return !isfinite(sum + at->cost);
 }
@@ -97,5 +97,8 @@ int32_t twx_move(twx_work *w, const twx_iterate *step, double length) {
     for (size_t i = 0; i < w->variables; i++) w->trial.z[i] = w->here.z[i] + w->moved[i];
   else if (p->retract(p->user, w->here.z, w->moved, w->trial.z))
     return 1;
-  return twx_evaluate(w, &w->trial);
+  if (twx_evaluate(w, &w->trial)) return 1;
+  if (w->options->slack_reset > 0) /* a smaller slack costs barrier and gains nothing */
+    for (size_t i = 0; i < w->rows; i++) w->trial.s[i] = twx_max(w->trial.s[i], -w->trial.h[i]);
+  return 0;
 }

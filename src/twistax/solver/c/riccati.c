@@ -155,15 +155,23 @@ static int32_t eliminate_start(twx_work *w) {
   return 1;
 }
 
-/* The factor C of Z'Z - S_ee + softness. */
+/* The factor C of Z'Z - S_ee + softness; 0 where a pivot is rounding: a row depends on others, or nothing moves it. */
 static int32_t factorize_equalities(twx_work *w) {
   const int32_t np = w->np, ne = w->ne, nb = w->nb;
+  const double least = w->options->pivot;
+  double *const diagonal = w->t3, most = 0;
   for (int32_t j = 0; j < ne; j++)
     for (int32_t i = 0; i < ne; i++)
       w->C[i + (size_t)j * (size_t)ne] =
           (i == j ? w->softness + w->border_softness : 0) - w->S[np + i + (size_t)(np + j) * (size_t)nb];
   twx_add_product_transposed(ne, ne, np, w->Z, np, w->Z, np, w->C, ne);
-  return twx_cholesky(ne, w->C, ne);
+  for (int32_t i = 0; i < ne; i++) most = twx_max(most, diagonal[i] = w->C[i + (size_t)i * (size_t)ne]);
+  if (!twx_cholesky(ne, w->C, ne)) return 0;
+  for (int32_t i = 0; i < ne && w->border_softness == 0; i++) {
+    const double pivot = w->C[i + (size_t)i * (size_t)ne] * w->C[i + (size_t)i * (size_t)ne];
+    if (pivot <= least * diagonal[i] || diagonal[i] <= least * least * most) return 0;
+  }
+  return 1;
 }
 
 /* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities. Those that depend on each other have no

@@ -46,7 +46,23 @@ static int32_t push_inside(twx_work *w) {
   return bad;
 }
 
-/* Scales of rows by their largest derivative, as in [WB] 3.8. */
+/* The units of the problem; 0 where one is not positive. */
+static int32_t read_units(twx_work *w) {
+  const twx_problem *p = w->problem;
+  int32_t good = p->cost_size > 0 && isfinite(p->cost_size);
+  w->cost_scale = 1 / p->cost_size;
+  for (size_t i = 0; i < w->rows; i++) {
+    w->row_scale[i] = p->row_size ? 1 / p->row_size[i] : 1;
+    good = good && w->row_scale[i] > 0 && isfinite(w->row_scale[i]);
+  }
+  for (size_t i = 0; i < (size_t)w->ne; i++) {
+    w->equality_scale[i] = p->equality_size ? 1 / p->equality_size[i] : 1;
+    good = good && w->equality_scale[i] > 0 && isfinite(w->equality_scale[i]);
+  }
+  return good;
+}
+
+/* Rows with large derivatives are divided further, as in [WB] 3.8. */
 static void scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, const double *J, double *scale) {
   for (int32_t i = 0; i < rows; i++) {
     double most = 0;
@@ -54,19 +70,16 @@ static void scale_rows(const twx_work *w, const twx_stage *s, int32_t rows, cons
       const size_t variable = j < s->nv ? s->v + (size_t)j : w->variables - (size_t)(s->n - j);
       if (w->free[variable] != 0) most = twx_max(most, fabs(J[i + (size_t)j * (size_t)rows]));
     }
-    if (most > w->options->row_gradient) scale[i] = twx_max(w->options->row_gradient / most, 1e-8);
+    if (most > w->options->row_gradient) scale[i] *= twx_max(w->options->row_gradient / most, 1e-8);
   }
 }
 
 static int32_t scale_functions(twx_work *w) {
   const double limit = w->options->objective_gradient;
   double most = 0;
-  w->cost_scale = 1;
-  for (size_t i = 0; i < w->rows; i++) w->row_scale[i] = 1;
-  for (size_t i = 0; i < (size_t)w->ne; i++) w->equality_scale[i] = 1;
   if (twx_differentiate(w)) return 1;
   FOR_FREE(w, i) most = twx_max(most, fabs(w->gradient[i]));
-  if (limit > 0 && most > limit) w->cost_scale = twx_max(limit / most, 1e-8);
+  if (limit > 0 && most > limit) w->cost_scale *= twx_max(limit / most, 1e-8);
   FOR_STAGES(w, k, s) {
     scale_rows(w, s, s->nh, w->Jh + s->Jh, w->row_scale + s->h);
     scale_rows(w, s, s->ne, w->Je + s->Je, w->equality_scale + s->e);
@@ -136,12 +149,9 @@ static void scale_multipliers(twx_work *w) {
 twx_status twx_start(twx_work *w) {
   const twx_options *o = w->options;
   twx_iterate *q = &w->iterate;
-  if (!read_bounds(w)) return TWX_BAD_PROBLEM;
+  if (!read_bounds(w) || !read_units(w)) return TWX_BAD_PROBLEM;
   for (size_t i = 0; i < w->variables; i++) q->v[i] /= w->size[i];
   set_barrier(w);
-  w->cost_scale = 1;
-  for (size_t i = 0; i < w->rows; i++) w->row_scale[i] = 1;
-  for (size_t i = 0; i < (size_t)w->ne; i++) w->equality_scale[i] = 1;
   if (push_inside(w) || scale_functions(w) || twx_evaluate(w, &w->here) || twx_differentiate(w)) return TWX_NON_FINITE;
   w->statistics->cost_scale = w->cost_scale;
   if (o->warm_start > 0) scale_multipliers(w);

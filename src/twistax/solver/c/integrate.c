@@ -1,0 +1,244 @@
+/* Intervals of a phase: their integration, its sensitivities and its adjoints. Row k of an array is interval k. */
+#include "phase.h"
+
+/* q = (eta, u, p) of all intervals, and the shares where they stand. */
+static void join(const twx_memory *t, size_t place, const double *eta, const double *z, double within) {
+  const twx_phase *f = t->phase;
+  const size_t stride = (size_t)(f->point + f->m);
+  const double *p = z + f->parameters_z;
+  for (size_t k = 0; k < t->K; k++) {
+    double *q = t->q + (place * t->K + k) * t->size;
+    if (eta) memcpy(q, eta + k * t->n, sizeof(double) * t->n);
+    memcpy(q + t->n, z + f->at.z[0] + k * stride + (size_t)f->point, sizeof(double) * (size_t)f->m);
+    memcpy(q + t->n + f->m, p, sizeof(double) * (size_t)f->p);
+    t->shares[place * t->K + k] = f->starts[k] + f->widths[k] * within;
+  }
+}
+
+static size_t stage_place(const twx_memory *t, size_t stage) { return (size_t)t->phase->substeps + 1 + stage; }
+
+static double *q_of(const twx_memory *t, size_t place) { return t->q + place * t->K * t->size; }
+
+twx_inputs twx_inputs_at(const twx_memory *t, const double *z, size_t place) {
+  return (twx_inputs){.z = q_of(t, place), .width = t->size, .share = t->shares + place * t->K, .base = z + t->phase->at.z[0]};
+}
+
+static void rates(const twx_memory *t, const double *z, size_t stage, double *slopes) {
+  twx_call(&t->phase->rate.value, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, slopes, t->n);
+}
+
+static void rate_slopes(const twx_memory *t, const double *z, size_t stage) {
+  double *J = t->J + stage * t->K * t->n * t->size;
+  twx_call(&t->phase->rate.slopes, t, twx_inputs_at(t, z, stage_place(t, stage)), t->K, J, t->n * t->size);
+}
+
+/* eta at a place: that of the substep's start plus steps along the slopes of its stages, by these weights. */
+static void advance(const twx_memory *t, size_t substep, const double *weights, size_t count, size_t place) {
+  const size_t s = (size_t)t->phase->stages;
+  for (size_t k = 0; k < t->K; k++) {
+    const double length = t->phase->widths[k] / t->phase->substeps;
+    const double *from = q_of(t, substep) + k * t->size;
+    double *to = q_of(t, place) + k * t->size;
+    for (size_t i = 0; i < t->n; i++) {
+      double sum = 0;
+      for (size_t l = 0; l < count; l++)
+        if (weights[l] != 0) sum += weights[l] * t->slopes[((substep * s + l) * t->K + k) * t->n + i];
+      to[i] = from[i] + length * sum;
+    }
+  }
+}
+
+/* The matrix of v_i - J_i sum_j a_ij v_j of a substep, factorised. */
+static int32_t factorize_stages(const twx_memory *t, size_t substep, size_t k) {
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  const double length = f->widths[k] / f->substeps;
+  double *M = t->matrix + k * sn * sn;
+  for (size_t i = 0; i < s; i++)
+    for (size_t r = 0; r < n; r++)
+      for (size_t j = 0; j < s; j++)
+        for (size_t q = 0; q < n; q++)
+          M[(i * n + r) * sn + j * n + q] = (i == j && r == q) - length * f->a[i * s + j] *
+                                            t->J[(((substep * s + i) * t->K + k) * n + r) * t->size + q];
+  return twx_lu(sn, M, t->right + (sn + s) * t->size);
+}
+
+/* One step of Newton's method for the slopes of a substep of all intervals: its largest relative size, -1: none. */
+static double improve(const twx_memory *t, const double *z, size_t substep) {
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  double worst = 0, *r = t->right, *value = t->adjoints;
+  for (size_t i = 0; i < s; i++) {
+    const size_t stage = substep * s + i;
+    advance(t, substep, f->a + i * s, s, stage_place(t, stage));
+    rates(t, z, stage, value + i * t->K * n), rate_slopes(t, z, stage);
+  }
+  for (size_t k = 0; k < t->K; k++) {
+    double step = 0, scale = 0;
+    const double length = f->widths[k] / f->substeps;
+    for (size_t i = 0; i < s; i++)
+      for (size_t d = 0; d < n; d++)
+        r[i * n + d] = t->slopes[((substep * s + i) * t->K + k) * n + d] - value[(i * t->K + k) * n + d];
+    if (!factorize_stages(t, substep, k)) return -1;
+    twx_lu_solve(sn, t->matrix + k * sn * sn, r + (sn + s) * t->size, 1, r);
+    for (size_t i = 0; i < s; i++)
+      for (size_t d = 0; d < n; d++) {
+        double *slope = t->slopes + ((substep * s + i) * t->K + k) * n + d;
+        scale = twx_max(fabs(*slope), scale), step = twx_max(fabs(r[i * n + d]), step);
+        *slope -= r[i * n + d];
+        if (!isfinite(*slope)) return -1;
+      }
+    worst = twx_max(length * step / (1 + length * scale), worst);
+  }
+  return worst;
+}
+
+static int32_t solve_stages(const twx_memory *t, const double *z, size_t substep) {
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, block = t->K * t->n;
+  double *first = t->slopes + substep * s * block;
+  advance(t, substep, NULL, 0, stage_place(t, substep * s));
+  rates(t, z, substep * s, first);
+  for (size_t i = 1; i < s; i++) memcpy(first + i * block, first, sizeof(double) * block);
+  for (int32_t i = 0; i < f->iterations; i++) {
+    const double size = improve(t, z, substep);
+    if (size < 0) return 1;
+    if (size <= f->close) {
+      if (improve(t, z, substep) < 0) return 1;
+      for (size_t l = 0; l < s; l++) advance(t, substep, f->a + l * s, s, stage_place(t, substep * s + l));
+      return 0;
+    }
+  }
+  return 1;
+}
+
+/* The memory for a point, integrated. Other than 0 where implicit stages are not solved. */
+int32_t twx_integrate(twx_memory *t, const double *z) {
+  const twx_phase *f = t->phase;
+  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, stride = (size_t)(f->point + f->m);
+  const size_t inner = t->K * stride + (size_t)f->point;
+  const double *own = z + f->at.z[0], *p = z + f->parameters_z;
+  if (*t->state > 0 && !memcmp(t->at, own, sizeof(double) * inner) &&
+      !memcmp(t->at + inner, p, sizeof(double) * (size_t)f->p))
+    return 0;
+  *t->state = 0;
+  memset(q_of(t, 0), 0, sizeof(double) * t->K * t->size);
+  join(t, 0, NULL, z, 0);
+  for (size_t j = 0; j < S; j++) {
+    for (size_t i = 0; i < s; i++) join(t, stage_place(t, j * s + i), NULL, z, ((double)j + f->c[i]) / (double)S);
+    if (f->implicit && solve_stages(t, z, j)) return 1;
+    for (size_t i = 0; !f->implicit && i < s; i++) {
+      advance(t, j, f->a + i * s, i, stage_place(t, j * s + i));
+      rates(t, z, j * s + i, t->slopes + (j * s + i) * t->K * t->n);
+    }
+    join(t, j + 1, NULL, z, (double)(j + 1) / (double)S);
+    advance(t, j, f->b, s, j + 1);
+  }
+  memcpy(t->at, own, sizeof(double) * inner), memcpy(t->at + inner, p, sizeof(double) * (size_t)f->p);
+  *t->state = 1;
+  return 0;
+}
+
+static double *map_of(const twx_memory *t, size_t place, size_t k) {
+  return t->maps + (place * t->K + k) * t->n * t->size;
+}
+
+static double *along_of(const twx_memory *t, size_t stage, size_t k) {
+  return t->along + (stage * t->K + k) * t->n * t->size;
+}
+
+/* The sensitivity at a place: that of the substep's start plus those of slopes, by these weights. */
+static void advance_map(const twx_memory *t, size_t substep, size_t k, const double *weights, size_t count, size_t place) {
+  const size_t s = (size_t)t->phase->stages, block = t->n * t->size;
+  const double length = t->phase->widths[k] / t->phase->substeps;
+  double *restrict to = map_of(t, place, k);
+  memcpy(to, map_of(t, substep, k), sizeof(double) * block);
+  for (size_t l = 0; l < count; l++) {
+    const double *restrict from = along_of(t, substep * s + l, k), factor = length * weights[l];
+    for (size_t i = 0; factor != 0 && i < block; i++) to[i] += factor * from[i];
+  }
+}
+
+static int32_t implicit_maps(const twx_memory *t, size_t j, size_t k) {
+  const size_t s = (size_t)t->phase->stages, block = t->n * t->size, sn = s * t->n;
+  for (size_t i = 0; i < s; i++)
+    twx_along(t->n, t->n, t->size, t->J + ((j * s + i) * t->K + k) * block, map_of(t, j, k), t->right + i * block);
+  if (!factorize_stages(t, j, k)) return 1;
+  twx_lu_solve(sn, t->matrix + k * sn * sn, t->right + (sn + s) * t->size, t->size, t->right);
+  for (size_t i = 0; i < s; i++) memcpy(along_of(t, j * s + i, k), t->right + i * block, sizeof(double) * block);
+  for (size_t i = 0; i < s; i++) advance_map(t, j, k, t->phase->a + i * s, s, stage_place(t, j * s + i));
+  return 0;
+}
+
+/* Sensitivities of all stages and ends of substeps. Other than 0 where the point cannot be integrated. */
+int32_t twx_sensitivities(twx_memory *t, const double *z) {
+  const twx_phase *f = t->phase;
+  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, block = t->n * t->size;
+  if (twx_integrate(t, z)) return 1;
+  if (*t->state > 1) return 0;
+  for (size_t i = 0; i < t->stages; i++) rate_slopes(t, z, i);
+  for (size_t k = 0; k < t->K; k++) {
+    double *start = map_of(t, 0, k);
+    memset(start, 0, sizeof(double) * block);
+    for (size_t i = 0; i < t->n; i++) start[i * t->size + i] = 1;
+    for (size_t j = 0; j < S; j++) {
+      if (f->implicit && implicit_maps(t, j, k)) return 1;
+      for (size_t i = 0; !f->implicit && i < s; i++) {
+        const size_t stage = j * s + i, place = stage_place(t, stage);
+        advance_map(t, j, k, f->a + i * s, i, place);
+        twx_along(t->n, t->n, t->size, t->J + (stage * t->K + k) * block, map_of(t, place, k), along_of(t, stage, k));
+      }
+      advance_map(t, j, k, f->b, s, j + 1);
+    }
+  }
+  *t->state = 2;
+  return 0;
+}
+
+/* Adjoints of the slopes of a substep from that of its end, which becomes that of its start. */
+static void explicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, n = t->n;
+  const double length = f->widths[k] / f->substeps;
+  for (size_t i = s; i-- > 0;) {
+    double *own = t->adjoints + (i * t->K + k) * n, *back = t->through + (i * t->K + k) * n;
+    const double *J = t->J + ((j * s + i) * t->K + k) * n * t->size;
+    for (size_t d = 0; d < n; d++) {
+      double sum = f->b[i] * adjoint[d];
+      for (size_t l = i + 1; l < s; l++) sum += f->a[l * s + i] * t->through[(l * t->K + k) * n + d];
+      own[d] = length * sum, back[d] = 0;
+    }
+    for (size_t r = 0; r < n; r++)
+      for (size_t d = 0; d < n; d++) back[d] += own[r] * J[r * t->size + d];
+  }
+  for (size_t i = 0; i < s; i++)
+    for (size_t d = 0; d < n; d++) adjoint[d] += t->through[(i * t->K + k) * n + d];
+}
+
+static void implicit_adjoints(twx_memory *t, size_t j, size_t k, double *adjoint) {
+  const twx_phase *f = t->phase;
+  const size_t s = (size_t)f->stages, n = t->n, sn = s * n;
+  const double length = f->widths[k] / f->substeps, *pulls = t->pulls + ((size_t)f->substeps + 1 + j * s) * t->K * n;
+  double *r = t->right;
+  factorize_stages(t, j, k);
+  for (size_t i = 0; i < s; i++)
+    for (size_t d = 0; d < n; d++) {
+      double sum = f->b[i] * adjoint[d];
+      for (size_t l = 0; l < s; l++) sum += f->a[l * s + i] * pulls[(l * t->K + k) * n + d];
+      r[i * n + d] = length * sum;
+    }
+  twx_lu_solve_transposed(sn, t->matrix + k * sn * sn, r + (sn + s) * t->size, r);
+  for (size_t i = 0; i < s; i++) {
+    const double *J = t->J + ((j * s + i) * t->K + k) * n * t->size;
+    memcpy(t->adjoints + (i * t->K + k) * n, r + i * n, sizeof(double) * n);
+    for (size_t d = 0; d < n; d++) {
+      adjoint[d] += pulls[(i * t->K + k) * n + d];
+      for (size_t q = 0; q < n; q++) adjoint[d] += r[i * n + q] * J[q * t->size + d];
+    }
+  }
+}
+
+void twx_adjoint_stages(twx_memory *t, size_t substep, double *adjoint) {
+  for (size_t k = 0; k < t->K; k++)
+    (t->phase->implicit ? implicit_adjoints : explicit_adjoints)(t, substep, k, adjoint + k * t->n);
+}

@@ -1,0 +1,121 @@
+/* Calls of kernels, memory of a phase, and the small linear algebra of row-major matrices. */
+#include "phase.h"
+
+static double *next_of(double *base, size_t *used, size_t count) {
+  double *const start = base ? base + *used : NULL;
+  *used += count;
+  return start;
+}
+
+size_t twx_lay_out(twx_memory *t, const twx_phase *f, double *base) {
+  const size_t K = (size_t)f->intervals, n = (size_t)f->n, size = n + (size_t)f->m + (size_t)f->p;
+  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, all = S * s, sn = f->implicit ? s * n : 0;
+  size_t used = 0, rows = (size_t)f->path_rows + 1;
+  for (int32_t i = 0; i < f->nodes; i++)
+    if ((size_t)f->node[i].function.rows > rows) rows = (size_t)f->node[i].function.rows;
+  *t = (twx_memory){.phase = f, .K = K, .n = n, .size = size, .stages = all};
+  t->points = S + 1 + (f->implicit ? all : 0);
+  t->state = next_of(base, &used, 1);
+  t->at = next_of(base, &used, (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
+  t->q = next_of(base, &used, (S + 1 + all) * K * size), t->shares = next_of(base, &used, (S + 1 + all) * K);
+  t->slopes = next_of(base, &used, all * K * n), t->J = next_of(base, &used, all * K * n * size);
+  t->maps = next_of(base, &used, (S + 1 + all) * K * n * size), t->along = next_of(base, &used, all * K * n * size);
+  t->gap_slopes = next_of(base, &used, K * n * n), t->turns = next_of(base, &used, K * n * n);
+  t->defects = next_of(base, &used, K * n);
+  t->adjoints = next_of(base, &used, s * K * n), t->through = next_of(base, &used, s * K * n);
+  t->pulls = next_of(base, &used, t->points * K * n);
+  t->rows = next_of(base, &used, K * rows), t->row_slopes = next_of(base, &used, K * rows * size);
+  t->row_moved = next_of(base, &used, rows * size), t->adjoint = next_of(base, &used, K * n);
+  t->bends = next_of(base, &used, K * size * size), t->moved = next_of(base, &used, size * size);
+  t->matrix = next_of(base, &used, K * sn * sn), t->right = next_of(base, &used, (sn + s) * size + sn);
+  t->weights = next_of(base, &used, K * (rows > n ? rows : n)), t->q_node = next_of(base, &used, n + (size_t)f->p);
+  return used;
+}
+
+size_t twx_phase_work(const twx_phase *f) {
+  twx_memory t;
+  return twx_lay_out(&t, f, NULL);
+}
+
+void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size) {
+  const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
+  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, in.base ? in.base + stride : NULL, t->phase->data, in.weights};
+  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, (int64_t)in.weight_width};
+  int64_t table[2 * (TWX_ARGUMENTS + 1)];
+  if (!f->run) {
+    memset(result, 0, sizeof(double) * rows * size);
+    return;
+  }
+  for (int32_t i = 0; i < f->reads; i++) {
+    table[i] = (int64_t)(intptr_t)at[f->argument[i]];
+    table[f->reads + 1 + i] = strides[f->argument[i]];
+  }
+  table[f->reads] = (int64_t)(intptr_t)result, table[2 * f->reads + 1] = (int64_t)size;
+  f->run(table, 0, (int64_t)rows);
+}
+
+void twx_along(size_t rows, size_t n, size_t size, const double *M, const double *maps, double *out) {
+  for (size_t r = 0; r < rows; r++) {
+    const double *restrict row = M + r * size;
+    double *restrict to = out + r * size;
+    for (size_t j = 0; j < size; j++) to[j] = j < n ? 0 : row[j];
+    for (size_t i = 0; i < n; i++) {
+      const double *restrict map = maps + i * size, factor = row[i];
+      if (factor != 0)
+        for (size_t j = 0; j < size; j++) to[j] += factor * map[j];
+    }
+  }
+}
+
+/* L U of a row-major matrix with rows exchanged; 0 where a pivot is zero or not a number. */
+int32_t twx_lu(size_t n, double *A, double *pivots) {
+  for (size_t j = 0; j < n; j++) {
+    size_t best = j;
+    for (size_t i = j + 1; i < n; i++)
+      if (fabs(A[i * n + j]) > fabs(A[best * n + j])) best = i;
+    pivots[j] = (double)best;
+    if (!(fabs(A[best * n + j]) > 0)) return 0;
+    for (size_t l = 0; l < n && best != j; l++) {
+      const double kept = A[j * n + l];
+      A[j * n + l] = A[best * n + l], A[best * n + l] = kept;
+    }
+    for (size_t i = j + 1; i < n; i++) {
+      const double factor = A[i * n + j] /= A[j * n + j];
+      if (factor != 0)
+        for (size_t l = j + 1; l < n; l++) A[i * n + l] -= factor * A[j * n + l];
+    }
+  }
+  return 1;
+}
+
+void twx_lu_solve(size_t n, const double *A, const double *pivots, size_t columns, double *B) {
+  for (size_t j = 0; j < n; j++) {
+    const size_t from = (size_t)pivots[j];
+    for (size_t l = 0; l < columns && from != j; l++) {
+      const double kept = B[j * columns + l];
+      B[j * columns + l] = B[from * columns + l], B[from * columns + l] = kept;
+    }
+  }
+  for (size_t j = 0; j < n; j++)
+    for (size_t i = j + 1; i < n; i++)
+      for (size_t l = 0; l < columns; l++) B[i * columns + l] -= A[i * n + j] * B[j * columns + l];
+  for (size_t j = n; j-- > 0;) {
+    for (size_t l = 0; l < columns; l++) B[j * columns + l] /= A[j * n + j];
+    for (size_t i = 0; i < j; i++)
+      for (size_t l = 0; l < columns; l++) B[i * columns + l] -= A[i * n + j] * B[j * columns + l];
+  }
+}
+
+void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, double *b) {
+  for (size_t j = 0; j < n; j++) {
+    b[j] /= A[j * n + j];
+    for (size_t i = j + 1; i < n; i++) b[i] -= A[j * n + i] * b[j];
+  }
+  for (size_t j = n; j-- > 0;)
+    for (size_t i = 0; i < j; i++) b[i] -= A[j * n + i] * b[j];
+  for (size_t j = n; j-- > 0;) {
+    const size_t from = (size_t)pivots[j];
+    const double kept = b[j];
+    b[j] = b[from], b[from] = kept;
+  }
+}

@@ -1,0 +1,45 @@
+/* What the files of a transcription share: memory of a phase, and its functions by file. */
+#ifndef TWX_PHASE_H
+#define TWX_PHASE_H
+#include "transcription.h"
+#include "work.h"
+
+typedef struct { /* arrays of a phase; K intervals, S substeps, s stages; size = n + m + p */
+  const twx_phase *phase;
+  size_t K, n, size, stages, points; /* stages: S s; points: S + 1, and S s where stages are looked at */
+  double *state;                /* how far the memory is filled: 1 integrated, 2 differentiated too */
+  double *at;                   /* the point for which it is */
+  double *q, *shares;           /* (S + 1 + S s, K, size), (S + 1 + S s, K): ends of substeps, then stages */
+  double *slopes;               /* (S s, K, n): of the stages */
+  double *J;                    /* (S s, K, n, size): derivatives of the rate by q */
+  double *maps;                 /* (S + 1 + S s, K, n, size): sensitivities of eta */
+  double *along;                /* (S s, K, n, size): sensitivities of the stages' slopes */
+  double *gap_slopes, *turns;   /* (K, n, n) */
+  double *defects;              /* (K, n) */
+  double *adjoint;              /* (K, n): of the end of an interval, then of its substeps' starts */
+  double *adjoints, *through;   /* (s, K, n) */
+  double *pulls;                /* (points, K, n): gradients by eta of rows and cost, weighted */
+  double *rows;                 /* (K, max(path_rows + 1, rows of a node)) */
+  double *row_slopes, *row_moved; /* (K, as many, size), (as many, size) */
+  double *bends, *moved;        /* (K, size, size), (size, size) */
+  double *matrix, *right;       /* of implicit stages: (K, s n, s n), (s n, size) */
+  double *weights;              /* (K, as many rows, or n) */
+  double *q_node;               /* (n + p) */
+} twx_memory;
+
+TWX_INTERNAL size_t twx_lay_out(twx_memory *memory, const twx_phase *phase, double *base);
+typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; base: points of nodes */
+  const double *z, *share, *base, *weights;
+  size_t width, weight_width;
+} twx_inputs;
+TWX_INTERNAL void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size);
+/* M (rows, n + rest) by q along maps (n, size): out = M[:, :n] maps + [0 | M[:, n:]]. */
+TWX_INTERNAL void twx_along(size_t rows, size_t n, size_t size, const double *M, const double *maps, double *out);
+TWX_INTERNAL int32_t twx_lu(size_t n, double *A, double *pivots);
+TWX_INTERNAL void twx_lu_solve(size_t n, const double *A, const double *pivots, size_t columns, double *B);
+TWX_INTERNAL void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, double *b);
+TWX_INTERNAL twx_inputs twx_inputs_at(const twx_memory *t, const double *z, size_t place);
+TWX_INTERNAL int32_t twx_integrate(twx_memory *t, const double *z);
+TWX_INTERNAL int32_t twx_sensitivities(twx_memory *t, const double *z);
+TWX_INTERNAL void twx_adjoint_stages(twx_memory *t, size_t substep, double *adjoint);
+#endif

@@ -1,0 +1,338 @@
+/* Values, derivatives and moves of a transcribed problem, phase by phase. */
+#include "phase.h"
+
+static double *at_stage(double *array, const int64_t *offsets, size_t k) { return array + offsets[k]; }
+
+/* A row of a stage among inequalities and equalities; NULL: nowhere. */
+static double *row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e) {
+  if (place >= 0) return at_stage(h, f->at.h, k) + place;
+  return place == -1 ? NULL : at_stage(e, f->at.e, k) - 2 - place;
+}
+
+static double weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye) {
+  if (place >= 0) return y[f->at.h[k] + place];
+  return place == -1 ? 0 : ye[f->at.e[k] - 2 - place];
+}
+
+/* Adds a row of derivatives of a stage to its block, columns of eta, then those from `after` on. */
+static void add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
+                    double *Jh, double *Je) {
+  const size_t n = (size_t)f->n;
+  const int32_t rows = place >= 0 ? f->at.inequalities[k] : f->at.equalities[k];
+  double *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
+  if (place != -1)
+    for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j];
+}
+
+/* ---- path rows and cost --------------------------------------------------------------------------------------- */
+
+static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
+  const twx_phase *f = t->phase;
+  return f->place + (k * ((size_t)f->substeps + 1) + point) * (size_t)f->path_rows;
+}
+
+/* Whether any row or cost of a point counts; rows stand at ends of substeps alone. */
+static int32_t is_asked(const twx_memory *t, size_t point) {
+  const twx_phase *f = t->phase;
+  if (f->weights[point] != 0) return 1;
+  if (point > (size_t)f->substeps) return 0;
+  for (size_t k = 0; k < t->K; k++)
+    for (int32_t r = 0; r < f->path_rows; r++)
+      if (places_at(t, point, k)[r] != -1) return 1;
+  return 0;
+}
+
+static double rows_values(twx_memory *t, const double *z, double *h, double *e) {
+  const twx_phase *f = t->phase;
+  const size_t R = (size_t)f->path_rows;
+  double cost = 0;
+  for (size_t point = 0; point < t->points; point++) {
+    if (!is_asked(t, point)) continue;
+    twx_call(&f->rows.value, t, twx_inputs_at(t, z, point), t->K, t->rows, R + 1);
+    for (size_t k = 0; k < t->K; k++) {
+      const double *row = t->rows + k * (R + 1);
+      cost += f->widths[k] * f->weights[point] * row[R];
+      for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++) {
+        double *to = row_at(f, k, places_at(t, point, k)[r], h, e);
+        if (to) *to = row[r] + f->margins[places_at(t, point, k) + r - f->place];
+      }
+    }
+  }
+  return cost;
+}
+
+static void rows_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
+  const twx_phase *f = t->phase;
+  const size_t R = (size_t)f->path_rows, size = t->size, nv = t->n + (size_t)f->m;
+  for (size_t point = 0; point < t->points; point++) {
+    if (!is_asked(t, point)) continue;
+    twx_call(&f->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, (R + 1) * size);
+    for (size_t k = 0; k < t->K; k++) {
+      const double *maps = t->maps + (point * t->K + k) * t->n * size, weight = f->widths[k] * f->weights[point];
+      twx_along(R + 1, t->n, size, t->row_slopes + k * (R + 1) * size, maps, t->row_moved);
+      for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
+        add_row(f, k, places_at(t, point, k)[r], t->row_moved + r * size, size, 0, Jh, Je);
+      for (size_t j = 0; j < size; j++)
+        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * t->row_moved[R * size + j];
+    }
+  }
+}
+
+/* H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. */
+static void add_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
+  const size_t n = t->n, size = t->size;
+  twx_along(size, n, size, M, maps, t->moved);
+  for (size_t i = 0; i < n; i++)
+    for (size_t r = 0; r < size; r++) {
+      const double factor = maps[i * size + r];
+      if (factor != 0)
+        for (size_t j = 0; j < size; j++) H[r * size + j] += factor * t->moved[i * size + j];
+    }
+  for (size_t i = n * size; i < size * size; i++) H[i] += t->moved[i];
+}
+
+/* Second derivatives of rows and cost, and their gradients by eta. */
+static void rows_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye, double *H) {
+  const twx_phase *f = t->phase;
+  const size_t R = (size_t)f->path_rows, size = t->size;
+  for (size_t point = 0; point < t->points; point++) {
+    double *pulls = t->pulls + point * t->K * t->n;
+    memset(pulls, 0, sizeof(double) * t->K * t->n);
+    if (!is_asked(t, point)) continue;
+    for (size_t k = 0; k < t->K; k++) {
+      double *w = t->weights + k * (R + 1);
+      for (size_t r = 0; r < R; r++)
+        w[r] = point <= (size_t)f->substeps ? weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
+      w[R] = weight * f->widths[k] * f->weights[point];
+    }
+    twx_inputs in = twx_inputs_at(t, z, point);
+    in.weights = t->weights, in.weight_width = R + 1;
+    twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
+    for (size_t k = 0; k < t->K; k++)
+      for (size_t r = 0; r <= R; r++)
+        for (size_t i = 0; i < t->n; i++)
+          pulls[k * t->n + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
+    if (!f->rows.bends.run) continue;
+    twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
+    for (size_t k = 0; k < t->K; k++)
+      add_bends(t, t->bends + k * size * size, t->maps + (point * t->K + k) * t->n * size, at_stage(H, f->at.H, k));
+  }
+}
+
+/* ---- the defects ---------------------------------------------------------------------------------------------- */
+
+static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const double *weights, double *out, size_t size) {
+  twx_inputs in = twx_inputs_at(t, z, (size_t)t->phase->substeps);
+  in.weights = weights, in.weight_width = t->n;
+  twx_call(f, t, in, t->K, out, size);
+}
+
+/* out (rows, columns) = A (rows, n) B (n, columns) */
+static void multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out) {
+  memset(out, 0, sizeof(double) * rows * columns);
+  for (size_t i = 0; i < rows; i++)
+    for (size_t l = 0; l < n; l++) {
+      const double factor = A[i * n + l];
+      if (factor != 0)
+        for (size_t j = 0; j < columns; j++) out[i * columns + j] += factor * B[l * columns + j];
+    }
+}
+
+/* Derivatives of the defects by eta at the ends, their rows multiplied by the left Jacobians of the defects. */
+static void gap_slopes(twx_memory *t, const double *z) {
+  const twx_phase *f = t->phase;
+  const size_t n = t->n;
+  gaps(t, z, &f->gap.slopes, NULL, t->gap_slopes, n * n);
+  if (!f->turn.run) return;
+  gaps(t, z, &f->gap.value, NULL, t->defects, n);
+  twx_call(&f->turn, t, (twx_inputs){.z = t->defects, .width = n}, t->K, t->turns, n * n);
+  for (size_t k = 0; k < t->K; k++) {
+    multiply(n, n, n, t->turns + k * n * n, t->gap_slopes + k * n * n, t->moved);
+    memcpy(t->gap_slopes + k * n * n, t->moved, sizeof(double) * n * n);
+  }
+}
+
+static void gap_jacobians(twx_memory *t, const double *z, double *F) {
+  const twx_phase *f = t->phase;
+  const size_t n = t->n, size = t->size;
+  gap_slopes(t, z);
+  for (size_t k = 0; k < t->K; k++) {
+    double *to = at_stage(F, f->at.F, k);
+    multiply(n, n, size, t->gap_slopes + k * n * n, t->maps + ((size_t)f->substeps * t->K + k) * n * size, t->moved);
+    for (size_t j = 0; j < size; j++)
+      for (size_t i = 0; i < n; i++) to[j * n + i] = t->moved[i * size + j];
+  }
+}
+
+/* Second derivatives of the defects by eta at the ends, and the adjoints there. */
+static void gap_hessians(twx_memory *t, const double *z, const double *lambda, double *adjoint, double *H) {
+  const twx_phase *f = t->phase;
+  const size_t n = t->n, size = t->size;
+  const double *weights = lambda + f->at.c[0];
+  gap_slopes(t, z);
+  memset(adjoint, 0, sizeof(double) * t->K * n);
+  for (size_t k = 0; k < t->K; k++)
+    for (size_t i = 0; i < n; i++)
+      for (size_t j = 0; j < n; j++) adjoint[k * n + j] += weights[k * n + i] * t->gap_slopes[(k * n + i) * n + j];
+  if (!f->gap.bends.run) return;
+  memset(t->weights, 0, sizeof(double) * t->K * n);
+  for (size_t k = 0; k < t->K; k++)
+    for (size_t i = 0; i < n; i++)
+      for (size_t j = 0; j < n; j++) t->weights[k * n + j] += weights[k * n + i] * t->turns[(k * n + i) * n + j];
+  gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
+  for (size_t k = 0; k < t->K; k++) {
+    const double *maps = t->maps + ((size_t)f->substeps * t->K + k) * n * size;
+    double *const block = at_stage(H, f->at.H, k);
+    multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
+    for (size_t i = 0; i < n; i++)
+      for (size_t r = 0; r < size; r++)
+        for (size_t j = 0; j < size; j++) block[r * size + j] += maps[i * size + r] * t->moved[i * size + j];
+  }
+}
+
+/* Adjoints back through the substeps of all intervals; each stage adds the second derivative of its rate. */
+static void rate_hessians(twx_memory *t, const double *z, double *adjoint, double *H) {
+  const twx_phase *f = t->phase;
+  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, n = t->n, size = t->size;
+  for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[S * t->K * n + i];
+  for (size_t j = S; j-- > 0;) {
+    twx_adjoint_stages(t, j, adjoint);
+    for (size_t i = 0; i < s && f->rate.bends.run; i++) {
+      const size_t place = S + 1 + j * s + i;
+      twx_inputs in = twx_inputs_at(t, z, place);
+      in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
+      twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
+      for (size_t k = 0; k < t->K; k++)
+        add_bends(t, t->bends + k * size * size, t->maps + (place * t->K + k) * n * size, at_stage(H, f->at.H, k));
+    }
+    for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[j * t->K * n + i];
+  }
+}
+
+/* ---- conditions at nodes -------------------------------------------------------------------------------------- */
+
+/* What the conditions at a node read: (eta, p) with eta zero, the share of the node, its point. */
+static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_node *node, double *share) {
+  const twx_phase *f = t->phase;
+  const size_t k = (size_t)node->stage;
+  memset(t->q_node, 0, sizeof(double) * t->n);
+  memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
+  *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
+  return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
+                      .weights = t->weights, .weight_width = (size_t)node->function.rows};
+}
+
+static int32_t has_cost(const twx_phase *f, int32_t node) { return node == f->nodes - 1; }
+
+static double node_values(twx_memory *t, const double *z, double *h, double *e) {
+  const twx_phase *f = t->phase;
+  double share, cost = 0;
+  for (int32_t i = 0; i < f->nodes; i++) {
+    const twx_node *node = f->node + i;
+    const int32_t rows = node->function.rows - has_cost(f, i);
+    twx_call(&node->function.value, t, node_inputs(t, z, node, &share), 1, t->rows, (size_t)node->function.rows);
+    for (int32_t r = 0; r < rows; r++) {
+      double *to = row_at(f, (size_t)node->stage, node->place[r], h, e);
+      if (to) *to = t->rows[r] + node->margins[r];
+    }
+    if (has_cost(f, i)) cost = t->rows[rows];
+  }
+  return cost;
+}
+
+static void node_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
+  const twx_phase *f = t->phase;
+  double share;
+  for (int32_t i = 0; i < f->nodes; i++) {
+    const twx_node *node = f->node + i;
+    const size_t k = (size_t)node->stage, n = t->n, columns = n + (size_t)f->p;
+    const int32_t rows = node->function.rows - has_cost(f, i);
+    twx_call(&node->function.slopes, t, node_inputs(t, z, node, &share), 1, t->row_slopes, (size_t)node->function.rows * columns);
+    for (int32_t r = 0; r < rows; r++)
+      add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, columns, k < t->K ? (size_t)f->m : 0, Jh, Je);
+    for (size_t j = 0; has_cost(f, i) && j < columns; j++)
+      gradient[j < n ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - n] += t->row_slopes[(size_t)rows * columns + j];
+  }
+}
+
+static void node_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye, double *H) {
+  const twx_phase *f = t->phase;
+  double share;
+  for (int32_t i = 0; i < f->nodes; i++) {
+    const twx_node *node = f->node + i;
+    const size_t k = (size_t)node->stage, n = t->n, columns = n + (size_t)f->p, skipped = k < t->K ? (size_t)f->m : 0;
+    const int32_t rows = node->function.rows - has_cost(f, i);
+    if (!node->function.bends.run) continue;
+    for (int32_t r = 0; r < rows; r++) t->weights[r] = weight_of(f, k, node->place[r], y, ye);
+    if (has_cost(f, i)) t->weights[rows] = weight;
+    twx_call(&node->function.bends, t, node_inputs(t, z, node, &share), 1, t->bends, columns * columns);
+    for (size_t r = 0; r < columns; r++)
+      for (size_t j = 0; j < columns; j++)
+        H[f->at.H[k] + (int64_t)((r < n ? r : r + skipped) * (columns + skipped) + (j < n ? j : j + skipped))] +=
+            t->bends[r * columns + j];
+  }
+}
+
+/* ---- functions of the problem --------------------------------------------------------------------------------- */
+
+#define FOR_PHASES(user, f, t) \
+  for (int32_t number = 0; number < ((twx_transcription *)(user))->phases; number++) \
+    for (twx_phase *f = ((twx_transcription *)(user))->phase + number; f; f = NULL) \
+      for (twx_memory t = memory_of(f); t.phase; t.phase = NULL)
+
+static twx_memory memory_of(const twx_phase *f) {
+  twx_memory t;
+  twx_lay_out(&t, f, f->work);
+  return t;
+}
+
+int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e) {
+  *cost = 0;
+  FOR_PHASES(user, f, t) {
+    if (twx_integrate(&t, z)) return 1;
+    *cost += rows_values(&t, z, h, e) + node_values(&t, z, h, e);
+    gaps(&t, z, &f->gap.value, NULL, c + f->at.c[0], t.n);
+  }
+  return 0;
+}
+
+int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
+  FOR_PHASES(user, f, t) {
+    if (twx_sensitivities(&t, z)) return 1;
+    rows_jacobians(&t, z, gradient, Jh, Je);
+    node_jacobians(&t, z, gradient, Jh, Je);
+    gap_jacobians(&t, z, F);
+  }
+  return 0;
+}
+
+int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
+                                 const double *ye, double *H) {
+  FOR_PHASES(user, f, t) {
+    if (twx_sensitivities(&t, z)) return 1;
+    rows_hessians(&t, z, weight, y, ye, H);
+    node_hessians(&t, z, weight, y, ye, H);
+    gap_hessians(&t, z, lambda, t.adjoint, H);
+    rate_hessians(&t, z, t.adjoint, H);
+  }
+  return 0;
+}
+
+int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved) {
+  FOR_PHASES(user, f, t) {
+    const size_t nodes = t.K + 1, stride = (size_t)(f->point + f->m), m = (size_t)f->m;
+    for (size_t k = 0; k < nodes; k++) {
+      const double *step = d + f->at.v[k], *from = z + f->at.z[k];
+      double *to = moved + f->at.z[k];
+      for (size_t i = 0; !f->retract.run && i < t.n; i++) to[i] = from[i] + step[i];
+      for (size_t i = 0; k < t.K && i < m; i++) to[(size_t)f->point + i] = from[(size_t)f->point + i] + step[t.n + i];
+    }
+    if (f->retract.run) {
+      const twx_inputs in = {.z = d + f->at.v[0], .width = t.n + m, .base = z + f->at.z[0]};
+      twx_call(&f->retract, &t, in, nodes, moved + f->at.z[0], stride);
+    }
+    for (int64_t i = 0; i < f->p; i++)
+      moved[f->parameters_z + i] = z[f->parameters_z + i] + d[f->parameters_v + i];
+  }
+  return 0;
+}

@@ -1,0 +1,73 @@
+/* Stage functions of optimal control: phases whose intervals are integrated by Runge-Kutta methods on manifolds.
+ *
+ * Interval k of a phase is integrated in exponential coordinates eta about its first node, x = x_k Exp(eta), over shares
+ * of the phase's duration: eta' = rate(q, share, x_k, data) with q = (eta, u_k, p). It gives
+ *
+ *   c_k = log(x_(k+1)^-1 x_k Exp(eta_end)),  rows of path constraints at the ends of its substeps, and its running cost.
+ *
+ * First derivatives are sensitivities of the stages by q. Second derivatives follow from their adjoints: each stage adds
+ * G' M G, with M the second derivative of the rate weighted by its adjoint and G its sensitivity.
+ *
+ * The functions rate, point, gap and so on are kernels: machine code for batches of rows. A phase calls each with a row
+ * for every interval. Arrays of kernels are row-major, blocks of the core are column-major.
+ */
+#ifndef TWX_TRANSCRIPTION_H
+#define TWX_TRANSCRIPTION_H
+#include "core.h"
+
+/* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; weights. */
+typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
+
+typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
+  void (*run)(const int64_t *table, int64_t first, int64_t end);
+  int32_t reads, argument[TWX_ARGUMENTS];
+} twx_kernel;
+
+typedef struct { /* a vector with its first derivative, and the second of a weighted sum */
+  twx_kernel value, slopes, bends;
+  int32_t rows;
+} twx_smooth;
+
+/* Where a row stands: number of an inequality of its stage, or -1: nowhere, or -2 - number of an equality. */
+typedef struct { /* conditions on one node of (eta, p) */
+  twx_smooth function;
+  int32_t stage;
+  const int32_t *place;
+  const double *margins;
+} twx_node;
+
+typedef struct { /* offsets by stage, K + 1 each */
+  const int64_t *z, *v, *c, *h, *e, *F, *Jh, *Je, *H;
+  const int32_t *inequalities, *equalities;
+} twx_offsets;
+
+typedef struct {
+  int32_t n, m, p, point, intervals, substeps, stages, implicit, path_rows, nodes, iterations;
+  double close;                 /* implicit methods: relative size of a Newton step after which one more is the last */
+  int64_t parameters_z, parameters_v; /* where p stands in points and in variables */
+  const double *a, *b, *c;      /* of the method; a is row-major */
+  const double *weights;        /* of the running cost, of a unit interval: of the ends of substeps, then of all stages */
+  const double *starts, *widths; /* of the intervals, shares of the duration */
+  const double *data;
+  const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */
+  const double *margins;        /* by which path rows are tightened, the same */
+  twx_offsets at;
+  twx_smooth rate, rows, gap;   /* rows: path constraints, then the density of the running cost */
+  twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
+  const twx_node *node;         /* the last one is the end, with the final cost as its last row */
+  double *work;
+} twx_phase;
+
+typedef struct {
+  int32_t phases;
+  twx_phase *phase;
+} twx_transcription;
+
+size_t twx_phase_work(const twx_phase *f); /* doubles */
+/* Functions for `twx_problem`; user is a twx_transcription. */
+int32_t twx_transcribed_values(void *user, const double *z, double *cost, double *c, double *h, double *e);
+int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);
+int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
+                                 const double *ye, double *H);
+int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved);
+#endif

@@ -1,0 +1,199 @@
+"""Functions of vectors as kernels that the core calls for batches of rows, with first and second derivatives."""
+
+from __future__ import annotations
+
+import ctypes
+import enum
+import functools
+import math
+import time
+from collections.abc import Callable, Mapping
+from typing import Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from ..groups import Product
+from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
+from ..lowering.backends import ANY_SIZE, XLA
+from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..lowering.jacobian import Differentiated, RateJacobian
+from ..lowering.native.backend import KERNEL_EVENT
+from ..lowering.native.code import NotNative
+from ..lowering.native.kernel import Kernel, check_kernel
+from ..lowering.native.machine_code import BuildError, Processor
+from ..lowering.native.tile import NATIVE_LIMITS, Straight, native_form
+from ..lowering.scalar.program import ScalarProgram
+from ..precision import in_double
+from ..walk import uncollected
+
+
+class Argument(enum.IntEnum):
+    """What a kernel reads, as `twx_argument` in transcription.h has it."""
+
+    Z = 0
+    SHARE = 1
+    BASE = 2
+    TARGET = 3
+    DATA = 4
+    WEIGHTS = 5
+
+
+class KernelStructure(ctypes.Structure):
+    """`twx_kernel`."""
+
+    _fields_ = [("run", ctypes.c_void_p), ("reads", ctypes.c_int32), ("argument", ctypes.c_int32 * len(Argument))]
+
+
+class SmoothStructure(ctypes.Structure):
+    """`twx_smooth`."""
+
+    _fields_ = [*((name, KernelStructure) for name in ("value", "slopes", "bends")), ("rows", ctypes.c_int32)]
+
+
+class BatchKernel:
+    """A function of vectors, one row of each argument for a row of the result, as the core calls it.
+
+    Attributes:
+        structure: its address and arguments, for the core.
+        owner: what the address belongs to.
+    """
+
+    def __init__(self, address: int | None, reads: list[Argument], owner: Any) -> None:
+        self.owner = owner
+        self.structure = KernelStructure(address, len(reads), (ctypes.c_int32 * len(Argument))(*reads))
+
+    @classmethod
+    def of_program(cls, program: ScalarProgram, arguments: list[Argument]) -> BatchKernel:
+        """Machine code for a program of one result.
+
+        Raises:
+            NotNative, BuildError: it has no native form.
+        """
+        if _is_zero(program):
+            return cls(None, [], None)
+        started, processor = time.perf_counter(), Processor.host()
+        form = native_form(program)
+        with uncollected():
+            tile = Straight(form, processor.lanes(np.dtype(float)))
+            kernel = Kernel(tile, processor, threads=1)
+            check_kernel(kernel, tile)
+        jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
+        return cls(kernel.symbol[1], [arguments[k] for k in tile.read], kernel)
+
+    @classmethod
+    def of_function(
+        cls, function: Callable[..., Any], shapes: list[tuple[int, ...]], arguments: list[Argument]
+    ) -> BatchKernel:
+        """A function that JAX runs, called back by the core: for what has no native form."""
+        callback = _Callback(function, shapes)
+        return cls(callback.address, arguments, callback)
+
+
+class _Callback:
+    """A function of JAX that the core calls.
+
+    Attributes:
+        address: of the function in C.
+        error: what it raised; no exception passes through C, and the result is NaN there.
+    """
+
+    def __init__(self, function: Callable[..., Any], shapes: list[tuple[int, ...]]) -> None:
+        self._batched, self._shapes = jax.jit(jax.vmap(function)), shapes
+        shaped = [jax.ShapeDtypeStruct(shape, np.dtype(float)) for shape in shapes]
+        self._size = math.prod(jax.eval_shape(function, *shaped).shape)
+        self.error: BaseException | None = None
+        kind = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_int64), ctypes.c_int64, ctypes.c_int64)
+        self._function = kind(self._run)
+        self.address = ctypes.cast(self._function, ctypes.c_void_p).value
+
+    def _run(self, table: Any, first: int, end: int) -> None:
+        count = len(self._shapes)
+        result = _rows(table[count], table[2 * count + 1], (self._size,), first, end)
+        result[:] = np.nan
+        try:
+            with in_double():
+                read = [_rows(table[k], table[count + 1 + k], s, first, end) for k, s in enumerate(self._shapes)]
+                result[:] = np.reshape(self._batched(*read), result.shape)
+        except BaseException as error:
+            self.error = error
+
+
+class SmoothKernels:
+    """A vector function of vectors with its derivatives by the first of them, as kernels.
+
+    Args:
+        function: takes the arguments in their order, gives a vector; pure.
+        arguments: how many entries each has; the first one is what derivatives are by.
+        order: of the derivatives that are needed, 0 to 2.
+    """
+
+    def __init__(self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int = 2) -> None:
+        names, sizes = list(arguments), [(size,) for size in arguments.values()]
+        with in_double():
+            shaped = [jax.ShapeDtypeStruct(size, np.dtype(float)) for size in sizes]
+            closed = jax.make_jaxpr(lambda *a: [function(*a)])(*shaped)
+            (result,) = closed.out_avals
+            self.rows = int(result.size)
+            plain = lambda *a: jaxpr_as_fun(closed)(*a)[0]  # noqa: E731
+            weights = [*names, Argument.WEIGHTS], [*sizes, (self.rows,)]
+            makers: list[tuple[Callable[[ClosedJaxpr], ScalarProgram], Callable[..., Any], Any]] = [
+                (_value, plain, (names, sizes)),
+                (_slopes, jax.jacfwd(plain), (names, sizes)),
+                (_bends, functools.partial(_second, plain), weights),
+            ]
+            self.kernels = [_kernel(closed, *maker) for maker in makers[: order + 1]]
+
+    @property
+    def structure(self) -> SmoothStructure:
+        """For the core."""
+        return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
+
+
+def _kernel(closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> BatchKernel:
+    names, sizes = arguments
+    try:
+        program = made(closed)
+        return BatchKernel.of_program(program, names)
+    except (*REFUSALS, NotNative, BuildError):
+        return BatchKernel.of_function(function, sizes, names)
+
+
+def _value(closed: ClosedJaxpr) -> ScalarProgram:
+    return XLA().scalars(closed, ANY_SIZE, NATIVE_LIMITS)
+
+
+def _differentiated(closed: ClosedJaxpr) -> Differentiated:
+    # Only the kind that is differentiated has a meaning here.
+    places = [("u" if k == 0 else "params", str(k)) for k in range(len(closed.in_avals))]
+    return Differentiated(closed, places, Product({}), ("u",))
+
+
+def _slopes(closed: ClosedJaxpr) -> ScalarProgram:
+    return RateJacobian(_differentiated(closed)).program
+
+
+def _bends(closed: ClosedJaxpr) -> ScalarProgram:
+    return WeightedHessian(_differentiated(closed)).program
+
+
+def _second(function: Callable[..., Any], z: Any, *others: Any) -> Any:
+    *others, weights = others
+    return hessian_in_arrays(lambda z: weights @ function(z, *others), z)
+
+
+def _is_zero(program: ScalarProgram) -> bool:
+    (nodes,) = program.outputs
+    numbers = [program.graph.numbers[int(i)] for i in np.ravel(nodes)]
+    return all(value is not None and value == 0 for value in numbers)
+
+
+def _rows(address: int, stride: int, shape: tuple[int, ...], first: int, end: int) -> Array:
+    """Rows of numbers in memory."""
+    pointer = ctypes.cast(address + 8 * first * stride, ctypes.POINTER(ctypes.c_double))
+    size = math.prod(shape)
+    count = max((end - first - 1) * stride + size, 0)
+    flat = np.ctypeslib.as_array(pointer, (count,)) if count else np.zeros(0)
+    rows = np.lib.stride_tricks.as_strided(flat, (end - first, size), (8 * stride, 8))
+    return rows.reshape(-1, *shape) if shape != (size,) else rows
