@@ -1841,7 +1841,7 @@ MUTATIONS: list[Mutation] = [
         (
             "the cost of collocation at the ends of substeps",
             "return shares, etas, weights",
-            "return shares, etas, np.concatenate([_simpson(self.substeps), 0.0 * weights[self.substeps + 1 :]])",
+            "return shares, etas, np.concatenate([simpson(self.substeps), 0.0 * weights[self.substeps + 1 :]])",
             "trajectory/test_transcription.py",
         ),
     ),

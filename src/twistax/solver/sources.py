@@ -25,6 +25,7 @@ _FILES = (
     "solve",
     "kernels",
     "integrate",
+    "nodes",
     "transcription",
 )
 

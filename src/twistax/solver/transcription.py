@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -58,6 +58,25 @@ class PhaseKernels:
     retract: BatchKernel | None = None
     turn: BatchKernel | None = None
 
+    @property
+    def every(self) -> list[BatchKernel]:
+        smooth = [self.rate, self.rows, self.gap, *(own for _, own in self.nodes)]
+        alone = [kernel for kernel in (self.retract, self.turn) if kernel is not None]
+        return [kernel for own in smooth for kernel in own.kernels] + alone
+
+
+@dataclasses.dataclass(frozen=True)
+class JoinKernels:
+    """What leads from a phase to the next.
+
+    Attributes:
+        gap: log(start^-1 jump(end)) of (eta, p), the last node and the next one; zero in entries that are free.
+        free: entries of the next start that nothing decides.
+    """
+
+    gap: SmoothKernels
+    free: Array
+
 
 @dataclasses.dataclass(frozen=True)
 class Phase:
@@ -66,10 +85,10 @@ class Phase:
     Attributes:
         n, m, point: tangents and controls of a stage, entries of a node's point.
         starts, widths: of intervals, shares of the duration.
-        data: numbers that kernels read.
-        path: (intervals, substeps + 1, rows) what each path row is: an inequality, an equality, or neither.
+        path: (intervals, substeps + 1, rows) what each path row is: NONE, an INEQUALITY or an EQUALITY.
         conditions: the same of the conditions of each node.
         path_margins, margins: by which these are tightened.
+        join: to the next phase.
     """
 
     n: int
@@ -79,15 +98,38 @@ class Phase:
     kernels: PhaseKernels
     starts: Array
     widths: Array
-    data: Array
     path: Array
     conditions: Sequence[Array]
     path_margins: Array
     margins: Sequence[Array]
+    join: JoinKernels | None = None
 
     @property
     def intervals(self) -> int:
         return len(self.widths)
+
+    @property
+    def controls(self) -> list[int]:
+        """Of every stage; those of the last one are of the join."""
+        return [self.m] * self.intervals + [0 if self.join is None else len(self.join.free)]
+
+    def rows_by_stage(self, kind: int) -> list[Array]:
+        """Which rows of each stage are of a kind: of the path, then of conditions."""
+        found = [[own] for own in (self.path == kind).reshape(self.intervals, -1)] + [[np.zeros(0, bool)]]
+        for (stage, _), rows in zip(self.kernels.nodes, self.conditions):
+            found[stage].append(rows == kind)
+        return [np.concatenate(parts) for parts in found]
+
+    def numbered(self, kind: int) -> tuple[Array, list[Array]]:
+        """The number of each path row and condition within its stage among those of a kind, -1 where it is none."""
+        numbers = [np.where(own, np.cumsum(own) - 1, -1) for own in self.rows_by_stage(kind)]
+        width = self.path[0].size
+        path = np.stack([own[:width] for own in numbers[:-1]]).reshape(self.path.shape)
+        used, nodes = [width] * self.intervals + [0], []
+        for (stage, _), rows in zip(self.kernels.nodes, self.conditions):
+            nodes.append(numbers[stage][used[stage] : used[stage] + len(rows)])
+            used[stage] += len(rows)
+        return path, nodes
 
 
 #: Kinds of rows.
@@ -103,6 +145,15 @@ class _Node(ctypes.Structure):
     ]
 
 
+class _Join(ctypes.Structure):
+    _fields_ = [
+        ("function", SmoothStructure),
+        ("turn", KernelStructure),
+        ("free_count", ctypes.c_int32),
+        ("free", ctypes.c_void_p),
+    ]
+
+
 _OFFSETS = ("z", "v", "c", "h", "e", "F", "Jh", "Je", "H")
 
 
@@ -111,6 +162,7 @@ class _Offsets(ctypes.Structure):
 
 
 _COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
+_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins")
 
 
 class _Phase(ctypes.Structure):
@@ -119,11 +171,12 @@ class _Phase(ctypes.Structure):
         ("close", ctypes.c_double),
         ("parameters_z", ctypes.c_int64),
         ("parameters_v", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins")),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
         ("at", _Offsets),
         *((name, SmoothStructure) for name in ("rate", "rows", "gap")),
         *((name, KernelStructure) for name in ("retract", "turn")),
         ("node", ctypes.c_void_p),
+        ("join", ctypes.c_void_p),
         ("work", ctypes.c_void_p),
     ]
 
@@ -136,46 +189,60 @@ class Transcription:
     """Phases as the functions of a problem in stages.
 
     Args:
-        phase: what is transcribed.
+        phases: what is transcribed, one after the other.
         parameters: entries of p.
+        data: numbers that kernels read.
 
     Attributes:
         stages: sizes for the core.
         functions: for the core.
-        path_places: (intervals, substeps + 1, rows) the number of each path row among the inequalities, or among the
-            equalities, of all stages; -1 where it is neither.
+        first: the first stage of each phase.
+        path_places: of each phase (intervals, substeps + 1, rows), the number of each path row among the inequalities,
+            or among the equalities, of all stages; -1 where it is neither.
         node_places: the same of the conditions of nodes.
     """
 
-    def __init__(self, phase: Phase, parameters: int) -> None:
-        self._phase = phase
-        K, n, m = phase.intervals, phase.n, phase.m
-        kinds = [_by_stage(phase, kind) for kind in (INEQUALITY, EQUALITY)]
-        counts = [np.array([sum(part.sum() for part in stage) for stage in kind], np.int64) for kind in kinds]
+    def __init__(self, phases: Sequence[Phase], parameters: int, data: Array) -> None:
+        self.phases = phases
+        counts = [
+            np.array([int(own.sum()) for phase in phases for own in phase.rows_by_stage(kind)], np.int64)
+            for kind in (INEQUALITY, EQUALITY)
+        ]
         self.stages = Stages(
-            [n] * (K + 1), [m] * K + [0], *(c.tolist() for c in counts), parameters, [phase.point] * (K + 1)
+            [phase.n for phase in phases for _ in phase.controls],
+            [count for phase in phases for count in phase.controls],
+            *(own.tolist() for own in counts),
+            parameters,
+            [phase.point for phase in phases for _ in phase.controls],
         )
-        places = [_numbered(phase, kind) for kind in (INEQUALITY, EQUALITY)]
-        self.path_places, self.node_places = _global(phase, places, counts)
+        lengths = [len(phase.controls) for phase in phases]
+        self.first = (np.cumsum(lengths) - lengths).tolist()
         self._memory: list[Any] = []
-        self._structure = self._made(places, counts, parameters)
-        work = self._array(np.zeros(library().phase_work(ctypes.addressof(self._structure))))
-        self._structure.work = work
-        self._user = _Transcription(1, ctypes.addressof(self._structure))
-        self.functions = StageFunctions(
-            **library().transcribed, user=ctypes.addressof(self._user), owner=self
-        )
+        self._offsets = self._placed(counts)
+        places = [[phase.numbered(kind) for kind in (INEQUALITY, EQUALITY)] for phase in phases]
+        found = [self._among_all(*own) for own in zip(phases, self.first, places)]
+        self.path_places, self.node_places = ([own[k] for own in found] for k in range(2))
+        self._structures = (_Phase * len(phases))(*self._described(places, data))
+        for structure in self._structures:
+            structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
+        self._user = _Transcription(len(phases), ctypes.addressof(self._structures))
+        self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self._user), owner=self)
+
+    def set_data(self, data: Array) -> None:
+        """Other numbers for the kernels."""
+        self._data[:] = data
+        for structure in self._structures:  # what was integrated is for other numbers
+            ctypes.c_double.from_address(structure.work).value = 0.0
 
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
-        kernels = self._phase.kernels
-        smooth = [kernels.rate, kernels.rows, kernels.gap, *(own for _, own in kernels.nodes)]
-        every = [k for own in smooth for k in own.kernels] + [kernels.retract, kernels.turn]
-        for kernel in every:
-            error = getattr(getattr(kernel, "owner", None), "error", None)
-            if error is not None:
-                kernel.owner.error = None
-                raise error
+        for phase in self.phases:
+            joined = [] if phase.join is None else phase.join.gap.kernels
+            for kernel in [*phase.kernels.every, *joined]:
+                error = getattr(kernel.owner, "error", None)
+                if error is not None:
+                    kernel.owner.error = None
+                    raise error
 
     def _array(self, array: Array) -> int:
         """The address of an array that lives as long as this."""
@@ -183,83 +250,83 @@ class Transcription:
         self._memory.append(array)
         return int(array.ctypes.data)
 
-    def _made(self, places: list[Any], counts: list[Array], parameters: int) -> _Phase:
-        phase, method, kernels = self._phase, self._phase.method, self._phase.kernels
-        K, n, m = phase.intervals, phase.n, phase.m
-        columns = np.array(self.stages.columns)
-        after, every = np.array(self.stages.after), np.arange(K + 1)
-        blocks = {"h": counts[0], "e": counts[1], "F": after * columns, "H": columns**2}
+    def _placed(self, counts: list[Array]) -> dict[str, Array]:
+        """Where the blocks of all stages stand."""
+        stages = self.stages
+        columns, after = np.array(stages.columns), np.array(stages.after)
+        controls = np.array(stages.controls)
+        blocks = {"h": counts[0], "e": counts[1], "c": after, "F": after * columns, "H": columns**2}
         blocks |= {"Jh": counts[0] * columns, "Je": counts[1] * columns}
-        offsets = {name: np.cumsum(size) - size for name, size in blocks.items()}
-        offsets |= {"z": every * (phase.point + m), "v": every * (n + m), "c": every * n}
-        at = {name: self._array(offsets[name].astype(np.int64)) for name in _OFFSETS}
-        names = ("inequalities", "equalities")
-        at |= {name: self._array(c.astype(np.int32)) for name, c in zip(names, counts)}
-        codes = [_codes(of_path, of_equality) for of_path, of_equality in zip(*([p[0], *p[1]] for p in places))]
-        nodes = (_Node * len(kernels.nodes))()
-        for node, (stage, function), code, margins in zip(nodes, kernels.nodes, codes[1:], phase.margins):
-            node.function, node.stage = function.structure, stage
-            node.place, node.margins = self._array(code), self._array(margins)
-        self._memory += [nodes, kernels]
-        numbers = {"a": method.a, "b": method.b, "c": method.c, "weights": method.weights, "starts": phase.starts}
-        numbers |= {"widths": phase.widths, "data": phase.data, "margins": phase.path_margins}
-        sizes = (n, m, parameters, phase.point, K, method.substeps, len(method.b), int(method.implicit))
-        return _Phase(
-            *sizes,
-            phase.path.shape[2],
-            len(nodes),
-            _NEWTON,
-            close=_CLOSE,
-            parameters_z=(K + 1) * phase.point + K * m,
-            parameters_v=(K + 1) * n + K * m,
-            **{name: self._array(np.asarray(a, float)) for name, a in numbers.items()},
-            place=self._array(codes[0]),
-            at=_Offsets(**at),
-            **{name: getattr(kernels, name).structure for name in ("rate", "rows", "gap")},
-            **{name: k.structure for name in ("retract", "turn") if (k := getattr(kernels, name)) is not None},
-            node=ctypes.addressof(nodes),
+        blocks |= {"z": np.array(stages.point_states) + controls, "v": np.array(stages.states) + controls}
+        found = {name: (np.cumsum(size) - size).astype(np.int64) for name, size in blocks.items()}
+        return found | {name: own.astype(np.int32) for name, own in zip(("inequalities", "equalities"), counts)}
+
+    def _described(self, places: list[Any], data: Array) -> list[_Phase]:
+        stages, self._data = self.stages, np.array(data, float)
+        at_z, at_v = stages.points - stages.parameters, stages.variables - stages.parameters
+        found = []
+        for number, (phase, first, own) in enumerate(zip(self.phases, self.first, places)):
+            part = slice(first, first + len(phase.controls))
+            method, kernels = phase.method, phase.kernels
+            inequalities, equalities = ([path, *nodes] for path, nodes in own)
+            codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
+            margins = [self._array(np.asarray(a, float)) for a in (phase.path_margins, *phase.margins)]
+            nodes = (_Node * len(kernels.nodes))()
+            for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):
+                node.function, node.stage, node.place, node.margins = function.structure, stage, code, margin
+            self._memory.append(nodes)
+            numbers = {name: getattr(method, name) for name in ("a", "b", "c", "weights")}
+            numbers |= {"starts": phase.starts, "widths": phase.widths}
+            addresses = {name: self._array(np.asarray(a, float)) for name, a in numbers.items()}
+            sizes = (phase.n, phase.m, stages.parameters, phase.point, phase.intervals, method.substeps, len(method.b))
+            found.append(
+                _Phase(
+                    *sizes,
+                    int(method.implicit),
+                    phase.path.shape[2],
+                    len(nodes),
+                    _NEWTON,
+                    close=_CLOSE,
+                    parameters_z=at_z,
+                    parameters_v=at_v,
+                    **addresses,
+                    data=int(self._data.ctypes.data),
+                    place=codes[0],
+                    margins=margins[0],
+                    at=_Offsets(**{name: self._array(own[part]) for name, own in self._offsets.items()}),
+                    **{name: getattr(kernels, name).structure for name in ("rate", "rows", "gap")},
+                    **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
+                    node=ctypes.addressof(nodes),
+                    join=self._join(number),
+                )
+            )
+        return found
+
+    def _join(self, number: int) -> int | None:
+        join = self.phases[number].join
+        if join is None:
+            return None
+        turn = self.phases[number + 1].kernels.turn
+        found = _Join(
+            join.gap.structure,
+            KernelStructure() if turn is None else turn.structure,
+            len(join.free),
+            self._array(np.asarray(join.free, np.int32)),
         )
+        self._memory.append(found)
+        return ctypes.addressof(found)
 
-    def set_data(self, data: Array) -> None:
-        """Other numbers for the kernels."""
-        self._structure.data = self._array(np.asarray(data, float))
-
-
-def _by_stage(phase: Phase, kind: int) -> list[list[Array]]:
-    """Which rows of each stage are of a kind: of the path, then of conditions."""
-    path = list((phase.path == kind).reshape(phase.intervals, -1)) + [np.zeros(0, bool)]
-    found = [[own] for own in path]
-    for (stage, _), rows in zip(phase.kernels.nodes, phase.conditions):
-        found[stage].append(rows == kind)
-    return found
-
-
-def _numbered(phase: Phase, kind: int) -> tuple[Array, list[Array]]:
-    """The number of each row within its stage among those of a kind, -1 where it is none."""
-    stages = [np.concatenate(parts) for parts in _by_stage(phase, kind)]
-    numbers = [np.where(own, np.cumsum(own) - 1, -1) for own in stages]
-    width = phase.path[0].size
-    path = np.stack([own[:width] for own in numbers[:-1]]).reshape(phase.path.shape)
-    used, nodes = [width] * phase.intervals + [0], []
-    for (stage, _), rows in zip(phase.kernels.nodes, phase.conditions):
-        nodes.append(numbers[stage][used[stage] : used[stage] + len(rows)])
-        used[stage] += len(rows)
-    return path, nodes
+    def _among_all(self, phase: Phase, first: int, places: Any) -> tuple[Array, list[Array]]:
+        """Numbers among the rows of all stages."""
+        path, nodes = -np.ones(phase.path.shape, int), [-np.ones(len(own), int) for own in phase.conditions]
+        for (of_path, of_nodes), name in zip(places, ("h", "e")):
+            before = self._offsets[name][first : first + len(phase.controls)]
+            path = np.where(of_path >= 0, of_path + before[:-1, None, None], path)
+            for k, (own, (stage, _)) in enumerate(zip(of_nodes, phase.kernels.nodes)):
+                nodes[k] = np.where(own >= 0, own + before[stage], nodes[k])
+        return path, nodes
 
 
 def _codes(inequality: Array, equality: Array) -> Array:
     """Numbers among inequalities and among equalities as the core reads them."""
     return np.where(inequality >= 0, inequality, np.where(equality >= 0, -2 - equality, DROPPED)).astype(np.int32)
-
-
-def _global(phase: Phase, places: list[Any], counts: list[Array]) -> tuple[Array, list[Array]]:
-    """Numbers among the rows of all stages."""
-    firsts = [np.cumsum(c) - c for c in counts]
-    path, nodes = -np.ones(phase.path.shape, int), [-np.ones(len(own), int) for own in phase.conditions]
-    for (of_path, of_nodes), first in zip(places, firsts):
-        path = np.where(of_path >= 0, of_path + first[:-1, None, None], path)
-        nodes = [
-            np.where(own >= 0, own + first[stage], before)
-            for own, before, (stage, _) in zip(of_nodes, nodes, phase.kernels.nodes)
-        ]
-    return path, nodes

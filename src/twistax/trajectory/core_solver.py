@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -13,11 +14,18 @@ from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
 from .iterate import Errors, Scales
 from .outcome import Outcome
-from .problem import Problem
 from .sizes import Sizes, measured_sizes
-from .staged import Staged, method_of
+from .staged import Staged
 from .transcribed import Given, Point, Values
 from .watch import Status
+
+#: The core's tolerance over that of a solve: limits that are squares of small numbers need it.
+_CLOSER = 1e-2
+#: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
+#: begins at 0.1 of that unit.
+_COST = 0.1
+#: The largest turn of a step, rad; and the largest move of anything else, in its sizes.
+_TURN, _FARTHEST = 1.5, 30.0
 
 _POINTER = ctypes.c_void_p
 
@@ -77,24 +85,21 @@ class Units:
     """Units for the core at a start.
 
     Attributes:
-        sizes: of states, controls and shared unknowns.
+        parts: sizes of states, controls and shared unknowns, of each phase.
         v: of all variables.
         rows, equalities, cost: of the rows and the objective.
     """
 
     def __init__(self, staged: Staged, point: Point) -> None:
-        shooting, K = staged.shooting, staged.shooting.intervals
         at = Evaluated(staged, staged.flat(point))
-        good = at.differentiate()
-        stages = at.stages
-        F = np.stack(at.blocks(at.F, stages.after)[:-1])
-        moved = F if good and np.isfinite(F).all() else np.zeros_like(F)
-        self.sizes = sizes = measured_sizes(shooting, point, moved)
-        inner = np.tile(np.concatenate([sizes.d, sizes.u]), K)
-        self.v = np.concatenate([inner, sizes.d, sizes.border])
-        columns = [np.concatenate([sizes.d, sizes.u, sizes.border])] * K
-        columns.append(np.concatenate([sizes.d, sizes.border]))
-        slopes = [at.blocks(flat, counts) for flat, counts in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
+        good, stages = at.differentiate(), at.stages
+        blocks = at.blocks(at.F, stages.after)
+        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks])
+        self.border = np.max([sizes.border for sizes in self.parts], axis=0)
+        by_stage = self._by_stage(staged)
+        self.v = np.concatenate([*by_stage, self.border])
+        columns = [np.concatenate([own, self.border]) for own in by_stage]
+        slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
         changes = [np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(own, columns))]) for own in slopes]
         for places in staged.places_alone():
             weights = [np.zeros(len(change)) for change in changes]
@@ -108,22 +113,51 @@ class Units:
         moves = np.abs(at.gradient) @ self.v + 0.5 * bends
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
 
+    @staticmethod
+    def _measured(staged: Staged, point: Point, blocks: list[Array]) -> list[Sizes]:
+        found, sizes_of = list[Sizes](), dict[str, Array]()
+        for part, segment in zip(staged.parts, staged.transcribed.segments):
+            own, first = part.shooting, part.stages.start
+            moved = np.stack(blocks[first : first + own.intervals])
+            moved = np.where(np.isfinite(moved).all(), moved, 0.0)
+            sizes = measured_sizes(own, segment.of(point), moved)
+            for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
+                slices = own.dynamics.group.slices
+                sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
+                sizes.d[slices[name]] = sizes_of[name]
+            found.append(sizes)
+        return found
+
+    def _by_stage(self, staged: Staged) -> list[Array]:
+        """Of the unknowns of each stage."""
+        found = list[Array]()
+        for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
+            found += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            join = part.phase.join
+            free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
+            found.append(np.concatenate([sizes.d, free]))
+        return found
+
 
 class CoreSolver:
-    """Solves a problem of one phase by the core; what it needs compiles once."""
+    """Solves a transcribed problem by the core; what it needs compiles once.
 
-    def __init__(self, problem: Problem, given: Given) -> None:
-        self.shooting = problem.shooting
-        self.staged = Staged(problem.shooting, dict(problem.node_rows), method_of(problem.transcription), given)
+    Args:
+        problem: of one phase or of several.
+        given: what it is solved for, for shapes.
+        tolerance: of the first-order conditions, scaled.
+    """
 
-    def run(self, start: Point, given: Given, max_iterations: int, tolerance: float, **options: float) -> Outcome:
+    def __init__(self, problem: Any, given: Given, tolerance: float) -> None:
+        self.transcribed, self.tolerance = problem.shooting, tolerance
+        self.staged = Staged(problem.shooting, problem.parts, given)
+
+    def run(self, start: Point, given: Given, max_iterations: int, **options: float) -> Outcome:
         """Solve from a start."""
         staged, point = self.staged, Point(*(_arrays(a) for a in start))
-        staged.transcription.set_data(staged.functions.data(given))
+        staged.transcription.set_data(staged.numbers.vector(given))
         units = Units(staged, point)
-        turn, far = options.pop("turn", 1.5), options.pop("far", 1e300)
-        cost_size = options.pop("cost_size", units.cost)
-        chosen = {"tolerance": 0.1 * tolerance, "iterations": max_iterations, **options}
+        chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0, **options}
         result = solve(
             staged.transcription.stages,
             staged.transcription.functions,
@@ -133,54 +167,83 @@ class CoreSolver:
             size=units.v,
             row_size=units.rows,
             equality_size=units.equalities,
-            cost_size=cost_size,
-            largest_step=np.where(np.isin(np.arange(len(units.v)), staged.turning), turn, far * units.v),
+            cost_size=_COST * units.cost,
+            largest_step=np.where(staged.turning, _TURN, _FARTHEST * units.v),
             options=Options(**chosen),
         )
         self.result = result
-        return self._outcome(result, units, given)
+        return self.outcome(result, units, given)
 
-    def _outcome(self, result: Solution, units: Units, given: Given) -> Outcome:
+    def outcome(self, result: Solution, units: Units, given: Given) -> Outcome:
         """What came out."""
-        staged, own, K = self.staged, self.shooting, self.shooting.intervals
+        staged, own = self.staged, self.transcribed
         at = Evaluated(staged, result.z)
-        rows, slack = staged.rows(at.h, at.e), np.ones(len(own.exists))
-        w = staged.rows(result.y, result.ye)
-        row_sizes = staged.rows(units.rows, units.equalities)
-        bounds, inequality = staged.bounds, own.exists & ~own.equality
-        limit = np.where(np.isnan(bounds.limits), 0.0, bounds.limits)
-        lower, upper = staged.limits(staged.point(result.z), given)
-        limit = np.where(bounds.upper, upper[bounds.variables], lower[bounds.variables])
-        rows[bounds.rows] = np.where(bounds.upper, 1.0, -1.0) * (result.v[bounds.variables] - limit)
-        w[bounds.rows] = np.where(bounds.upper, result.zu[bounds.variables], result.zl[bounds.variables])
-        row_sizes[bounds.rows] = units.v[bounds.variables]
-        row_sizes = np.where(row_sizes > 0.0, row_sizes, 1.0)
-        slack = np.where(inequality, np.maximum(-rows, 0.0), slack)
-        sizes, cost = units.sizes, units.cost
-        scales = Scales(
-            np.tile(sizes.d, (K + 1, 1)), np.tile(sizes.u, (K, 1)), sizes.border, row_sizes, np.asarray(cost)
-        )
-        defects = at.c.reshape(K, own.n)
-        violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / row_sizes
+        point = staged.point(result.z)
+        lower, upper = staged.limits(point, given)
+
+        def of_bounds(below: Array, above: Array) -> Callable[[int], Array]:
+            def chosen(number: int) -> Array:
+                places = staged.bound_places[number]
+                return np.where(staged.parts[number].bounds.upper, above[places], below[places])
+
+            return chosen
+
+        rows = staged.rows(at.h, at.e, of_bounds(lower - result.v, result.v - upper))
+        w = staged.rows(result.y, result.ye, of_bounds(result.zl, result.zu))
+        sizes = staged.rows(units.rows, units.equalities, of_bounds(units.v, units.v))
+        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        inequality = own.exists & ~own.equality
+        slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
+        scales = self._scales(units, sizes)
+        defects, dynamics = (self._padded(a) for a in (at.c, result.lam))
+        violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / sizes
         violated = np.where(own.exists | own.decided, violated, 0.0)
-        lam = result.lam.reshape(K, own.n)
-        gap = (np.abs(w) * np.where(inequality, slack, np.abs(rows)))[own.exists].sum() + np.abs(lam * defects).sum()
+        gap = (np.abs(w) * np.where(inequality, slack, np.abs(rows)))[own.exists].sum()
+        gap += np.abs(dynamics * defects).sum()
         numbers = result.statistics
-        errors = Errors(numbers["stationarity"], numbers["violation"], numbers["complementarity"], gap / cost)
+        ratio = _COST  # of the core's unit of the cost to this one
         return Outcome(
-            point=staged.point(result.z),
+            point=point,
             values=Values(at.cost[0], defects, rows),
-            errors=errors,
-            dynamics=lam,
+            errors=Errors(
+                numbers["stationarity"] * ratio,
+                numbers["violation"],
+                numbers["complementarity"] * ratio,
+                gap / units.cost,
+            ),
+            dynamics=dynamics,
             rows=w,
-            scaled_rows=w * row_sizes / cost,
+            scaled_rows=w * sizes / units.cost,
             slack=slack,
-            violations=np.concatenate([(np.abs(defects) / sizes.d).ravel(), violated]),
+            violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
             status=_STATUS.get(result.status, Status.STALLED),
             iterations=max(int(numbers["iterations"]), 1),
         )
 
+    def _padded(self, flat: Array) -> Array:
+        """Numbers of all defects as (intervals, n)."""
+        own = self.transcribed
+        found, at = np.zeros((own.intervals, own.n)), 0
+        for stage, count in enumerate(self.staged.transcription.stages.after[:-1]):
+            found[stage, :count] = flat[at : at + count]
+            at += count
+        return found
+
+    def _scales(self, units: Units, rows: Array) -> Scales:
+        own = self.transcribed
+        d, u = np.ones((own.nodes, own.n)), np.ones((own.intervals, own.m))
+        for number, (part, sizes) in enumerate(zip(self.staged.parts, units.parts)):
+            first, shooting = part.stages.start, part.shooting
+            d[part.stages, : shooting.n] = sizes.d
+            u[first : first + shooting.intervals, : shooting.m] = sizes.u
+            if part.phase.join is not None:
+                free = part.phase.join.free
+                u[first + shooting.intervals, : len(free)] = units.parts[number + 1].d[free]
+        return Scales(d, u, units.border, rows, np.asarray(units.cost))
+
 
 def _arrays(tree: Any) -> Any:
+    if isinstance(tree, tuple):
+        return tuple(map(_arrays, tree))
     return {name: np.asarray(a) for name, a in tree.items()} if isinstance(tree, dict) else np.asarray(tree)

@@ -122,7 +122,7 @@ class Interval:
 
     def _looked_at(self, slot: Slot, rolled: Rolled) -> tuple[jax.Array, jax.Array, Array]:
         """Shares and eta of points, the ends of substeps first, and weights of the cost there, of a unit interval."""
-        return self.ends(slot), rolled.ends, _simpson(self.substeps)
+        return self.ends(slot), rolled.ends, simpson(self.substeps)
 
     def ends(self, slot: Slot) -> jax.Array:
         """Where the substeps end, the start first."""
@@ -325,7 +325,7 @@ def _joined(eta: jax.Array, u: jax.Array, border: jax.Array) -> jax.Array:
     return jnp.concatenate([eta, u, border])
 
 
-def _simpson(substeps: int) -> Array:
+def simpson(substeps: int) -> Array:
     """Weights of the points of a unit interval: Simpson's rule, the trapezoid rule where substeps are odd."""
     weights = np.ones(substeps + 1)
     if substeps % 2:

@@ -59,9 +59,9 @@ class Join:
         for name, part in parts:
             loose[part] = ~fixed[name] if sources[name] is None else False
         self.free, self._loose = np.flatnonzero(loose), loose
-        self.gap = Smooth(self._gap_at, before.backend)
+        self.gap = Smooth(self.gap_at, before.backend)
 
-    def _gap_at(
+    def gap_at(
         self, z: jax.Array, here: tuple[Arrays, jax.Array], start: Arrays, given: Arrays, params: Arrays
     ) -> jax.Array:
         """The defect after a step z = [d, db] of the last node; of other starts it is the same."""

@@ -87,8 +87,8 @@ class Shooting(Transcribed):
         self.backend = backend = chosen(
             "auto" if isinstance(dynamics.backend, Auto) else dynamics.backend, Native() if installed() else XLA()
         )
-        self._point, self._gap = Smooth(self._point_at, backend), Smooth(self.local.gap, backend)
-        self._end = Smooth(self._end_at, backend)
+        self._point, self._gap = Smooth(self.point_at, backend), Smooth(self.local.gap, backend)
+        self._end = Smooth(self.end_at, backend)
         self._nodes = {k: Smooth(functools.partial(self._node_at, k, own), backend) for k, own in at_nodes.items()}
         #: Where [d, b] sit in [d, u, b].
         self._seen = np.array([*range(self.n), *range(self.n + self.m, self.size)])
@@ -104,7 +104,7 @@ class Shooting(Transcribed):
         self.names, self.places, self.equality, self.own = layout.names, layout.places, layout.equality, layout.own
         self.exists, self.decided, self.pinned = layout.exists, layout.decided, np.zeros_like(layout.exists)
         self.rows_per_interval = layout.per_interval
-        self._rate = Smooth(self._rate_at, backend)
+        self._rate = Smooth(self.rate_at, backend)
         self._interval = self._interval_of(transcription, layout.asked)
         finer = transcription.finer
         self._finer = self._interval_of(finer, np.arange((finer.substeps + 1) * self._row_count))
@@ -279,7 +279,7 @@ class Shooting(Transcribed):
         """[d, db] of a node."""
         return jnp.concatenate([d[k], jnp.zeros(self.border.size, d.dtype)])
 
-    def _rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+    def rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T, of q = [eta, u, b]."""
         eta, u, begin, length, params = self._parts(q, params)
         return length * self._pace(u) * self.local.rate(begin + share * length, eta, u, base, params)
@@ -298,7 +298,7 @@ class Shooting(Transcribed):
         begin, length = (float(a) for a in self.span(border))
         return np.asarray(begin + length * self.mesh.shares)
 
-    def _point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+    def point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """The path rows, and the running cost times T."""
         eta, u, begin, length, params = self._parts(q, params)
         rows, density = self.local.point(begin + share * length, eta, u, base, params)
@@ -308,7 +308,7 @@ class Shooting(Transcribed):
         """How long the interval is over what its share says."""
         return 1.0 if self._paced is None else u[self._paced][0]
 
-    def _end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""
         base, b = last[0], last[1] + z[self.n :]
         params = given.params | self.border.params(b)

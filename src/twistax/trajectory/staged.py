@@ -1,11 +1,9 @@
-"""A transcribed phase as the solver's core has it: kernels of its rates, rows and ends, and points as flat arrays."""
+"""A transcribed problem as the solver's core has it: kernels of its rates, rows and ends, and points as flat arrays."""
 
 from __future__ import annotations
 
-import ctypes
 import functools
-import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -14,33 +12,15 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..precision import in_double
-from ..solver.kernels import Argument, BatchKernel, SmoothKernels
-from ..solver.transcription import EQUALITY, INEQUALITY, NONE, Method, Phase, PhaseKernels, Transcription
+from ..solver.kernels import Argument, SmoothKernels
+from ..solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Method, Phase, PhaseKernels, Transcription
 from .conditions import Conditions
-from .interval import _simpson
+from .flat import Flat, Numbers
+from .interval import simpson
+from .joined import Join
 from .shooting import Shooting
-from .transcribed import Given, Point
+from .transcribed import Given, Point, Segment, Transcribed
 from .transcription import Collocation, MultipleShooting
-
-
-class Flat:
-    """Arrays by name as one vector, in the order of the names."""
-
-    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        self.shapes = dict(shapes)
-        sizes = [math.prod(shape) for shape in self.shapes.values()]
-        self.size = sum(sizes)
-        self._ends = np.cumsum([0, *sizes]).tolist()
-
-    def split(self, vector: Any) -> dict[str, Any]:
-        """The arrays of a vector (..., size)."""
-        places = zip(self.shapes.items(), self._ends, self._ends[1:])
-        return {name: vector[..., a:b].reshape(*vector.shape[:-1], *shape) for (name, shape), a, b in places}
-
-    def joined(self, arrays: Mapping[str, Any], axes: int = 0) -> Array:
-        """The vector (..., size) of arrays with so many axes in front."""
-        flat = [np.reshape(arrays[name], (*np.shape(arrays[name])[:axes], -1)) for name in self.shapes]
-        return np.concatenate(flat, axis=-1, dtype=float) if flat else np.zeros(0)
 
 
 def method_of(transcription: MultipleShooting | Collocation) -> Method:
@@ -54,35 +34,25 @@ def method_of(transcription: MultipleShooting | Collocation) -> Method:
     square = np.zeros((len(c), len(c)))
     for row, own in zip(square, a):
         row[: len(own)] = own
-    weights = np.concatenate([_simpson(substeps), np.zeros(substeps * len(c))])
+    weights = np.concatenate([simpson(substeps), np.zeros(substeps * len(c))])
     return Method(square, np.asarray(tableau.b[: len(c)]), np.asarray(c), substeps, False, weights)
 
 
 class Functions:
     """The functions of a phase as kernels read them: of (eta, u, p), shares, points of nodes, and numbers."""
 
-    def __init__(self, shooting: Shooting, params: Mapping[str, Array]) -> None:
-        self._shooting = shooting
-        group = shooting.dynamics.group
-        self.point = Flat({name: shooting.leaves[name].shape for name in group.factors})
-        self.params = Flat({name: np.shape(value) for name, value in params.items()})
-        self.final = self.point
-        self.limits = shooting.border.limits.shape
-        self._data = self.params.size + self.final.size + math.prod(self.limits)
-
-    def data(self, given: Given) -> Array:
-        """The numbers that kernels read."""
-        parts = (self.params.joined(given.params), self.final.joined(given.final), np.ravel(given.limits))
-        return np.concatenate(parts)
+    def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
+        self._shooting, self._numbers = shooting, numbers
+        self.point = point_of(shooting)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
-        own, n, g = self._shooting, self._shooting.n, self._shooting.border.size
-        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: self._data}
+        own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
+        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data}
         of_node = {**of_q, Argument.Z: n + g}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
         conditions = [(k, SmoothKernels(self._node(rows), of_node)) for k, rows in nodes.items()]
-        end = SmoothKernels(self._end, {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: self._data})
+        end = SmoothKernels(self._end, {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data})
         flat = all(factor.flat for factor in own.dynamics.group.factors.values())
         move = {Argument.Z: n, Argument.BASE: self.point.size}
         return PhaseKernels(
@@ -94,30 +64,27 @@ class Functions:
             None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0).kernels[0],
         )
 
-    def _numbers(self, data: jax.Array) -> tuple[dict[str, Any], dict[str, Any], jax.Array]:
-        params, final, limits = jnp.split(data, [self.params.size, self.params.size + self.final.size])
-        return self.params.split(params), self.final.split(final), limits.reshape(self.limits)
-
     def _rate(self, q: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        return self._shooting._rate_at(q, share[0], self.point.split(base), self._numbers(data)[0])
+        return self._shooting.rate_at(q, share[0], self.point.split(base), self._numbers.params(data))
 
     def _rows(self, q: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        return self._shooting._point_at(q, share[0], self.point.split(base), self._numbers(data)[0])
+        return self._shooting.point_at(q, share[0], self.point.split(base), self._numbers.params(data))
 
     def _gap(self, eta: jax.Array, base: jax.Array, target: jax.Array) -> jax.Array:
         return self._shooting.local.gap(eta, self.point.split(base), self.point.split(target))
 
     def _end(self, z: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        params, final, limits = self._numbers(data)
-        none = jnp.zeros(self._shooting.border.size, z.dtype)
-        return self._shooting._end_at(z, (self.point.split(base), none), Given(params, final, limits))
+        own, numbers = self._shooting, self._numbers
+        none = jnp.zeros(own.border.size, z.dtype)
+        given = Given(numbers.params(data), numbers.final(data, own.phase), numbers.limits(data))
+        return own.end_at(z, (self.point.split(base), none), given)
 
-    def _node(self, conditions: Conditions) -> Any:
+    def _node(self, conditions: Conditions) -> Callable[..., jax.Array]:
         def at_node(z: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
             own = self._shooting
             b, x = z[own.n :], own.dynamics.group.retract(self.point.split(base), z[: own.n])
             begin, length = own.span(b)
-            params = self._numbers(data)[0] | own.border.params(b)
+            params = self._numbers.params(data) | own.border.params(b)
             return conditions.values(begin + share[0] * length, x, params)
 
         return at_node
@@ -130,35 +97,61 @@ class Functions:
         return self._shooting.dynamics.group.left_jacobian(c).reshape(-1)
 
 
+def join_kernels(join: Join, before: Shooting, after: Shooting, numbers: Numbers) -> JoinKernels:
+    """The kernels of a join between two phases."""
+    last, first = point_of(before), point_of(after)
+
+    def gap(z: jax.Array, base: jax.Array, target: jax.Array, data: jax.Array) -> jax.Array:
+        here = (last.split(base), jnp.zeros(before.border.size, z.dtype))
+        return join.gap_at(z, here, first.split(target), numbers.initial(data, after.phase), numbers.params(data))
+
+    arguments = {Argument.Z: before.n + before.border.size, Argument.BASE: last.size, Argument.TARGET: first.size}
+    return JoinKernels(SmoothKernels(gap, {**arguments, Argument.DATA: numbers.size}), join.free)
+
+
+def point_of(shooting: Shooting) -> Flat:
+    """A node's states as one vector."""
+    return Flat({name: shooting.leaves[name].shape for name in shooting.dynamics.group.factors})
+
+
 class Bounds(NamedTuple):
     """Rows that are limits of single unknowns: the core takes these as bounds.
 
     Attributes:
-        rows: places among all rows.
-        variables: places in v.
+        rows: places among all rows of the phase.
+        stages, columns: where the unknown stands, column n + m + i for entry i of the border.
         upper: whether it is an upper limit.
         limits: of leaves; NaN where it is that of a time or of a free parameter.
     """
 
     rows: Array
-    variables: Array
+    stages: Array
+    columns: Array
     upper: Array
     limits: Array
 
 
-class Staged:
-    """A problem of one phase for the core.
+class Part:
+    """A phase of a staged problem.
 
     Attributes:
-        transcription: its functions and sizes.
+        shooting: the phase.
+        stages: its stages among all, the last one of the next phase's join.
         bounds: its rows that are limits of single unknowns.
+        phase: for the core.
     """
 
-    def __init__(self, shooting: Shooting, conditions: Mapping[int, Conditions], method: Method, given: Given) -> None:
-        self.shooting = shooting
-        self.functions = Functions(shooting, given.params)
-        with in_double():
-            kernels = self.functions.kernels(conditions)
+    def __init__(
+        self,
+        segment: Segment,
+        conditions: Mapping[int, Conditions],
+        method: Method,
+        kernels: PhaseKernels,
+        join: JoinKernels | None,
+    ) -> None:
+        self.shooting = shooting = segment.shooting
+        self.stages = slice(segment.nodes.start, segment.nodes.stop)
+        self.point = point_of(shooting)
         layout, K = shooting.layout, shooting.intervals
         self.bounds = bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
@@ -169,63 +162,170 @@ class Staged:
         path[:, layout.asked] = inner[:, : len(layout.asked)]
         at_nodes = [inner[k, len(layout.asked) :][: layout.counts[k]] for k in conditions]
         rows = [*at_nodes, end]
-        self._rows = layout.path_rows if len(shooting.path.names) else 0
-        path = path.reshape(K, shooting.substeps + 1, layout.path_rows)[:, :, : self._rows]
-        phase = Phase(
+        path = path.reshape(K, shooting.substeps + 1, layout.path_rows)[:, :, : len(shooting.path.names)]
+        self.phase = Phase(
             shooting.n,
             shooting.m,
-            self.functions.point.size,
+            self.point.size,
             method,
             kernels,
             shooting.mesh.shares[:-1],
             shooting.mesh.widths,
-            self.functions.data(given),
             path,
             rows,
             np.zeros(path.shape),
             [np.zeros(len(own)) for own in rows],
+            join,
         )
-        self.phase = phase
-        self.transcription = Transcription(phase, shooting.border.size)
 
-    @functools.cached_property
-    def turning(self) -> Array:
-        """The places in v of tangents that are rotations."""
-        own = self.shooting
-        places = np.arange(own.intervals + 1)[:, None] * (own.n + own.m) + np.flatnonzero(own.turns)
-        return places.ravel()
+    def rows(self, h: Array, e: Array, path_places: Array, node_places: Sequence[Array]) -> Array:
+        """Numbers of inequalities and equalities as those of all rows of the phase, zero where none is."""
+        own, layout, K = self.shooting, self.shooting.layout, self.shooting.intervals
+        found = np.zeros(len(own.exists))
+        inner = found[: K * layout.per_interval].reshape(K, -1)
+        if path_places.size:
+            asked = np.clip(layout.asked, None, path_places[0].size - 1)
+            inner[:, : len(layout.asked)] = _chosen(h, e, path_places, self.phase.path).reshape(K, -1)[:, asked]
+        *nodes, found[K * layout.per_interval :] = [
+            _chosen(h, e, places, kinds) for places, kinds in zip(node_places, self.phase.conditions)
+        ]
+        for (k, _), values in zip(self.phase.kernels.nodes, nodes):
+            inner[k, len(layout.asked) :][: len(values)] = values
+        return found
 
-    def coordinates(self, point: Point) -> Array:
-        """v of a point: states that are flat, controls and shared unknowns as they are, others zero."""
-        own, K = self.shooting, self.shooting.intervals
-        d = np.zeros((K + 1, own.n))
-        for name, part in own.dynamics.group.slices.items():
-            if own.dynamics.group.factors[name].flat:
-                d[:, part] = np.reshape(point.xs[name], (K + 1, -1))
-        inner = np.concatenate([d[:-1], point.us], axis=1)
-        return np.concatenate([inner.ravel(), d[-1], np.ravel(point.border)])
 
-    def limits(self, point: Point, given: Given) -> tuple[Array, Array]:
-        """Lower and upper bounds of v; equal where an entry is fixed."""
-        own, v, n = self.shooting, self.coordinates(point), self.shooting.n
-        lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
-        border = len(v) - own.border.size
-        sides = np.asarray(given.limits)
-        lower[border:], upper[border:] = sides[:, 0], sides[:, 1]
-        of_leaf = ~np.isnan(self.bounds.limits)
-        for bound, side, most in ((lower, ~self.bounds.upper, np.maximum), (upper, self.bounds.upper, np.minimum)):
-            at = of_leaf & side
-            most.at(bound, self.bounds.variables[at], self.bounds.limits[at])
-        fixed = np.flatnonzero(~own.free.d[0])
-        lower[fixed] = upper[fixed] = v[:n][fixed]
-        return lower, upper
+class Staged:
+    """A problem for the core.
+
+    Args:
+        transcribed: the discrete problem.
+        parts: the problems of its phases.
+        given: what it is solved for, for shapes.
+
+    Attributes:
+        parts: its phases.
+        transcription: functions and sizes.
+    """
+
+    def __init__(self, transcribed: Transcribed, parts: Sequence[Any], given: Given) -> None:
+        self.transcribed, self.border = transcribed, transcribed.border
+        self.numbers = Numbers([point_of(part.shooting) for part in parts], given)
+        self.parts: list[Part] = []
+        with in_double():
+            joins = [
+                join_kernels(join, before.shooting, after.shooting, self.numbers)
+                for join, before, after in zip(transcribed.joins, parts, parts[1:])
+            ]
+            for segment, part, join in zip(transcribed.segments, parts, [*joins, None]):
+                rows = dict(part.node_rows)
+                kernels = Functions(part.shooting, self.numbers).kernels(rows)
+                self.parts.append(Part(segment, rows, method_of(part.transcription), kernels, join))
+        phases = [part.phase for part in self.parts]
+        self.transcription = Transcription(phases, self.border.size, self.numbers.vector(given))
+        stages = self.transcription.stages
+        widths = np.array(stages.states) + np.array(stages.controls)
+        #: Where the unknowns of each stage begin in v.
+        self.first = np.cumsum(widths) - widths
+
+    # ---- points ---------------------------------------------------------------------------------------------------
 
     def flat(self, point: Point) -> Array:
         """z of a point."""
-        nodes = self.functions.point.joined(point.xs, 1)
-        us = np.asarray(point.us)
-        inner = np.concatenate([nodes[:-1], us], axis=1)
-        return np.concatenate([inner.ravel(), nodes[-1], np.ravel(point.border)])
+        return self._joined(point, [part.point.joined(xs, 1) for part, xs in self._each(point)])
+
+    def coordinates(self, point: Point) -> Array:
+        """v of a point: states that are flat, controls and shared unknowns as they are, others zero."""
+        found = []
+        for part, xs in self._each(point):
+            own = part.shooting
+            d = np.zeros((own.nodes, own.n))
+            for name, columns in own.dynamics.group.slices.items():
+                if own.dynamics.group.factors[name].flat:
+                    d[:, columns] = np.reshape(xs[name], (own.nodes, -1))
+            found.append(d)
+        return self._joined(point, found)
+
+    def point(self, z: Array) -> Point:
+        """The point of z."""
+        stages, own = self.transcription.stages, self.transcribed
+        us, xs = np.zeros((own.intervals, own.m)), []
+        at = 0
+        for part in self.parts:
+            nodes = np.zeros((part.shooting.nodes, part.point.size))
+            for k, stage in enumerate(range(part.stages.start, part.stages.stop)):
+                count = stages.controls[stage]
+                nodes[k] = z[at : at + part.point.size]
+                at += part.point.size + count
+                if count:
+                    us[stage, :count] = z[at - count : at]
+            xs.append(part.point.split(nodes))
+        return Point(xs[0] if own.segments[0].alone else tuple(xs), us, z[at:])
+
+    def _each(self, point: Point) -> list[tuple[Part, Any]]:
+        alone = self.transcribed.segments[0].alone
+        return list(zip(self.parts, [point.xs] if alone else point.xs))
+
+    def _joined(self, point: Point, nodes: Sequence[Array]) -> Array:
+        """Numbers of nodes, of each phase (nodes, ...), controls, and the border, in the order of stages."""
+        controls, us = self.transcription.stages.controls, np.asarray(point.us)
+        found = []
+        for part, own in zip(self.parts, nodes):
+            for stage, row in zip(range(part.stages.start, part.stages.stop), own):
+                found.append(row)
+                if controls[stage]:
+                    found.append(us[stage, : controls[stage]])
+        return np.concatenate([*found, np.ravel(point.border)])
+
+    # ---- limits ---------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def bound_places(self) -> list[Array]:
+        """Where the bounds of each phase stand in v."""
+        stages, found = self.transcription.stages, []
+        for part in self.parts:
+            bounds, width = part.bounds, part.shooting.n + part.shooting.m
+            shared = stages.variables - stages.parameters + bounds.columns - width
+            own = self.first[part.stages.start + bounds.stages] + bounds.columns
+            found.append(np.where(np.isnan(bounds.limits), shared, own))
+        return found
+
+    @functools.cached_property
+    def turning(self) -> Array:
+        """Which entries of v are rotations."""
+        found = np.zeros(self.transcription.stages.variables, bool)
+        for part in self.parts:
+            at = self.first[part.stages][:, None] + np.flatnonzero(part.shooting.turns)
+            found[at.ravel()] = True
+        return found
+
+    def limits(self, point: Point, given: Given) -> tuple[Array, Array]:
+        """Lower and upper bounds of v; equal where an entry is fixed."""
+        v = self.coordinates(point)
+        lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
+        border = len(v) - self.border.size
+        lower[border:], upper[border:] = np.asarray(given.limits).T
+        for part, places in zip(self.parts, self.bound_places):
+            of_leaf = ~np.isnan(part.bounds.limits)
+            for bound, side, most in ((lower, False, np.maximum), (upper, True, np.minimum)):
+                at = of_leaf & (part.bounds.upper == side)
+                most.at(bound, places[at], part.bounds.limits[at])
+        start = self.parts[0].shooting
+        fixed = np.flatnonzero(~start.free.d[0])
+        lower[fixed] = upper[fixed] = v[: start.n][fixed]
+        return lower, upper
+
+    # ---- rows -----------------------------------------------------------------------------------------------------
+
+    def rows(self, h: Array, e: Array, of_bounds: Callable[[int], Array]) -> Array:
+        """Numbers of inequalities, of equalities and of the bounds of each phase as those of all rows."""
+        found = []
+        for number, (part, *places) in enumerate(
+            zip(self.parts, self.transcription.path_places, self.transcription.node_places)
+        ):
+            rows = part.rows(h, e, *places)
+            rows[part.bounds.rows] = of_bounds(number)
+            found.append(rows)
+        return self.transcribed.whole_rows(found)
 
     @functools.cached_property
     def stages_of_rows(self) -> tuple[Array, Array]:
@@ -236,89 +336,60 @@ class Staged:
 
     def places_alone(self) -> Iterator[tuple[Array, Array]]:
         """Places of inequalities and equalities, of which no two stand in one stage; together they are all."""
-        stages = self.stages_of_rows
+        stages, none = self.stages_of_rows, np.zeros(0, int)
         numbers = [np.arange(len(own)) - np.searchsorted(own, own) for own in stages]
-        most = [int(own.max(initial=-1)) + 1 for own in numbers]
-        none = np.zeros(0, int)
-        for k in range(most[0]):
+        for k in range(int(numbers[0].max(initial=-1)) + 1):
             yield np.flatnonzero(numbers[0] == k), none
-        for k in range(most[1]):
+        for k in range(int(numbers[1].max(initial=-1)) + 1):
             yield none, np.flatnonzero(numbers[1] == k)
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
         """Sizes of rows: of a path row the largest of all its places; 1 where there is none."""
         sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
-        for row in range(self.phase.path.shape[2]):
-            for kind, own in zip((INEQUALITY, EQUALITY), sizes):
-                places = self.transcription.path_places[..., row][self.phase.path[..., row] == kind]
-                own[places] = own[places].max(initial=0.0)
+        for part, every in zip(self.parts, self.transcription.path_places):
+            for row in range(part.phase.path.shape[2]):
+                for kind, own in zip((INEQUALITY, EQUALITY), sizes):
+                    places = every[..., row][part.phase.path[..., row] == kind]
+                    own[places] = own[places].max(initial=0.0)
         return sizes[0] + (sizes[0] == 0.0), sizes[1] + (sizes[1] == 0.0)
 
-    def point(self, z: Array) -> Point:
-        """The point of z."""
-        own, K = self.shooting, self.shooting.intervals
-        width = self.functions.point.size
-        split = K * (width + own.m)
-        inner, last, border = np.split(z, [split, split + width])
-        inner = inner.reshape(K, -1)
-        nodes = np.concatenate([inner[:, :width], last[None]])
-        return Point(self.functions.point.split(nodes), inner[:, width:], border)
 
-    def rows(self, h: Array, e: Array) -> Array:
-        """Numbers of inequalities and equalities as those of all rows, zero where none is."""
-        own, layout, K = self.shooting, self.shooting.layout, self.shooting.intervals
-        found = np.zeros(len(own.exists))
-        inner = found[: K * layout.per_interval].reshape(K, -1)
-        places = self.transcription.path_places.reshape(K, -1)
-        if places.size:
-            whole = np.where(self.phase.path.reshape(K, -1) == EQUALITY, _at(e, places), _at(h, places))
-            whole = np.where(places >= 0, whole, 0.0)
-            inner[:, : len(layout.asked)] = whole.reshape(K, own.substeps + 1, -1).reshape(K, -1)[:, layout.asked]
-        *nodes, end = [
-            np.where(at >= 0, np.where(kind == EQUALITY, _at(e, at), _at(h, at)), 0.0)
-            for at, kind in zip(self.transcription.node_places, self.phase.conditions)
-        ]
-        for (k, _), values in zip(self.phase.kernels.nodes, nodes):
-            inner[k, len(layout.asked) :][: len(values)] = values
-        found[K * layout.per_interval :] = end
-        return found
-
-
-def _at(values: Array, places: Array) -> Array:
-    return values[np.clip(places, 0, len(values) - 1)] if len(values) else np.zeros(places.shape)
+def _chosen(h: Array, e: Array, places: Array, kinds: Array) -> Array:
+    """Of each place the number among inequalities or equalities; zero where it is neither."""
+    found = np.zeros(places.shape)
+    for kind, values in ((INEQUALITY, h), (EQUALITY, e)):
+        found[kinds == kind] = values[places[kinds == kind]]
+    return found
 
 
 def bounds_of_rows(shooting: Shooting) -> Bounds:
     """Which rows of a phase are limits of states at nodes, of controls, of times and of free parameters."""
     own, layout, K = shooting, shooting.layout, shooting.intervals
-    width, first_box = own.n + own.m, len(own.path.names) - len(own.path.bounds)
-    found: list[tuple[int, int, bool, float]] = []
+    first_box = len(own.path.names) - len(own.path.bounds)
+    found: list[tuple[int, int, int, bool, float]] = []
 
     def add(row: int, path_row: int, stage: int) -> None:
         if path_row < first_box or not own.exists[row]:
             return
-        bound = own.path.bounds[path_row - first_box]
-        if bound.leaf in own.dynamics.group.slices:
-            if not own.dynamics.group.factors[bound.leaf].flat:
-                return
-            column = own.dynamics.group.slices[bound.leaf].start + bound.entry
-        else:
+        bound, group = own.path.bounds[path_row - first_box], own.dynamics.group
+        if bound.leaf not in group.slices:
             column = own.n + own.local.controls.slices[bound.leaf].start + bound.entry
-        found.append((row, stage * width + column, bound.sign > 0.0, bound.limit))
+        elif group.factors[bound.leaf].flat:
+            column = group.slices[bound.leaf].start + bound.entry
+        else:
+            return
+        found.append((row, stage, column, bound.sign > 0.0, bound.limit))
 
     for k in range(K):
         for place, row in enumerate(layout.asked):
             if row < len(own.path.names):
                 add(k * layout.per_interval + place, int(row), k)
-    inner = K * layout.per_interval
-    first_state = len(own.exists) - inner - len(layout.end_states)
     limits = own.border.finite if own.is_last else []
-    first_state -= len(limits)
+    first = len(own.exists) - len(limits) - len(layout.end_states)
     for place, row in enumerate(layout.end_states):
-        add(inner + first_state + place, int(row), K)
-    for place, (entry, side) in enumerate(limits):
-        row = len(own.exists) - len(limits) + place
+        add(first + place, int(row), K)
+    for row, (entry, side) in zip(range(len(own.exists) - len(limits), len(own.exists)), limits):
         if own.exists[row]:
-            found.append((row, K * width + own.n + entry, bool(side), np.nan))
-    rows, variables, upper, sides = (np.array(a) for a in zip(*found)) if found else (np.zeros(0, int),) * 4
-    return Bounds(rows.astype(int), variables.astype(int), upper.astype(bool), sides.astype(float))
+            found.append((row, K, own.n + own.m + entry, bool(side), np.nan))
+    kinds = (int, int, int, bool, float)
+    return Bounds(*(np.array(a, kind) for a, kind in zip(zip(*found) if found else ((),) * 5, kinds)))

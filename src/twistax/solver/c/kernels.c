@@ -13,6 +13,8 @@ size_t twx_lay_out(twx_memory *t, const twx_phase *f, double *base) {
   size_t used = 0, rows = (size_t)f->path_rows + 1;
   for (int32_t i = 0; i < f->nodes; i++)
     if ((size_t)f->node[i].function.rows > rows) rows = (size_t)f->node[i].function.rows;
+  const size_t joined = f->join ? (size_t)f->join->function.rows : 0;
+  if (joined > rows) rows = joined;
   *t = (twx_memory){.phase = f, .K = K, .n = n, .size = size, .stages = all};
   t->points = S + 1 + (f->implicit ? all : 0);
   t->state = next_of(base, &used, 1);
@@ -26,7 +28,7 @@ size_t twx_lay_out(twx_memory *t, const twx_phase *f, double *base) {
   t->pulls = next_of(base, &used, t->points * K * n);
   t->rows = next_of(base, &used, K * rows), t->row_slopes = next_of(base, &used, K * rows * size);
   t->row_moved = next_of(base, &used, rows * size), t->adjoint = next_of(base, &used, K * n);
-  t->bends = next_of(base, &used, K * size * size), t->moved = next_of(base, &used, size * size);
+  t->bends = next_of(base, &used, K * size * size), t->moved = next_of(base, &used, size * size + joined * (joined + size));
   t->matrix = next_of(base, &used, K * sn * sn), t->right = next_of(base, &used, (sn + s) * size + sn);
   t->weights = next_of(base, &used, K * (rows > n ? rows : n)), t->q_node = next_of(base, &used, n + (size_t)f->p);
   return used;
@@ -39,7 +41,8 @@ size_t twx_phase_work(const twx_phase *f) {
 
 void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size) {
   const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
-  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, in.base ? in.base + stride : NULL, t->phase->data, in.weights};
+  const double *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
+  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, in.weights};
   const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, (int64_t)in.weight_width};
   int64_t table[2 * (TWX_ARGUMENTS + 1)];
   if (!f->run) {
@@ -118,4 +121,40 @@ void twx_lu_solve_transposed(size_t n, const double *A, const double *pivots, do
     const double kept = b[j];
     b[j] = b[from], b[from] = kept;
   }
+}
+
+/* out (rows, columns) = A (rows, n) B (n, columns) */
+void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out) {
+  memset(out, 0, sizeof(double) * rows * columns);
+  for (size_t i = 0; i < rows; i++)
+    for (size_t l = 0; l < n; l++) {
+      const double factor = A[i * n + l];
+      if (factor != 0)
+        for (size_t j = 0; j < columns; j++) out[i * columns + j] += factor * B[l * columns + j];
+    }
+}
+
+/* ---- rows --------------------------------------------------------------------------------------------------- */
+
+double *twx_at_stage(double *array, const int64_t *offsets, size_t k) { return array + offsets[k]; }
+
+/* A row of a stage among inequalities and equalities; NULL: nowhere. */
+double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e) {
+  if (place >= 0) return twx_at_stage(h, f->at.h, k) + place;
+  return place == -1 ? NULL : twx_at_stage(e, f->at.e, k) - 2 - place;
+}
+
+double twx_weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye) {
+  if (place >= 0) return y[f->at.h[k] + place];
+  return place == -1 ? 0 : ye[f->at.e[k] - 2 - place];
+}
+
+/* Adds a row of derivatives of a stage to its block, columns of eta, then those from `after` on. */
+void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
+                    double *Jh, double *Je) {
+  const size_t n = (size_t)f->n;
+  const int32_t rows = place >= 0 ? f->at.inequalities[k] : f->at.equalities[k];
+  double *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
+  if (place != -1)
+    for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j];
 }

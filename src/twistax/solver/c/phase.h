@@ -21,18 +21,33 @@ typedef struct { /* arrays of a phase; K intervals, S substeps, s stages; size =
   double *pulls;                /* (points, K, n): gradients by eta of rows and cost, weighted */
   double *rows;                 /* (K, max(path_rows + 1, rows of a node)) */
   double *row_slopes, *row_moved; /* (K, as many, size), (as many, size) */
-  double *bends, *moved;        /* (K, size, size), (size, size) */
+  double *bends, *moved;        /* (K, size, size); scratch: (size, size), and of a join */
   double *matrix, *right;       /* of implicit stages: (K, s n, s n), (s n, size) */
   double *weights;              /* (K, as many rows, or n) */
   double *q_node;               /* (n + p) */
 } twx_memory;
 
 TWX_INTERNAL size_t twx_lay_out(twx_memory *memory, const twx_phase *phase, double *base);
-typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; base: points of nodes */
-  const double *z, *share, *base, *weights;
+typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; target NULL: the node after base */
+  const double *z, *share, *base, *target, *weights;
   size_t width, weight_width;
 } twx_inputs;
 TWX_INTERNAL void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size);
+/* out (rows, columns) = A (rows, n) B (n, columns) */
+TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out);
+/* Blocks and rows of stages. */
+TWX_INTERNAL double *twx_at_stage(double *array, const int64_t *offsets, size_t k);
+TWX_INTERNAL double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e);
+TWX_INTERNAL double twx_weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye);
+TWX_INTERNAL void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
+                              double *Jh, double *Je);
+/* nodes.c */
+TWX_INTERNAL double twx_node_values(twx_memory *t, const double *z, double *h, double *e);
+TWX_INTERNAL void twx_node_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je);
+TWX_INTERNAL void twx_node_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye, double *H);
+TWX_INTERNAL void twx_join_values(const twx_memory *t, const double *z, double *c);
+TWX_INTERNAL void twx_join_jacobians(twx_memory *t, const double *z, double *F);
+TWX_INTERNAL void twx_join_hessians(twx_memory *t, const double *z, const double *lambda, double *H);
 /* M (rows, n + rest) by q along maps (n, size): out = M[:, :n] maps + [0 | M[:, n:]]. */
 TWX_INTERNAL void twx_along(size_t rows, size_t n, size_t size, const double *M, const double *maps, double *out);
 TWX_INTERNAL int32_t twx_lu(size_t n, double *A, double *pivots);

@@ -1,29 +1,6 @@
 /* Values, derivatives and moves of a transcribed problem, phase by phase. */
 #include "phase.h"
 
-static double *at_stage(double *array, const int64_t *offsets, size_t k) { return array + offsets[k]; }
-
-/* A row of a stage among inequalities and equalities; NULL: nowhere. */
-static double *row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e) {
-  if (place >= 0) return at_stage(h, f->at.h, k) + place;
-  return place == -1 ? NULL : at_stage(e, f->at.e, k) - 2 - place;
-}
-
-static double weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye) {
-  if (place >= 0) return y[f->at.h[k] + place];
-  return place == -1 ? 0 : ye[f->at.e[k] - 2 - place];
-}
-
-/* Adds a row of derivatives of a stage to its block, columns of eta, then those from `after` on. */
-static void add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
-                    double *Jh, double *Je) {
-  const size_t n = (size_t)f->n;
-  const int32_t rows = place >= 0 ? f->at.inequalities[k] : f->at.equalities[k];
-  double *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
-  if (place != -1)
-    for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j];
-}
-
 /* ---- path rows and cost --------------------------------------------------------------------------------------- */
 
 static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
@@ -53,7 +30,7 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
       const double *row = t->rows + k * (R + 1);
       cost += f->widths[k] * f->weights[point] * row[R];
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++) {
-        double *to = row_at(f, k, places_at(t, point, k)[r], h, e);
+        double *to = twx_row_at(f, k, places_at(t, point, k)[r], h, e);
         if (to) *to = row[r] + f->margins[places_at(t, point, k) + r - f->place];
       }
     }
@@ -71,7 +48,7 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
       const double *maps = t->maps + (point * t->K + k) * t->n * size, weight = f->widths[k] * f->weights[point];
       twx_along(R + 1, t->n, size, t->row_slopes + k * (R + 1) * size, maps, t->row_moved);
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
-        add_row(f, k, places_at(t, point, k)[r], t->row_moved + r * size, size, 0, Jh, Je);
+        twx_add_row(f, k, places_at(t, point, k)[r], t->row_moved + r * size, size, 0, Jh, Je);
       for (size_t j = 0; j < size; j++)
         gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * t->row_moved[R * size + j];
     }
@@ -102,7 +79,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     for (size_t k = 0; k < t->K; k++) {
       double *w = t->weights + k * (R + 1);
       for (size_t r = 0; r < R; r++)
-        w[r] = point <= (size_t)f->substeps ? weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
+        w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
       w[R] = weight * f->widths[k] * f->weights[point];
     }
     twx_inputs in = twx_inputs_at(t, z, point);
@@ -115,7 +92,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
     if (!f->rows.bends.run) continue;
     twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
     for (size_t k = 0; k < t->K; k++)
-      add_bends(t, t->bends + k * size * size, t->maps + (point * t->K + k) * t->n * size, at_stage(H, f->at.H, k));
+      add_bends(t, t->bends + k * size * size, t->maps + (point * t->K + k) * t->n * size, twx_at_stage(H, f->at.H, k));
   }
 }
 
@@ -127,17 +104,6 @@ static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const doub
   twx_call(f, t, in, t->K, out, size);
 }
 
-/* out (rows, columns) = A (rows, n) B (n, columns) */
-static void multiply(size_t rows, size_t n, size_t columns, const double *A, const double *B, double *out) {
-  memset(out, 0, sizeof(double) * rows * columns);
-  for (size_t i = 0; i < rows; i++)
-    for (size_t l = 0; l < n; l++) {
-      const double factor = A[i * n + l];
-      if (factor != 0)
-        for (size_t j = 0; j < columns; j++) out[i * columns + j] += factor * B[l * columns + j];
-    }
-}
-
 /* Derivatives of the defects by eta at the ends, their rows multiplied by the left Jacobians of the defects. */
 static void gap_slopes(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
@@ -147,7 +113,7 @@ static void gap_slopes(twx_memory *t, const double *z) {
   gaps(t, z, &f->gap.value, NULL, t->defects, n);
   twx_call(&f->turn, t, (twx_inputs){.z = t->defects, .width = n}, t->K, t->turns, n * n);
   for (size_t k = 0; k < t->K; k++) {
-    multiply(n, n, n, t->turns + k * n * n, t->gap_slopes + k * n * n, t->moved);
+    twx_multiply(n, n, n, t->turns + k * n * n, t->gap_slopes + k * n * n, t->moved);
     memcpy(t->gap_slopes + k * n * n, t->moved, sizeof(double) * n * n);
   }
 }
@@ -157,8 +123,8 @@ static void gap_jacobians(twx_memory *t, const double *z, double *F) {
   const size_t n = t->n, size = t->size;
   gap_slopes(t, z);
   for (size_t k = 0; k < t->K; k++) {
-    double *to = at_stage(F, f->at.F, k);
-    multiply(n, n, size, t->gap_slopes + k * n * n, t->maps + ((size_t)f->substeps * t->K + k) * n * size, t->moved);
+    double *to = twx_at_stage(F, f->at.F, k);
+    twx_multiply(n, n, size, t->gap_slopes + k * n * n, t->maps + ((size_t)f->substeps * t->K + k) * n * size, t->moved);
     for (size_t j = 0; j < size; j++)
       for (size_t i = 0; i < n; i++) to[j * n + i] = t->moved[i * size + j];
   }
@@ -182,8 +148,8 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
   gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
   for (size_t k = 0; k < t->K; k++) {
     const double *maps = t->maps + ((size_t)f->substeps * t->K + k) * n * size;
-    double *const block = at_stage(H, f->at.H, k);
-    multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
+    double *const block = twx_at_stage(H, f->at.H, k);
+    twx_multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
     for (size_t i = 0; i < n; i++)
       for (size_t r = 0; r < size; r++)
         for (size_t j = 0; j < size; j++) block[r * size + j] += maps[i * size + r] * t->moved[i * size + j];
@@ -203,73 +169,9 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint, doubl
       in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
       twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
       for (size_t k = 0; k < t->K; k++)
-        add_bends(t, t->bends + k * size * size, t->maps + (place * t->K + k) * n * size, at_stage(H, f->at.H, k));
+        add_bends(t, t->bends + k * size * size, t->maps + (place * t->K + k) * n * size, twx_at_stage(H, f->at.H, k));
     }
     for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[j * t->K * n + i];
-  }
-}
-
-/* ---- conditions at nodes -------------------------------------------------------------------------------------- */
-
-/* What the conditions at a node read: (eta, p) with eta zero, the share of the node, its point. */
-static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_node *node, double *share) {
-  const twx_phase *f = t->phase;
-  const size_t k = (size_t)node->stage;
-  memset(t->q_node, 0, sizeof(double) * t->n);
-  memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
-  *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
-  return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
-                      .weights = t->weights, .weight_width = (size_t)node->function.rows};
-}
-
-static int32_t has_cost(const twx_phase *f, int32_t node) { return node == f->nodes - 1; }
-
-static double node_values(twx_memory *t, const double *z, double *h, double *e) {
-  const twx_phase *f = t->phase;
-  double share, cost = 0;
-  for (int32_t i = 0; i < f->nodes; i++) {
-    const twx_node *node = f->node + i;
-    const int32_t rows = node->function.rows - has_cost(f, i);
-    twx_call(&node->function.value, t, node_inputs(t, z, node, &share), 1, t->rows, (size_t)node->function.rows);
-    for (int32_t r = 0; r < rows; r++) {
-      double *to = row_at(f, (size_t)node->stage, node->place[r], h, e);
-      if (to) *to = t->rows[r] + node->margins[r];
-    }
-    if (has_cost(f, i)) cost = t->rows[rows];
-  }
-  return cost;
-}
-
-static void node_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
-  const twx_phase *f = t->phase;
-  double share;
-  for (int32_t i = 0; i < f->nodes; i++) {
-    const twx_node *node = f->node + i;
-    const size_t k = (size_t)node->stage, n = t->n, columns = n + (size_t)f->p;
-    const int32_t rows = node->function.rows - has_cost(f, i);
-    twx_call(&node->function.slopes, t, node_inputs(t, z, node, &share), 1, t->row_slopes, (size_t)node->function.rows * columns);
-    for (int32_t r = 0; r < rows; r++)
-      add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, columns, k < t->K ? (size_t)f->m : 0, Jh, Je);
-    for (size_t j = 0; has_cost(f, i) && j < columns; j++)
-      gradient[j < n ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - n] += t->row_slopes[(size_t)rows * columns + j];
-  }
-}
-
-static void node_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye, double *H) {
-  const twx_phase *f = t->phase;
-  double share;
-  for (int32_t i = 0; i < f->nodes; i++) {
-    const twx_node *node = f->node + i;
-    const size_t k = (size_t)node->stage, n = t->n, columns = n + (size_t)f->p, skipped = k < t->K ? (size_t)f->m : 0;
-    const int32_t rows = node->function.rows - has_cost(f, i);
-    if (!node->function.bends.run) continue;
-    for (int32_t r = 0; r < rows; r++) t->weights[r] = weight_of(f, k, node->place[r], y, ye);
-    if (has_cost(f, i)) t->weights[rows] = weight;
-    twx_call(&node->function.bends, t, node_inputs(t, z, node, &share), 1, t->bends, columns * columns);
-    for (size_t r = 0; r < columns; r++)
-      for (size_t j = 0; j < columns; j++)
-        H[f->at.H[k] + (int64_t)((r < n ? r : r + skipped) * (columns + skipped) + (j < n ? j : j + skipped))] +=
-            t->bends[r * columns + j];
   }
 }
 
@@ -290,8 +192,9 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
   *cost = 0;
   FOR_PHASES(user, f, t) {
     if (twx_integrate(&t, z)) return 1;
-    *cost += rows_values(&t, z, h, e) + node_values(&t, z, h, e);
+    *cost += rows_values(&t, z, h, e) + twx_node_values(&t, z, h, e);
     gaps(&t, z, &f->gap.value, NULL, c + f->at.c[0], t.n);
+    if (f->join) twx_join_values(&t, z, c);
   }
   return 0;
 }
@@ -300,8 +203,9 @@ int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient,
   FOR_PHASES(user, f, t) {
     if (twx_sensitivities(&t, z)) return 1;
     rows_jacobians(&t, z, gradient, Jh, Je);
-    node_jacobians(&t, z, gradient, Jh, Je);
+    twx_node_jacobians(&t, z, gradient, Jh, Je);
     gap_jacobians(&t, z, F);
+    if (f->join) twx_join_jacobians(&t, z, F);
   }
   return 0;
 }
@@ -311,9 +215,10 @@ int32_t twx_transcribed_hessians(void *user, const double *z, double weight, con
   FOR_PHASES(user, f, t) {
     if (twx_sensitivities(&t, z)) return 1;
     rows_hessians(&t, z, weight, y, ye, H);
-    node_hessians(&t, z, weight, y, ye, H);
+    twx_node_hessians(&t, z, weight, y, ye, H);
     gap_hessians(&t, z, lambda, t.adjoint, H);
     rate_hessians(&t, z, t.adjoint, H);
+    if (f->join) twx_join_hessians(&t, z, lambda, H);
   }
   return 0;
 }
@@ -330,6 +235,11 @@ int32_t twx_transcribed_retract(void *user, const double *z, const double *d, do
     if (f->retract.run) {
       const twx_inputs in = {.z = d + f->at.v[0], .width = t.n + m, .base = z + f->at.z[0]};
       twx_call(&f->retract, &t, in, nodes, moved + f->at.z[0], stride);
+    }
+    /* What a join leaves free is where the next node is: the step to it from there is taken. */
+    for (int32_t i = 0; f->join && i < f->join->free_count; i++) {
+      const size_t at = (size_t)f->at.z[t.K] + (size_t)f->point + (size_t)i, v = (size_t)f->at.v[t.K] + t.n;
+      moved[at] = z[at] + d[v + (size_t)i] - d[v + (size_t)f->join->free_count + (size_t)f->join->free[i]];
     }
     for (int64_t i = 0; i < f->p; i++)
       moved[f->parameters_z + i] = z[f->parameters_z + i] + d[f->parameters_v + i];

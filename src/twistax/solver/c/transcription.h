@@ -36,6 +36,13 @@ typedef struct { /* conditions on one node of (eta, p) */
   const double *margins;
 } twx_node;
 
+typedef struct { /* where the next phase starts: log(x_next^-1 jump(x_last, p)), zero in entries that are free */
+  twx_smooth function;          /* of (eta, p) at the last node; its target is the first node of the next phase */
+  twx_kernel turn;              /* as of the next phase */
+  int32_t free_count;
+  const int32_t *free;          /* entries of the next start that nothing decides: controls of the join are its steps */
+} twx_join;
+
 typedef struct { /* offsets by stage, K + 1 each */
   const int64_t *z, *v, *c, *h, *e, *F, *Jh, *Je, *H;
   const int32_t *inequalities, *equalities;
@@ -55,6 +62,7 @@ typedef struct {
   twx_smooth rate, rows, gap;   /* rows: path constraints, then the density of the running cost */
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
+  const twx_join *join;         /* to the next phase, or NULL */
   double *work;
 } twx_phase;
 

@@ -1,0 +1,71 @@
+"""Arrays by name as one vector, as compiled functions of vectors read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from .transcribed import Given, PhaseEnds
+
+
+class Flat:
+    """Arrays by name as one vector, in the order of the names."""
+
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        self.shapes = dict(shapes)
+        sizes = [math.prod(shape) for shape in self.shapes.values()]
+        self.size = sum(sizes)
+        self._ends = np.cumsum([0, *sizes]).tolist()
+
+    def split(self, vector: Any) -> dict[str, Any]:
+        """The arrays of a vector (..., size)."""
+        places = zip(self.shapes.items(), self._ends, self._ends[1:])
+        return {name: vector[..., a:b].reshape(*vector.shape[:-1], *shape) for (name, shape), a, b in places}
+
+    def joined(self, arrays: Mapping[str, Any], axes: int = 0) -> Array:
+        """The vector (..., size) of arrays with so many axes in front."""
+        flat = [np.reshape(arrays[name], (*np.shape(arrays[name])[:axes], -1)) for name in self.shapes]
+        return np.concatenate(flat, axis=-1, dtype=float) if flat else np.zeros(0)
+
+
+class Numbers:
+    """What a problem is solved for as one vector: parameters, states at the ends of phases, limits of the border.
+
+    Args:
+        points: a node's states of each phase.
+        given: what it is solved for, for shapes.
+    """
+
+    def __init__(self, points: Sequence[Flat], given: Given) -> None:
+        self._params = Flat({name: np.shape(value) for name, value in given.params.items()})
+        self._points, self._limits = points, np.shape(given.limits)
+        sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
+        self._ends = np.cumsum([0, *sizes]).tolist()
+        self.size = self._ends[-1]
+
+    def vector(self, given: Given) -> Array:
+        """The numbers of a solve."""
+        ends = given.final if isinstance(given.final, PhaseEnds) else PhaseEnds((given.final,), (given.final,))
+        parts = [self._params.joined(given.params)]
+        for point, initial, final in zip(self._points, ends.initial, ends.final):
+            parts += [point.joined(initial), point.joined(final)]
+        return np.concatenate([*parts, np.ravel(given.limits)])
+
+    def params(self, vector: Any) -> dict[str, Any]:
+        return self._params.split(self._part(vector, 0))
+
+    def initial(self, vector: Any, phase: int) -> dict[str, Any]:
+        return self._points[phase].split(self._part(vector, 1 + 2 * phase))
+
+    def final(self, vector: Any, phase: int) -> dict[str, Any]:
+        return self._points[phase].split(self._part(vector, 2 + 2 * phase))
+
+    def limits(self, vector: Any) -> Any:
+        return self._part(vector, len(self._ends) - 2).reshape(self._limits)
+
+    def _part(self, vector: Any, k: int) -> Any:
+        return vector[self._ends[k] : self._ends[k + 1]]
