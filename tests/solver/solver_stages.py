@@ -10,7 +10,7 @@ import casadi as ca
 import numpy as np
 from numpy import ndarray as Array
 
-from twistax.solver import Options, PythonFunctions, Solution, Stages, solve
+from twistax.solver import Options, PythonFunctions, Solution, Stages, Units, solve
 
 #: With these the core takes the choices of IPOPT, and so the same steps.
 AS_IPOPT = {"multiplier_start": 1.0, "slack_push": 1e-2, "objective_gradient": 100.0}
@@ -106,7 +106,7 @@ class Staged:
         functions = PythonFunctions(self.stages, self._numbers, self._slopes, self._bends, stop=stop)
         return solve(
             *(self.stages, functions.functions, self.lower, self.upper, start),
-            size=size,
+            units=Units(size=size),
             warm=warm,
             options=Options(**options),
         )

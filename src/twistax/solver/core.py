@@ -14,8 +14,8 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import enum
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
@@ -110,6 +110,21 @@ class StageFunctions:
     user: int = 0
     owner: Any = None
 
+    @property
+    def addresses(self) -> dict[str, int]:
+        """By the names that `twx_problem` has for them."""
+        names = ("user", "values", "jacobians", "hessians", "retract", "transport", "stop")
+        return {name: getattr(self, name) for name in names}
+
+
+class Units(NamedTuple):
+    """Units in which the core counts: of v, of the rows h and e, and of the cost; 1 where None."""
+
+    size: Array | None = None
+    row_size: Array | None = None
+    equality_size: Array | None = None
+    cost: float = 1.0
+
 
 @dataclasses.dataclass
 class Solution:
@@ -185,6 +200,10 @@ class _Solution(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in _MULTIPLIERS]
 
 
+#: Called before each iteration with its number, the cost and the largest violation; what is true stops the solve.
+Watch = Callable[[int, float, float], Any]
+
+
 def solve(
     stages: Stages,
     functions: StageFunctions,
@@ -193,13 +212,11 @@ def solve(
     z: Array,
     v: Array | None = None,
     *,
-    size: Array | None = None,
-    row_size: Array | None = None,
-    equality_size: Array | None = None,
-    cost_size: float = 1.0,
+    units: Units | None = None,
     largest_step: Array | None = None,
     options: Options | None = None,  # type: ignore[valid-type]
     warm: Solution | None = None,
+    watch: Watch | None = None,
 ) -> Solution:
     """Solve from a point.
 
@@ -207,66 +224,82 @@ def solve(
         lower, upper: bounds of v; equal where an entry of x_0, u or p is fixed.
         z: the start.
         v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
-        size, row_size, equality_size, cost_size: units of v, of the rows h and e, and of the cost, by which steps and
-            errors are measured; 1 where None.
+        units: by which steps and errors are measured; 1 where None.
         largest_step: of v, how far a step may move an entry; any distance where None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
+        watch: called before each iteration; violations are in the core's units.
     Raises:
         TrajectoryError: arrays of other shapes, bounds that cannot be, a state after the first that bounds fix.
+        Exception: what `watch` raised.
     """
     arrays = _start(stages, z, z if v is None else v, warm)
-    limits = [_checked(name, a, stages.variables) for name, a in (("lower", lower), ("upper", upper))]
-    counts_of_units = (stages.variables, sum(stages.inequalities), sum(stages.equalities))
-    units = [
-        None if a is None else _checked(name, a, count)
-        for name, a, count in zip(("size", "row_size", "equality_size"), (size, row_size, equality_size), counts_of_units)
-    ]
-    farthest = np.full(stages.variables, np.inf) if largest_step is None else largest_step
-    farthest = _checked("largest_step", farthest, stages.variables)
-    counts = [np.asarray(c, np.int32) for c in (stages.states, stages.controls, stages.inequalities, stages.equalities)]
-    points = None if stages.point_states is None else np.asarray(stages.point_states, np.int32)
-    problem = _Problem(
-        len(stages.states) - 1,
-        stages.parameters,
-        *(c.ctypes.data for c in counts),
-        None if points is None else points.ctypes.data,
-        *(a.ctypes.data for a in limits),
-        *(None if a is None else a.ctypes.data for a in units),
-        cost_size,
-        None if largest_step is None else farthest.ctypes.data,
-        functions.user or None,
-        *(getattr(functions, f) or None for f in ("values", "jacobians", "hessians", "retract", "transport", "stop")),
-    )
+    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step, **(units or Units())._asdict()}
+    cost_size = by_name.pop("cost")
+    variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
+    lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
+    lengths |= {"row_size": rows, "equality_size": equalities}
+    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
+    counts = {
+        name: np.asarray(getattr(stages, name), np.int32)
+        for name in ("states", "controls", "inequalities", "equalities", "point_states")
+        if getattr(stages, name) is not None
+    }
+    statistics, problem = _Statistics(), _Problem(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    watching = _Watching(watch, statistics)
+    addresses = {name: a.ctypes.data for name, a in (given | counts).items()}
+    for name, address in (addresses | functions.addresses | watching.addresses).items():
+        setattr(problem, name, address or None)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
     core = library()
     workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
     log = np.zeros((int(chosen.iterations) + 1, 10))
-    statistics = _Statistics(log=log.ctypes.data, log_rows=len(log))
+    statistics.log, statistics.log_rows = log.ctypes.data, len(log)
     multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
-    references = (problem, chosen, multipliers, statistics)
-    by_reference = [ctypes.byref(r) for r in references]
-    status = Status(
-        core.solve(
-            by_reference[0],
-            by_reference[1],
-            arrays["z"].ctypes.data,
-            by_reference[2],
-            workspace.ctypes.data,
-            by_reference[3],
-        )
-    )
-    check = getattr(functions.owner, "check", None)
-    if check is not None:
-        check()
+    references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
+    pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
+    status = Status(core.solve(*references[:2], *pointers))
+    for owner in (watching, functions.owner):
+        check = getattr(owner, "check", None)
+        if check is not None:
+            check()
     if status is Status._BAD_PROBLEM:
         raise TrajectoryError(
-            "solve: bounds expect lower <= upper, and sizes positive numbers; "
+            "solve: bounds expect lower <= upper, and units positive numbers; "
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
     return Solution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+
+
+class _Watching:
+    """The function that the core asks whether to stop. Python sees signals while it runs.
+
+    Attributes:
+        addresses: by the name that `twx_problem` has for it.
+    """
+
+    def __init__(self, watch: Watch | None, statistics: _Statistics) -> None:
+        self._error: BaseException | None = None
+        self.addresses: dict[str, int] = {}
+        if watch is None:
+            return
+
+        def stop(_: Any, iteration: int) -> int:
+            try:
+                return int(bool(watch(iteration, statistics.cost, statistics.violation)))
+            except BaseException as error:
+                self._error = error
+                return 1
+
+        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)(stop)
+        self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
+
+    def check(self) -> None:
+        """Raise what it raised."""
+        if self._error is not None:
+            raise self._error
 
 
 def _checked(name: str, a: Any, count: int) -> Array:

@@ -16,7 +16,7 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
 
 _VOID_POINTER = ctypes.c_void_p
 
-_NAMES = ("twx_workspace_size", "twx_solve", "twx_phase_work")
+_NAMES = ("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states")
 
 #: Functions of a transcribed problem, by what `StageFunctions` calls them.
 _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
@@ -29,14 +29,16 @@ class Library:
         workspace_size: doubles that a problem needs.
         solve: see core.h.
         phase_work: doubles that a phase needs.
+        phase_states: where a substep ends in the last integration.
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
     """
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve, work = (code.addresses[name] for name in _NAMES)
+        size, solve, work, states = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
+        self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
         self.transcribed = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
 

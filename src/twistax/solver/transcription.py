@@ -234,6 +234,17 @@ class Transcription:
         for structure in self._structures:  # what was integrated is for other numbers
             ctypes.c_double.from_address(structure.work).value = 0.0
 
+    def set_margins(self, phase: int, path: Array, nodes: Sequence[Array]) -> None:
+        """Tighten the rows of a phase."""
+        for array, values in zip(self._margins[phase], [path, *nodes]):
+            array[...] = values
+
+    def states(self, phase: int, substep: int) -> Array:
+        """(intervals, n) eta where a substep ends, of the point that was evaluated last."""
+        found = np.zeros((self.phases[phase].intervals, self.phases[phase].n))
+        library().phase_states(ctypes.addressof(self._structures[phase]), substep, found.ctypes.data)
+        return found
+
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
         for phase in self.phases:
@@ -262,7 +273,7 @@ class Transcription:
         return found | {name: own.astype(np.int32) for name, own in zip(("inequalities", "equalities"), counts)}
 
     def _described(self, places: list[Any], data: Array) -> list[_Phase]:
-        stages, self._data = self.stages, np.array(data, float)
+        stages, self._data, self._margins = self.stages, np.array(data, float), list[list[Array]]()
         at_z, at_v = stages.points - stages.parameters, stages.variables - stages.parameters
         found = []
         for number, (phase, first, own) in enumerate(zip(self.phases, self.first, places)):
@@ -270,7 +281,8 @@ class Transcription:
             method, kernels = phase.method, phase.kernels
             inequalities, equalities = ([path, *nodes] for path, nodes in own)
             codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
-            margins = [self._array(np.asarray(a, float)) for a in (phase.path_margins, *phase.margins)]
+            self._margins.append([np.array(a, float) for a in (phase.path_margins, *phase.margins)])
+            margins = [self._array(a) for a in self._margins[-1]]
             nodes = (_Node * len(kernels.nodes))()
             for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):
                 node.function, node.stage, node.place, node.margins = function.structure, stage, code, margin

@@ -15,28 +15,22 @@ that change, over the change of the objective, is of order one where it has.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..lowering.array_call import array_call
-from ..lowering.on_disk import compiled
-from .interior_point import in_units
-from .iterate import Scales
+from .close_look import CloseLook, Look
 from .outcome import Outcome
-from .transcribed import Closely, Given, Point, Step, Transcribed, Values, jitted
+from .staged import Staged
+from .transcribed import Closely, Given
 from .watch import AT_OPTIMUM, Status
 
 #: The error of a mesh that SOLVED allows, unless another is asked for.
 MESH = 1e-2
 #: Multipliers beyond this, in scales of moves, are of rows without slope.
 _RUN_AWAY = 1e8
-#: How many moves of all unknowns there are, and how long they are in scales. In one of them changes may cancel.
-_MOVES, _LENGTH = 4, 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -109,42 +103,15 @@ class Flat(NamedTuple):
     multiplier: float
 
 
-class _Look(NamedTuple):
-    """What is compiled: close integrations of all phases, and by how much small moves change rows and objective."""
+class Judge:
+    """Looks at where searches end, and says what that makes of their status.
 
-    phases: tuple[Closely, ...]
-    rows: Any
-    cost: Any
+    Args:
+        close_look: integrates closely.
+    """
 
-
-class Looks:
-    """Looks at where searches end. What it needs compiles once, with the first solve of a problem."""
-
-    def __init__(self, shooting: Transcribed) -> None:
-        self._shooting = shooting
-        self._look: Callable[..., _Look] = jitted(lambda *own: array_call(self._of, *own))
-        rng = np.random.default_rng(0)
-        free = shooting.free._replace(d=shooting.stirred)
-        self._moves = [
-            Step(*(np.where(own, _apart_from_zero(rng, own.shape), 0.0) for own in free)) for _ in range(_MOVES)
-        ]
-
-    def prepare(self, point: Point, given: Given, values: Values, scales: Scales) -> None:
-        """Compile for arguments of these shapes."""
-        traced = self._look.trace(point, given, values, scales)  # type: ignore[attr-defined]
-        self._look = compiled(traced, traced.lower(), 1)
-
-    def _of(self, point: Point, given: Given, values: Values, scales: Scales) -> _Look:
-        rows, cost = jnp.zeros_like(values.rows), jnp.zeros_like(values.cost)
-        moves = jax.tree.map(lambda *own: jnp.asarray(np.stack(own), values.cost.dtype), *self._moves)
-
-        def moved(move: Step) -> tuple[jax.Array, jax.Array]:
-            step = in_units(move, scales, jnp.asarray(_LENGTH, values.cost.dtype))
-            there = self._shooting.values(self._shooting.move(point, step), given)
-            return jnp.abs(there.rows - values.rows), jnp.abs(there.cost - values.cost)
-
-        rows, cost = (jnp.where(jnp.isfinite(a), a, 0.0).max(axis=0) for a in jax.vmap(moved)(moves))
-        return _Look(self._shooting.closely(point, given), rows, cost)
+    def __init__(self, close_look: CloseLook, staged: Staged) -> None:
+        self._close_look, self._staged, self._shooting = close_look, staged, staged.transcribed
 
     def judged(self, outcome: Outcome, given: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
         """The outcome with its accuracy, and with the status that this gives it.
@@ -156,7 +123,8 @@ class Looks:
         ended_well = outcome.status in AT_OPTIMUM
         if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
             return outcome
-        look = jax.tree.map(np.asarray, self._look(outcome.point, given, outcome.values, outcome.scales))
+        scales, z = outcome.scales, self._staged.flat(outcome.point)
+        look = self._close_look.at(z, self._staged.step(scales.d, scales.u, scales.border), given)
         accuracy = self._accuracy(look, outcome, mesh_tolerance, tolerance)
         outcome = outcome._replace(accuracy=accuracy, flat=self._flat(look, outcome))
         if not ended_well:
@@ -165,7 +133,7 @@ class Looks:
             return outcome._replace(status=Status.DEGENERATE)
         return outcome._replace(status=Status.COARSE) if accuracy.coarse else outcome
 
-    def _flat(self, look: _Look, outcome: Outcome) -> Flat | None:
+    def _flat(self, look: Look, outcome: Outcome) -> Flat | None:
         """The row whose multiplier is largest, if that has run away."""
         sizes = np.abs(outcome.rows) * look.rows
         if not look.cost > 0.0 or not sizes.max(initial=0.0) > _RUN_AWAY * look.cost:
@@ -173,7 +141,7 @@ class Looks:
         row = int(sizes.argmax())
         return Flat(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row] / look.cost))
 
-    def _accuracy(self, look: _Look, outcome: Outcome, mesh_tolerance: float, tolerance: float) -> Accuracy:
+    def _accuracy(self, look: Look, outcome: Outcome, mesh_tolerance: float, tolerance: float) -> Accuracy:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
         intervals, change, exceeded = [], -outcome.cost, dict[str, Exceeded]()
@@ -206,15 +174,8 @@ def _exceeded(own: Any, closely: Closely, shares: Array, tolerance: float, place
         name, stage = own.path.names[row], int(shares[:, row].argmax())
         share = float(shares[stage, row])
         if name not in found or share > found[name].share:
-            as_written = [closely.shown[stage, k] for k, shown in enumerate(own.path.shown) if shown == name]
-            by = max(as_written, default=closely.rows[stage, row])
-            found[name] = Exceeded(float(by), share, f"between nodes {stage} and {stage + 1}{place}")
-    return found
-
-
-def _apart_from_zero(rng: np.random.Generator, shape: tuple[int, ...]) -> Array:
-    """Numbers from 0.5 to 1 of any sign: equal ones would cancel in a sum."""
-    found: Array = rng.choice([-1.0, 1.0], size=shape) * rng.uniform(0.5, 1.0, size=shape)
+            by = float(closely.rows[stage, row])
+            found[name] = Exceeded(by, share, f"between nodes {stage} and {stage + 1}{place}")
     return found
 
 

@@ -1,22 +1,27 @@
-"""The solver's core on a transcribed problem: units, a solve, and what came out in the terms of this package."""
+"""The solver's core on a transcribed problem: a solve, and what came out in the terms of this package."""
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable
+import functools
+import time
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ..solver.core import Solution, solve
+from ..solver.core import Solution, Units, Watch, solve
 from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
+from .accuracy import Judge
+from .close_look import CloseLook
+from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
-from .outcome import Outcome
-from .sizes import Sizes, measured_sizes
+from .outcome import Callback, Outcome
 from .staged import Staged
+from .start_units import StartUnits
 from .transcribed import Given, Point, Values
+from .warm import WarmStart
 from .watch import Status
 
 #: The core's tolerance over that of a solve: limits that are squares of small numbers need it.
@@ -26,8 +31,17 @@ _CLOSER = 1e-2
 _COST = 0.1
 #: The largest turn of a step, rad; and the largest move of anything else, in its sizes.
 _TURN, _FARTHEST = 1.5, 30.0
-
-_POINTER = ctypes.c_void_p
+#: The objective has fallen without end where it has by so many of its units.
+_UNBOUNDED = 1e8
+#: A result is acceptable within so many tolerances.
+_ACCEPTABLE = 100.0
+#: The first barrier parameter of a warm start over its error, and the limits of that parameter.
+_WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
+#: Options that change nothing of a start: it is only measured.
+_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+#: Random starts: moves of states and controls in their sizes; how much larger than sizes, or than those of the guess,
+#: gaps may be, and shares of a move to them.
+_MOVES, _LOST, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(11))
 
 #: What the core says, in the words of this package.
 _STATUS = {
@@ -39,159 +53,155 @@ _STATUS = {
 }
 
 
-class Evaluated:
-    """Values and derivatives of a problem in stages at a point, by its functions."""
-
-    def __init__(self, staged: Staged, z: Array) -> None:
-        transcription = staged.transcription
-        stages, functions = transcription.stages, transcription.functions
-        self.stages = stages
-        self.cost, self.c = np.zeros(1), np.zeros(sum(stages.after))
-        self.h, self.e = np.zeros(sum(stages.inequalities)), np.zeros(sum(stages.equalities))
-        self.gradient = np.zeros(stages.variables)
-        counts = (stages.after, stages.inequalities, stages.equalities)
-        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
-        self.H = np.zeros(stages.block_sizes(stages.columns))
-        self._z, self._functions = np.ascontiguousarray(z), functions
-        self._failed = self._call("values", self.cost, self.c, self.h, self.e)
-        transcription.check()
-
-    def _call(self, name: str, *arrays: Any) -> int:
-        kinds = [ctypes.c_double if isinstance(a, float) else _POINTER for a in arrays]
-        function = ctypes.CFUNCTYPE(ctypes.c_int32, _POINTER, _POINTER, *kinds)(getattr(self._functions, name))
-        pointers = [a if isinstance(a, float) else a.ctypes.data for a in arrays]
-        return int(function(self._functions.user, self._z.ctypes.data, *pointers))
-
-    def differentiate(self) -> bool:
-        """First derivatives, and the second ones of the cost; whether there are such."""
-        zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]
-        failed = self._failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je)
-        return not (failed or self._call("hessians", 1.0, *zeros, self.H))
-
-    def bends(self, y: Array, ye: Array) -> Array:
-        """Second derivatives of y . h + ye . e."""
-        H = np.zeros_like(self.H)
-        self._call("hessians", 0.0, np.zeros_like(self.c), y, ye, H)
-        return H
-
-    def blocks(self, flat: Array, rows: Any) -> list[Array]:
-        """The matrices (rows, columns) of all stages."""
-        sizes = [r * n for r, n in zip(rows, self.stages.columns)]
-        parts = np.split(flat, np.cumsum(sizes)[:-1])
-        return [a.reshape(n, r).T for a, r, n in zip(parts, rows, self.stages.columns)]
-
-
-class Units:
-    """Units for the core at a start.
-
-    Attributes:
-        parts: sizes of states, controls and shared unknowns, of each phase.
-        v: of all variables.
-        rows, equalities, cost: of the rows and the objective.
-    """
-
-    def __init__(self, staged: Staged, point: Point) -> None:
-        at = Evaluated(staged, staged.flat(point))
-        good, stages = at.differentiate(), at.stages
-        blocks = at.blocks(at.F, stages.after)
-        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks])
-        self.border = np.max([sizes.border for sizes in self.parts], axis=0)
-        by_stage = self._by_stage(staged)
-        self.v = np.concatenate([*by_stage, self.border])
-        columns = [np.concatenate([own, self.border]) for own in by_stage]
-        slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
-        changes = [np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(own, columns))]) for own in slopes]
-        for places in staged.places_alone():
-            weights = [np.zeros(len(change)) for change in changes]
-            for weight, at_place in zip(weights, places):
-                weight[at_place] = 1.0
-            bends = [c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.bends(*weights), stages.columns))]
-            for change, own, at_place in zip(changes, staged.stages_of_rows, places):
-                change[at_place] += 0.5 * np.array(bends)[own[at_place]]
-        self.rows, self.equalities = staged.levelled_rows(*changes)
-        bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
-        moves = np.abs(at.gradient) @ self.v + 0.5 * bends
-        self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
-
-    @staticmethod
-    def _measured(staged: Staged, point: Point, blocks: list[Array]) -> list[Sizes]:
-        found, sizes_of = list[Sizes](), dict[str, Array]()
-        for part, segment in zip(staged.parts, staged.transcribed.segments):
-            own, first = part.shooting, part.stages.start
-            moved = np.stack(blocks[first : first + own.intervals])
-            moved = np.where(np.isfinite(moved).all(), moved, 0.0)
-            sizes = measured_sizes(own, segment.of(point), moved)
-            for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
-                slices = own.dynamics.group.slices
-                sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
-                sizes.d[slices[name]] = sizes_of[name]
-            found.append(sizes)
-        return found
-
-    def _by_stage(self, staged: Staged) -> list[Array]:
-        """Of the unknowns of each stage."""
-        found = list[Array]()
-        for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            found += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
-            join = part.phase.join
-            free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
-            found.append(np.concatenate([sizes.d, free]))
-        return found
-
-
 class CoreSolver:
     """Solves a transcribed problem by the core; what it needs compiles once.
 
     Args:
-        problem: of one phase or of several.
+        staged: the problem.
+        parts: the problems of its phases.
         given: what it is solved for, for shapes.
         tolerance: of the first-order conditions, scaled.
     """
 
-    def __init__(self, problem: Any, given: Given, tolerance: float) -> None:
-        self.transcribed, self.tolerance = problem.shooting, tolerance
-        self.staged = Staged(problem.shooting, problem.parts, given)
+    def __init__(self, staged: Staged, parts: Sequence[Any], given: Given, tolerance: float) -> None:
+        self.staged, self.tolerance, self._parts = staged, tolerance, parts
+        self.transcribed = staged.transcribed
+        self.close_look = CloseLook(staged, parts, given)
+        self.judge = Judge(self.close_look, staged)
 
-    def run(self, start: Point, given: Given, max_iterations: int, **options: float) -> Outcome:
+    def alone(self, given: Given) -> CoreSolver:
+        """The same for another thread: kernels are shared, memory is not."""
+        return CoreSolver(self.staged.alone(given), self._parts, given, self.tolerance)
+
+    def units(self, point: Point, given: Given) -> StartUnits:
+        """Units at a start."""
+        self.staged.set_given(given)
+        return StartUnits(self.staged, point)
+
+    def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
+        """A point with every free entry of states, controls and border moved by a random step.
+
+        The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point:
+        what is exponential in a state, as air is in a height, else makes starts that mean nothing.
+        """
+        staged, units, free = self.staged, self.units(point, given), self.transcribed.free
+        z, scales = staged.flat(point), self._scales(units, np.ones(len(self.transcribed.exists)))
+        d = np.where(self.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
+        u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)
+        here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
+        spread = np.minimum((high - low) / 6.0, _MOVES[0] * units.border)
+        border = np.where(free.border, rng.normal(size=here.shape) * spread, 0.0)
+
+        def gap(z: Array) -> float:
+            found = np.abs(Evaluated(staged.transcription, z).c) / staged.after(units.v)
+            return float(found.max(initial=0.0)) if np.isfinite(found).all() else np.inf
+
+        most = _LOST * max(1.0, gap(z))
+        for share in _SHARES:
+            step = staged.step(share * d, share * u, np.clip(here + share * border, low, high) - here)
+            found = moved(staged.transcription, z, step)
+            if gap(found) <= most:
+                break
+        return staged.point(found)
+
+    def run(
+        self,
+        start: Point | WarmStart,
+        given: Given,
+        max_iterations: int,
+        callback: Callback | None = None,
+        max_seconds: float | None = None,
+        **options: float,
+    ) -> Outcome:
         """Solve from a start."""
-        staged, point = self.staged, Point(*(_arrays(a) for a in start))
-        staged.transcription.set_data(staged.numbers.vector(given))
-        units = Units(staged, point)
-        chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0, **options}
-        result = solve(
+        staged = self.staged
+        point = _arrays(start.point if isinstance(start, WarmStart) else start)
+        units = self.units(point, given)
+        chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0}
+        call = functools.partial(self._call, point, given, units)
+        if self._violated_at_once(point, given, units) > self.tolerance:
+            return self._outcome(call({**chosen, "iterations": 0}), units, given)
+        watch = _watch(callback, max_seconds)
+        if not isinstance(start, WarmStart):
+            return self._outcome(call({**chosen, **options}, None, watch), units, given)
+        warm = self._warm(start, point, units, given)
+        kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        if kept.status is not CoreStatus.SOLVED:
+            kept = call({**chosen, **self._near(warm, units), **options}, warm, watch)
+        return self._outcome(kept, units, given)
+
+    def _call(
+        self,
+        point: Point,
+        given: Given,
+        units: StartUnits,
+        options: dict[str, float],
+        warm: Solution | None = None,
+        watch: Watch | None = None,
+    ) -> Solution:
+        """One call of the core."""
+        staged = self.staged
+        return solve(
             staged.transcription.stages,
             staged.transcription.functions,
             *staged.limits(point, given),
             staged.flat(point),
             staged.coordinates(point),
-            size=units.v,
-            row_size=units.rows,
-            equality_size=units.equalities,
-            cost_size=_COST * units.cost,
+            units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
             largest_step=np.where(staged.turning, _TURN, _FARTHEST * units.v),
-            options=Options(**chosen),
+            options=Options(**options),
+            warm=warm,
+            watch=watch,
         )
-        self.result = result
-        return self.outcome(result, units, given)
 
-    def outcome(self, result: Solution, units: Units, given: Given) -> Outcome:
-        """What came out."""
+    def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
+        """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
+        own = self.transcribed
+        if not (own.decided & ~own.pinned).any():
+            return 0.0
+        rows = self.close_look.decided_rows(self.staged.flat(point), given)
+        violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self._row_sizes(units)
+        return float(np.where(own.decided & ~own.pinned, violated, 0.0).max(initial=0.0))
+
+    def _row_sizes(self, units: StartUnits) -> Array:
+        """Of all rows; of one that is not in the core that of another of its name."""
+        own = self.transcribed
+        sizes = self.staged.all_rows(units.rows, units.equalities, units.v, units.v)
+        for name in np.unique(own.names[(sizes <= 0.0) & own.decided].astype(str)):
+            alike = own.names == name
+            sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    def _warm(self, start: WarmStart, point: Point, units: StartUnits, given: Given) -> Solution:
+        """The multipliers of a warm start for the core."""
+        staged, stages = self.staged, self.staged.transcription.stages
+        y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
+        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(start.dynamics), stages.after)])
+        at = Evaluated(staged.transcription, staged.flat(point))
+        z, v = staged.flat(point), staged.coordinates(point)
+        return Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, np.zeros((0, 10)))
+
+    def _near(self, warm: Solution, units: StartUnits) -> dict[str, float]:
+        """Options that keep a start near: the further it is from holding, the higher its barrier."""
+        at = Evaluated(self.staged.transcription, warm.z)
+        parts = (at.c / self.staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
+        error = max(float(np.abs(a).max(initial=0.0)) for a in parts)
+        barrier = float(np.clip(_WARM_SHARE * error, _WARM_LEAST, _WARM_MOST))
+        push = max(barrier, 1e-12) ** 0.5
+        return {"barrier_start": barrier, "slack_push": min(push, 1e-2), "bound_push": min(push, 1e-2)}
+
+    # ---- what came out ----------------------------------------------------------------------------------------------
+
+    def _outcome(self, result: Solution, units: StartUnits, given: Given) -> Outcome:
         staged, own = self.staged, self.transcribed
-        at = Evaluated(staged, result.z)
+        at = Evaluated(staged.transcription, result.z)
         point = staged.point(result.z)
         lower, upper = staged.limits(point, given)
-
-        def of_bounds(below: Array, above: Array) -> Callable[[int], Array]:
-            def chosen(number: int) -> Array:
-                places = staged.bound_places[number]
-                return np.where(staged.parts[number].bounds.upper, above[places], below[places])
-
-            return chosen
-
-        rows = staged.rows(at.h, at.e, of_bounds(lower - result.v, result.v - upper))
-        w = staged.rows(result.y, result.ye, of_bounds(result.zl, result.zu))
-        sizes = staged.rows(units.rows, units.equalities, of_bounds(units.v, units.v))
-        sizes = np.where(sizes > 0.0, sizes, 1.0)
+        rows = staged.all_rows(at.h, at.e, lower - result.v, result.v - upper)
+        w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
+        if own.decided.any():
+            rows = np.where(own.decided, self.close_look.decided_rows(result.z, given), rows)
+        sizes = self._row_sizes(units)
         inequality = own.exists & ~own.equality
         slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
         scales = self._scales(units, sizes)
@@ -201,25 +211,46 @@ class CoreSolver:
         gap = (np.abs(w) * np.where(inequality, slack, np.abs(rows)))[own.exists].sum()
         gap += np.abs(dynamics * defects).sum()
         numbers = result.statistics
-        ratio = _COST  # of the core's unit of the cost to this one
+        errors = Errors(
+            numbers["stationarity"] * _COST,
+            numbers["violation"],
+            numbers["complementarity"] * _COST,
+            gap / units.cost,
+        )
         return Outcome(
             point=point,
             values=Values(at.cost[0], defects, rows),
-            errors=Errors(
-                numbers["stationarity"] * ratio,
-                numbers["violation"],
-                numbers["complementarity"] * ratio,
-                gap / units.cost,
-            ),
+            errors=errors,
             dynamics=dynamics,
             rows=w,
             scaled_rows=w * sizes / units.cost,
             slack=slack,
             violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
-            status=_STATUS.get(result.status, Status.STALLED),
-            iterations=max(int(numbers["iterations"]), 1),
+            status=self._status(result, float(violated.max(initial=0.0)), units),
+            iterations=int(numbers["iterations"]),
         )
+
+    def _status(self, result: Solution, violated: float, units: StartUnits) -> Status:
+        """The core's status in the words of this package."""
+        numbers = result.statistics
+        if result.status is CoreStatus.SOLVED:
+            return Status.SOLVED
+        if violated > self.tolerance and self._is_decided(result):
+            return Status.INFEASIBLE
+        holds = numbers["violation"] <= self.tolerance and violated <= self.tolerance
+        if holds and -numbers["cost"] > _UNBOUNDED * units.cost:
+            return Status.UNBOUNDED
+        if holds and numbers["error"] <= self.tolerance:
+            return Status.SOLVED
+        if result.status in _STATUS:
+            return _STATUS[result.status]
+        return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * self.tolerance else Status.STALLED
+
+    @staticmethod
+    def _is_decided(result: Solution) -> bool:
+        """Whether it was left before the first step, for rows that nothing changes are violated."""
+        return result.statistics["iterations"] == 0
 
     def _padded(self, flat: Array) -> Array:
         """Numbers of all defects as (intervals, n)."""
@@ -230,7 +261,7 @@ class CoreSolver:
             at += count
         return found
 
-    def _scales(self, units: Units, rows: Array) -> Scales:
+    def _scales(self, units: StartUnits, rows: Array) -> Scales:
         own = self.transcribed
         d, u = np.ones((own.nodes, own.n)), np.ones((own.intervals, own.m))
         for number, (part, sizes) in enumerate(zip(self.staged.parts, units.parts)):
@@ -243,7 +274,22 @@ class CoreSolver:
         return Scales(d, u, units.border, rows, np.asarray(units.cost))
 
 
+def _watch(callback: Callback | None, max_seconds: float | None) -> Watch:
+    """What is called before each iteration: Python sees signals there, and the time."""
+    due = np.inf if max_seconds is None else time.monotonic() + max_seconds
+
+    def watch(iteration: int, cost: float, violation: float) -> bool:
+        if callback is not None:
+            callback(iteration, cost, violation)
+        return time.monotonic() > due
+
+    return watch
+
+
 def _arrays(tree: Any) -> Any:
+    """Points as NumPy arrays."""
+    if isinstance(tree, Point):
+        return Point(*(_arrays(a) for a in tree))
     if isinstance(tree, tuple):
         return tuple(map(_arrays, tree))
     return {name: np.asarray(a) for name, a in tree.items()} if isinstance(tree, dict) else np.asarray(tree)

@@ -26,7 +26,7 @@ from ..lowering.dynamics import Arrays
 from .shooting import Shooting
 from .smooth import Smooth
 from .statement import PathRows
-from .transcribed import Closely, Derivatives, Given, Point, Segment, Step, Transcribed, Values
+from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
 
 
 class Join:
@@ -170,9 +170,9 @@ class Joined(Transcribed):
         after = part.number + 1
         return f"'join before {self._phases[after]}: {self.segments[after].shooting.states[column]}'"
 
-    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
-        for part in self.segments:
-            part.shooting.drop_pinned([part.of(point) for point in samples], self._given(part, given))
+    def drop(self, rows: Sequence[Array]) -> None:
+        for part, own in zip(self.segments, rows):
+            part.shooting.drop([own])
         self._assemble()
 
     def _given(self, part: Segment, given: Given) -> Given:
@@ -217,10 +217,6 @@ class Joined(Transcribed):
             step = 0.0 if d is None else d[join.stage + 1, : len(gap)]
             defects = defects.at[join.stage, : len(gap)].set(gap - step)
         return Values(cost, defects, jnp.concatenate([rows.reshape(-1), end]))
-
-    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
-        found = [part.shooting.closely(part.of(point), self._given(part, given)) for part in self.segments]
-        return tuple(own for (own,) in found)
 
     @staticmethod
     def _of(part: Segment, d: jax.Array | None) -> jax.Array | None:

@@ -12,7 +12,6 @@ the rows of constraints at the ends of its substeps, and its share of the runnin
 from __future__ import annotations
 
 import functools
-import itertools
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -31,15 +30,13 @@ from ..system import entry_names
 from .border import Border
 from .conditions import Conditions, Ends
 from .cones import NormControls
-from .fine import Look
 from .interval import Interval, Slot
 from .layout import laid_out
 from .local import Local
 from .mesh import Mesh
-from .pinned import spanned, stirred
 from .smooth import Smooth
 from .statement import Objective, PathRows
-from .transcribed import Closely, Derivatives, Given, Point, Segment, Step, Transcribed, Values, jitted
+from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
 from .transcription import Collocation, MultipleShooting
 
 
@@ -106,8 +103,6 @@ class Shooting(Transcribed):
         self.rows_per_interval = layout.per_interval
         self._rate = Smooth(self.rate_at, backend)
         self._interval = self._interval_of(transcription, layout.asked)
-        finer = transcription.finer
-        self._finer = self._interval_of(finer, np.arange((finer.substeps + 1) * self._row_count))
         free_d = np.ones((self.nodes, self.n), bool)
         if phase == 0:
             free_d[0] = ~ends.initial_mask
@@ -135,47 +130,11 @@ class Shooting(Transcribed):
         """Of the path rows at the first node: where they are among all rows, and which they are."""
         return [(place, int(row)) for place, row in enumerate(self.layout.asked) if row < self._row_count]
 
-    # ---- rows that others decide ----------------------------------------------------------------------------------
-
-    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
-        """Take inequalities at nodes out that the equalities there decide: their slopes lie in the span of those.
-
-        Two such rows leave no room for slacks. They count as decided, if it is so at all sample points, with these
-        parameters and with others: the next solve may have those.
-        """
-        others = [stirred(np.random.default_rng(i), given.params) for i in range(2)]
-        pairs = [(p, given._replace(params=own)) for p, own in zip(itertools.cycle(samples), (given.params, *others))]
-        inner, zero = self.intervals * self.rows_per_interval, np.zeros(self.n + self.border.size)
-        ends = jitted(lambda z, point, given: self._end.slopes(z, self._here(-1, point), given)[:-1], 0)
-        self._drop(np.arange(inner, len(self.exists)), np.zeros((0, len(zero))), lambda *own: ends(zero, *own), pairs)
-        held = np.eye(self.n, self.size)[~self.free.d[0]]
-        asked = self.layout.asked
-        for k in sorted({0, *self._nodes}):
-            slopes = jitted(functools.partial(self._slopes_at_node, k), 0)
-            at_start = np.flatnonzero(asked < self._row_count)
-            places = np.concatenate([at_start, len(asked) + np.arange(self.layout.counts.get(k, 0))])
-            places = k * self.rows_per_interval + places
-            self._drop(places, held if k == 0 else held[:0], slopes, pairs)
-
-    def _slopes_at_node(self, k: int, point: Point, given: Given) -> jax.Array:
-        """Of the path rows at the start of an interval and of the conditions there, by [d, u, b]."""
-        base, zero = {name: a[k] for name, a in point.xs.items()}, jnp.zeros(self.n, point.us.dtype)
-        share = jnp.asarray(self.mesh.shares[k], zero.dtype)
-        q, asked = jnp.concatenate([zero, point.us[k], point.border]), self.layout.asked
-        rows = self._point.slopes(q, share, base, given.params)[asked[asked < self._row_count]]
-        return (
-            jnp.concatenate([rows, self._node_slopes(k, point, jnp.zeros((self.nodes, self.n)), given)])
-            if k in self._nodes
-            else rows
-        )
-
-    def _drop(self, at: Array, held: Array, slopes: Any, samples: Sequence[tuple[Point, Given]]) -> None:
-        """Take rows out that lie in the span of the equalities among them and of what is held, at all samples."""
-        here = self.exists[at]
-        pinned = spanned(here & self.equality[at], here & ~self.equality[at], held, slopes, samples)
+    def drop(self, rows: Sequence[Array]) -> None:
+        (pinned,) = rows
         self.exists, self.decided, self.pinned = (np.array(a) for a in (self.exists, self.decided, self.pinned))
-        self.exists[at[pinned]] = False
-        self.pinned[at[pinned]] = self.decided[at[pinned]] = True
+        self.exists[pinned] = False
+        self.pinned[pinned] = self.decided[pinned] = True
 
     # ---- moves --------------------------------------------------------------------------------------------------
 
@@ -227,14 +186,6 @@ class Shooting(Transcribed):
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
         rows = jnp.concatenate([rows.reshape(-1), end[:-1]]) + given.margins
         return Values(jnp.sum(costs) + end[-1], defects, rows)
-
-    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
-        params = given.params | self.border.params(point.border)
-        times = lambda slot: self.span(point.border)[0] + self.span(point.border)[1] * self._finer.ends(slot)  # noqa: E731
-        look = Look(self._finer, self.local, self.path, self._gap, times, given.params, params)
-        found = look.at(self._slots(point), *_sides(point.xs), point.us, point.border)
-        end = self._end(self._place(-1, jnp.zeros((1, self.n), point.us.dtype)), self._here(-1, point), given)
-        return (found._replace(cost=found.cost + end[-1]),)
 
     def spread_over_points(self, of_rows: Array) -> Array:
         """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""

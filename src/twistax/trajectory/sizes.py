@@ -1,4 +1,4 @@
-"""Units of a problem's unknowns, rows and objective, measured at its start: how far things move, whatever their units."""
+"""Sizes of states, controls and shared unknowns, measured at a start: how far things move, whatever their units."""
 
 from __future__ import annotations
 
@@ -40,10 +40,9 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array) -> Sizes:
         d[part] = _of_state(shooting.leaves[name], point.xs[name])
     for name, part in shooting.local.controls.slices.items():
         u[part] = _of_control(shooting.leaves[name], point.us[:, part])
-    b = np.abs(point.border)
-    limits = shooting.border.limits
-    spread = np.where(np.isfinite(limits).all(axis=1), 0.5 * np.ptp(np.nan_to_num(limits, posinf=0, neginf=0), axis=1), 0)
-    b[shooting.border.phases :] = np.maximum(b, spread)[shooting.border.phases :]
+    b, free = np.abs(point.border), slice(shooting.border.phases, None)
+    low, high = shooting.border.limits.T
+    b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach = np.abs(moved)
     for _ in range(3):
         known = np.concatenate([d, u, b])

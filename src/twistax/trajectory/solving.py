@@ -16,20 +16,21 @@ from ..checks import callable_with, number, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
 from ..walk import uncollected
-from .accepted import accepted
-from .accuracy import MESH, Looks
+from .accuracy import MESH
 from .between import held
 from .border import Border
 from .cases import Cases, prepared
+from .core_solver import CoreSolver
 from .external import SolvedBy
 from .found import Tried
 from .many import solve_all
 from .mesh import Remeshed
 from .outcome import Callback, Outcome
-from .pinned import stirred
+from .redundant_rows import redundant_rows
 from .refine import refined
 from .solver import Solver
-from .transcribed import Given, Point, Step, Transcribed
+from .staged import Staged
+from .transcribed import Given, Point, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
 
@@ -117,7 +118,7 @@ class Solvable(ABC, Generic[One, Many]):
     def built(self) -> None:
         """Forget what was compiled."""
         self._solvers: dict[float, Solver] = {}
-        self._looks = Looks(self.shooting)
+        self._cores: dict[float, CoreSolver] = {}
 
     def solve(
         self,
@@ -214,33 +215,34 @@ class Solvable(ABC, Generic[One, Many]):
             begin = time.perf_counter()
             arguments = (guess, initial, final, params, final_time, final_time_guess, free)
             started = self.started(*arguments)
-            (plain, given), own, ends = jax.device_put(started[:2]), started.params, started.ends
-            own_solver = self._solver(float(tolerance), plain, given)
+            plain, given, own, ends = started
+            core = self._core(float(tolerance), plain, given)
             if self._is_bounded and (warm is None or guesses > 1):
-                plain = jax.device_put(self.started(*arguments, self._sizes(own_solver, plain, given)).point)
+                plain = self.started(*arguments, self._sizes(core, plain, given)).point
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
+            others = None if solver is None else self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                solution = accepted(own_solver, start, given)
-                if solution is not None:
-                    return solution
                 if solver is None:
-                    return own_solver.run(start, given, max_iterations, report)
-                found: Outcome = solver.run(own_solver, start, given, max_iterations, report)
+                    return core.run(start, given, max_iterations, report)
+                accepted = core.run(start, given, 0) if isinstance(start, WarmStart) else None
+                if accepted is not None and accepted.status is Status.SOLVED:
+                    return accepted
+                found: Outcome = solver.run(others, *jax.device_put((start, given)), max_iterations, report)
                 return found
 
             for attempt in range(guesses):
                 start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
-                    start = own_solver.perturbed(plain, given, rng)
+                    start = core.perturbed(plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
                     found = held(self, found, given, own, run, between)
                 exceeded = tolerance if between is None else max(tolerance, between)
-                outcomes.append(self._looks.judged(found, given, mesh_tolerance, exceeded))
+                outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
         result = self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
         if refine is None:
@@ -292,13 +294,12 @@ class Solvable(ABC, Generic[One, Many]):
         with in_double():
             begin = time.perf_counter()
             points, givens, own = prepared(self, cases)
-            solver = self._solver(float(tolerance), *jax.tree.map(lambda a: a[0], (points, givens)))
+            first = jax.tree.map(lambda a: np.asarray(a)[0], (points, givens))
+            core = self._core(float(tolerance), *first)
             if self._is_bounded:
-                points = prepared(self, cases, lambda *own: self._sizes(solver, *own), (points, givens))[0]
+                points = prepared(self, cases, lambda *own: self._sizes(core, *own), (points, givens))[0]
             compiled = time.perf_counter()
-            found = solve_all(solver, points, givens, max_iterations)
-            each = [jax.tree.map(lambda a, k=k: a[k], givens) for k in range(cases.count)]
-            outcomes = [self._looks.judged(o, own, mesh_tolerance, tolerance) for o, own in zip(found, each)]
+            outcomes = solve_all(core, points, givens, max_iterations, mesh_tolerance)
             done = time.perf_counter()
         times = (compiled - begin) / cases.count, (done - compiled) / cases.count
         return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
@@ -307,26 +308,32 @@ class Solvable(ABC, Generic[One, Many]):
     def _is_bounded(self) -> bool:
         return any(part.bounded for part in self.parts)
 
-    def _sizes(self, solver: Solver, point: Point, given: Given) -> list[dict[str, Array]]:
+    def _sizes(self, core: CoreSolver, point: Point, given: Given) -> list[dict[str, Array]]:
         """Sizes of the controls of each part, continuous ones too, by name, as they are measured at a start."""
-        scales, found = jax.tree.map(np.asarray, solver.steps.opened(point, given).state.scales), []
-        for own, part in zip(self.parts, self.shooting.segments):
+        units, found = core.units(point, given), []
+        for own, part, sizes in zip(self.parts, self.shooting.segments, units.parts):
             held, states = part.shooting.local.controls.slices, part.shooting.dynamics.group.slices
-            sizes = {name: scales.u[part.stages, columns].max(axis=0) for name, columns in held.items()}
-            smooth = {name: scales.d[part.nodes, states[name]].max(axis=0) for name in own.restated.smooth}
-            found.append(sizes | smooth)
+            of_controls = {name: sizes.u[columns] for name, columns in held.items()}
+            found.append(of_controls | {name: sizes.d[states[name]] for name in own.restated.smooth})
         return found
 
+    def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
+        """The solver; its kernels compile once."""
+        if tolerance not in self._cores:
+            with uncollected():
+                staged = next((core.staged for core in self._cores.values()), None)
+                if staged is None:
+                    staged = Staged(self.shooting, self.parts, given)
+                    staged.drop(redundant_rows(staged, point, given), given)
+                self._cores[tolerance] = CoreSolver(staged, self.parts, given, tolerance)
+        return self._cores[tolerance]
+
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """The solver for a tolerance, compiled."""
+        """What measures results of solvers of others, compiled."""
         if tolerance not in self._solvers:
             with uncollected():
-                if not self._solvers:
-                    self.shooting.drop_pinned(_moved_at_random(self.shooting, point), given)
                 solver = Solver(self.shooting, tolerance)
                 solver.steps.prepare(point, given)
-                if not self._solvers:
-                    self._looks.prepare(*solver.steps.shapes(point, given))
             self._solvers[tolerance] = solver
         return self._solvers[tolerance]
 
@@ -340,14 +347,3 @@ def check_options(max_iterations: Any, tolerance: Any) -> None:
     """Raise TrajectoryError unless both make sense."""
     whole("max_iterations", max_iterations, 1, TrajectoryError)
     number("tolerance", tolerance, "above zero and below 0.1", lambda size: 0.0 < size < 0.1, TrajectoryError)
-
-
-def _moved_at_random(shooting: Transcribed, point: Point) -> list[Point]:
-    """Points whose nodes, controls, free durations and free parameters are moved at random."""
-    rng, free, found = np.random.default_rng(0), shooting.free, []
-    here, move = (np.asarray(point.us), np.asarray(point.border)), shooting.moved
-    for _ in range(2):
-        d = np.where(free.d, 0.3 * rng.normal(size=free.d.shape), 0.0)
-        u, border = (np.where(which, stirred(rng, a) - a, 0.0) for which, a in zip(free[1:], here))
-        found.append(move(point, Step(d, u, border)))
-    return found

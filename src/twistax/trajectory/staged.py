@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import functools
+import copy
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -152,46 +152,57 @@ class Part:
         self.shooting = shooting = segment.shooting
         self.stages = slice(segment.nodes.start, segment.nodes.stop)
         self.point = point_of(shooting)
-        layout, K = shooting.layout, shooting.intervals
+        self._conditions, self._join, self._method, self._kernels = conditions, join, method, kernels
+        self.describe()
+
+    def describe(self) -> None:
+        """Say again which rows there are."""
+        shooting = self.shooting
         self.bounds = bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
         kinds[self.bounds.rows] = NONE
-        inner, end = np.split(kinds, [K * layout.per_interval])
-        inner = inner.reshape(K, -1)
-        path = np.zeros((K, (shooting.substeps + 1) * layout.path_rows), int)
-        path[:, layout.asked] = inner[:, : len(layout.asked)]
-        at_nodes = [inner[k, len(layout.asked) :][: layout.counts[k]] for k in conditions]
-        rows = [*at_nodes, end]
-        path = path.reshape(K, shooting.substeps + 1, layout.path_rows)[:, :, : len(shooting.path.names)]
+        path, rows = self.by_place(kinds)
         self.phase = Phase(
             shooting.n,
             shooting.m,
             self.point.size,
-            method,
-            kernels,
+            self._method,
+            self._kernels,
             shooting.mesh.shares[:-1],
             shooting.mesh.widths,
             path,
             rows,
             np.zeros(path.shape),
             [np.zeros(len(own)) for own in rows],
-            join,
+            self._join,
         )
+
+    def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
+        """Numbers for all rows of the phase as those of path rows at their points, and of the conditions at nodes."""
+        layout, K = self.shooting.layout, self.shooting.intervals
+        inner, end = np.split(rows, [K * layout.per_interval])
+        inner = inner.reshape(K, -1)
+        path = np.zeros((K, (self.shooting.substeps + 1) * layout.path_rows), rows.dtype)
+        path[:, layout.asked] = inner[:, : len(layout.asked)]
+        path = path.reshape(K, self.shooting.substeps + 1, layout.path_rows)[:, :, : len(self.shooting.path.names)]
+        return path, [*(inner[k, len(layout.asked) :][: layout.counts[k]] for k in self._conditions), end]
 
     def rows(self, h: Array, e: Array, path_places: Array, node_places: Sequence[Array]) -> Array:
         """Numbers of inequalities and equalities as those of all rows of the phase, zero where none is."""
-        own, layout, K = self.shooting, self.shooting.layout, self.shooting.intervals
-        found = np.zeros(len(own.exists))
-        inner = found[: K * layout.per_interval].reshape(K, -1)
-        if path_places.size:
-            asked = np.clip(layout.asked, None, path_places[0].size - 1)
-            inner[:, : len(layout.asked)] = _chosen(h, e, path_places, self.phase.path).reshape(K, -1)[:, asked]
-        *nodes, found[K * layout.per_interval :] = [
-            _chosen(h, e, places, kinds) for places, kinds in zip(node_places, self.phase.conditions)
-        ]
-        for (k, _), values in zip(self.phase.kernels.nodes, nodes):
-            inner[k, len(layout.asked) :][: len(values)] = values
+        found = np.zeros(len(self.shooting.exists))
+        nodes = [_chosen(h, e, *both) for both in zip(node_places, self.phase.conditions)]
+        self.write(found, _chosen(h, e, path_places, self.phase.path), nodes)
         return found
+
+    def write(self, rows: Array, path: Array, nodes: Sequence[Array]) -> None:
+        """Write numbers of path rows at their points, and of the conditions of nodes, among all rows of the phase."""
+        layout, K = self.shooting.layout, self.shooting.intervals
+        inner = rows[: K * layout.per_interval].reshape(K, -1)
+        if path.size:
+            inner[:, : len(layout.asked)] = path.reshape(K, -1)[:, layout.asked]
+        *others, rows[K * layout.per_interval :] = nodes
+        for (k, _), values in zip(self.phase.kernels.nodes, others):
+            inner[k, len(layout.asked) :][: len(values)] = values
 
 
 class Staged:
@@ -220,12 +231,37 @@ class Staged:
                 rows = dict(part.node_rows)
                 kernels = Functions(part.shooting, self.numbers).kernels(rows)
                 self.parts.append(Part(segment, rows, method_of(part.transcription), kernels, join))
+        self._assemble(given)
+
+    def _assemble(self, given: Given) -> None:
         phases = [part.phase for part in self.parts]
         self.transcription = Transcription(phases, self.border.size, self.numbers.vector(given))
         stages = self.transcription.stages
         widths = np.array(stages.states) + np.array(stages.controls)
         #: Where the unknowns of each stage begin in v.
         self.first = np.cumsum(widths) - widths
+        self._margins = np.zeros(len(self.transcribed.exists))
+
+    def drop(self, rows: Sequence[Array], given: Given) -> None:
+        """Take rows out of each phase that others decide; they are only checked."""
+        self.transcribed.drop(rows)
+        for part in self.parts:
+            part.describe()
+        self._assemble(given)
+
+    def alone(self, given: Given) -> Staged:
+        """The same for another thread: kernels are shared, memory is not."""
+        found = copy.copy(self)
+        found._assemble(given)
+        return found
+
+    def set_given(self, given: Given) -> None:
+        """What it is solved for from now on."""
+        self.transcription.set_data(self.numbers.vector(given))
+        self._margins = np.broadcast_to(np.asarray(given.margins), self._margins.shape)
+        for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
+            rows = self.transcribed.rows_of(segment, self._margins)
+            self.transcription.set_margins(number, *part.by_place(rows))
 
     # ---- points ---------------------------------------------------------------------------------------------------
 
@@ -278,7 +314,7 @@ class Staged:
 
     # ---- limits ---------------------------------------------------------------------------------------------------
 
-    @functools.cached_property
+    @property
     def bound_places(self) -> list[Array]:
         """Where the bounds of each phase stand in v."""
         stages, found = self.transcription.stages, []
@@ -289,7 +325,7 @@ class Staged:
             found.append(np.where(np.isnan(bounds.limits), shared, own))
         return found
 
-    @functools.cached_property
+    @property
     def turning(self) -> Array:
         """Which entries of v are rotations."""
         found = np.zeros(self.transcription.stages.variables, bool)
@@ -304,11 +340,12 @@ class Staged:
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         border = len(v) - self.border.size
         lower[border:], upper[border:] = np.asarray(given.limits).T
-        for part, places in zip(self.parts, self.bound_places):
+        for part, segment, places in zip(self.parts, self.transcribed.segments, self.bound_places):
             of_leaf = ~np.isnan(part.bounds.limits)
             for bound, side, most in ((lower, False, np.maximum), (upper, True, np.minimum)):
                 at = of_leaf & (part.bounds.upper == side)
-                most.at(bound, places[at], part.bounds.limits[at])
+                margins = self.transcribed.rows_of(segment, self._margins)[part.bounds.rows[at]]
+                most.at(bound, places[at], part.bounds.limits[at] + (-margins if side else margins))
         start = self.parts[0].shooting
         fixed = np.flatnonzero(~start.free.d[0])
         lower[fixed] = upper[fixed] = v[: start.n][fixed]
@@ -316,18 +353,45 @@ class Staged:
 
     # ---- rows -----------------------------------------------------------------------------------------------------
 
-    def rows(self, h: Array, e: Array, of_bounds: Callable[[int], Array]) -> Array:
-        """Numbers of inequalities, of equalities and of the bounds of each phase as those of all rows."""
+    def all_rows(self, h: Array, e: Array, lower: Array, upper: Array) -> Array:
+        """Numbers of inequalities, of equalities and of both sides of v as those of all rows."""
         found = []
-        for number, (part, *places) in enumerate(
-            zip(self.parts, self.transcription.path_places, self.transcription.node_places)
-        ):
-            rows = part.rows(h, e, *places)
-            rows[part.bounds.rows] = of_bounds(number)
+        places = zip(self.transcription.path_places, self.transcription.node_places, self.bound_places)
+        for part, (path, nodes, bounds) in zip(self.parts, places):
+            rows = part.rows(h, e, path, nodes)
+            rows[part.bounds.rows] = np.where(part.bounds.upper, upper[bounds], lower[bounds])
             found.append(rows)
         return self.transcribed.whole_rows(found)
 
-    @functools.cached_property
+    def split_rows(self, rows: Array) -> tuple[Array, Array, Array, Array]:
+        """Numbers of all rows as those of inequalities, of equalities, of lower and of upper bounds."""
+        stages = self.transcription.stages
+        counts = (sum(stages.inequalities), sum(stages.equalities), stages.variables, stages.variables)
+        h, e, lower, upper = (np.zeros(count) for count in counts)
+        every = zip(self.transcription.path_places, self.transcription.node_places, self.bound_places)
+        for part, segment, (path, nodes, bounds) in zip(self.parts, self.transcribed.segments, every):
+            own = self.transcribed.rows_of(segment, rows)
+            of_path, of_nodes = part.by_place(own)
+            kinds = [part.phase.path, *part.phase.conditions]
+            for places, kind, values in zip([path, *nodes], kinds, [of_path, *of_nodes]):
+                h[places[kind == INEQUALITY]] = values[kind == INEQUALITY]
+                e[places[kind == EQUALITY]] = values[kind == EQUALITY]
+            for side, to in ((True, upper), (False, lower)):
+                at = part.bounds.upper == side
+                to[bounds[at]] = own[part.bounds.rows[at]]
+        return h, e, lower, upper
+
+    def after(self, v: Array) -> Array:
+        """Of numbers of v those of the states after each interval, as defects have them."""
+        states, first = self.transcription.stages.states, self.first
+        return np.concatenate([v[first[k] : first[k] + states[k]] for k in range(1, len(states))])
+
+    def step(self, d: Array, u: Array, border: Array) -> Array:
+        """v of a step, d (nodes, n) and u (intervals, m) padded."""
+        nodes = [d[part.stages, : part.shooting.n] for part in self.parts]
+        return self._joined(Point(None, u, border), nodes)
+
+    @property
     def stages_of_rows(self) -> tuple[Array, Array]:
         """The stage of every inequality and of every equality."""
         stages = self.transcription.stages

@@ -79,7 +79,6 @@ class Closely(NamedTuple):
 
     gaps: Any  # (intervals, n) how far its end is from the planned one, a tangent
     rows: Any  # (intervals, path rows) the largest value along it; of equalities the largest size
-    shown: Any  # (intervals, shown rows) the same of the rows as users wrote them
     cost: Any  # of the phase, its end included
     middles: Any  # states halfway
 
@@ -154,8 +153,8 @@ class Transcribed(ABC):
         return us
 
     @abstractmethod
-    def drop_pinned(self, samples: Sequence[Point], given: Given) -> None:
-        """Take rows out that leave no room for slacks."""
+    def drop(self, rows: Sequence[Array]) -> None:
+        """Take rows out, those of each phase that others decide; they are only checked."""
 
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
@@ -173,10 +172,6 @@ class Transcribed(ABC):
     @abstractmethod
     def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
         """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
-
-    @abstractmethod
-    def closely(self, point: Point, given: Given) -> tuple[Closely, ...]:
-        """Of each phase, every interval integrated closely again from its planned start."""
 
     @abstractmethod
     def derivatives(

@@ -139,6 +139,13 @@ int32_t twx_integrate(twx_memory *t, const double *z) {
   return 0;
 }
 
+void twx_phase_states(const twx_phase *f, int32_t substep, double *eta) {
+  twx_memory t;
+  twx_lay_out(&t, f, f->work);
+  for (size_t k = 0; k < t.K; k++)
+    memcpy(eta + k * t.n, q_of(&t, (size_t)substep) + k * t.size, sizeof(double) * t.n);
+}
+
 static double *map_of(const twx_memory *t, size_t place, size_t k) {
   return t->maps + (place * t->K + k) * t->n * t->size;
 }

@@ -77,5 +77,7 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
 int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je);
 int32_t twx_transcribed_hessians(void *user, const double *z, double weight, const double *lambda, const double *y,
                                  const double *ye, double *H);
+/* eta where a substep of the last integrated point ends, of all intervals of a phase: (K, n). */
+void twx_phase_states(const twx_phase *f, int32_t substep, double *eta);
 int32_t twx_transcribed_retract(void *user, const double *z, const double *d, double *moved);
 #endif

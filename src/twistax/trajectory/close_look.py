@@ -1,0 +1,111 @@
+"""Every interval integrated closely again from its planned start, all rows looked at on the way."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..solver.transcription import INEQUALITY, Transcription
+from .evaluated import Evaluated, moved
+from .staged import Staged, method_of
+from .transcribed import Closely, Given
+
+#: How many moves of all unknowns there are, and how long they are in sizes. In one of them changes may cancel.
+_MOVES, _LENGTH = 4, 1e-3
+
+
+class Look(NamedTuple):
+    """What is seen: close integrations of all phases, and by how much small moves change rows and objective."""
+
+    phases: tuple[Closely, ...]
+    rows: Array
+    cost: float
+
+
+class CloseLook:
+    """Integrates a staged problem closely.
+
+    Args:
+        staged: the problem.
+        parts: the problems of its phases.
+    """
+
+    def __init__(self, staged: Staged, parts: Sequence[Any], given: Given) -> None:
+        self._staged, self._parts, self._phases = staged, parts, []
+        for part, problem in zip(staged.parts, parts):
+            method = method_of(problem.transcription.finer)
+            shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
+            self._phases.append(
+                dataclasses.replace(
+                    part.phase,
+                    method=method,
+                    path=np.full(shape, INEQUALITY),
+                    conditions=[np.full(len(own), INEQUALITY) for own in part.phase.conditions],
+                    path_margins=np.zeros(shape),
+                )
+            )
+        self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(given))
+
+    def at(self, z: Array, v: Array, given: Given) -> Look:
+        """At a point of the problem.
+
+        Args:
+            v: sizes of its unknowns.
+        """
+        own = self._transcription
+        own.set_data(self._staged.numbers.vector(given))
+        seen = Evaluated(own, z)
+        middles = self._middles(z)
+        phases = tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
+        return Look(phases, *self._changes(z, v))
+
+    def decided_rows(self, z: Array, given: Given) -> Array:
+        """(rows,) of those at nodes, which ends or other rows decide; of others what stands there means nothing."""
+        own, found = self._transcription, []
+        own.set_data(self._staged.numbers.vector(given))
+        h = Evaluated(own, z).h
+        for part, path, nodes in zip(self._staged.parts, own.path_places, own.node_places):
+            rows = np.zeros(len(part.shooting.exists))
+            at_starts = np.zeros(part.phase.path.shape)
+            at_starts[:, 0] = h[path[:, 0]]
+            part.write(rows, at_starts, [h[places] for places in nodes])
+            found.append(rows)
+        return self._staged.transcribed.whole_rows(found)
+
+    def _phase(self, number: int, seen: Evaluated, middles: dict[str, Array]) -> Closely:
+        part, own = self._staged.parts[number], self._transcription
+        rows = seen.h[own.path_places[number]]  # (intervals, points, rows)
+        rows = np.where(part.shooting.path.equality, np.abs(rows), rows).max(axis=1, initial=-np.inf)
+        n, first = part.shooting.n, sum(own.stages.after[: part.stages.start])
+        gaps = seen.c[first : first + part.shooting.intervals * n].reshape(-1, n)
+        return Closely(gaps, rows, seen.cost[0] if number == 0 else 0.0, middles)
+
+    def _middles(self, z: Array) -> list[dict[str, Array]]:
+        """States halfway through each interval."""
+        d = np.zeros(self._transcription.stages.variables)
+        for number, (part, phase) in enumerate(zip(self._staged.parts, self._phases)):
+            at = self._staged.first[part.stages][:-1, None] + np.arange(part.shooting.n)
+            d[at] = self._transcription.states(number, phase.method.substeps // 2)
+        halfway = self._staged.point(moved(self._transcription, z, d))
+        xs = halfway.xs if isinstance(halfway.xs, tuple) else (halfway.xs,)
+        return [{name: a[:-1] for name, a in own.items()} for own in xs]
+
+    def _changes(self, z: Array, v: Array) -> tuple[Array, float]:
+        """The largest changes of rows and objective by small random moves of all that is free."""
+        staged, own = self._staged, self._staged.transcription
+        free, rng = staged.transcribed.free, np.random.default_rng(0)
+        which = staged.step(staged.transcribed.stirred, free.u, free.border) != 0.0
+        before = Evaluated(own, z)
+        rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
+        for _ in range(_MOVES):
+            signs = rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v))
+            step = np.where(which, _LENGTH * v * signs, 0.0)
+            there = Evaluated(own, moved(own, z, step))
+            change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
+            rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
+            cost = max(cost, abs(float(there.cost[0] - before.cost[0])))
+        return rows, cost

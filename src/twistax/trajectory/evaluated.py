@@ -1,0 +1,63 @@
+"""Values and derivatives of a staged problem at a point, as NumPy arrays."""
+
+from __future__ import annotations
+
+import ctypes
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..solver.transcription import Transcription
+
+_POINTER = ctypes.c_void_p
+
+
+class Evaluated:
+    """Values and derivatives of a problem in stages at a point, by its functions."""
+
+    def __init__(self, transcription: Transcription, z: Array) -> None:
+        stages, functions = transcription.stages, transcription.functions
+        self.stages = stages
+        self.cost, self.c = np.zeros(1), np.zeros(sum(stages.after))
+        self.h, self.e = np.zeros(sum(stages.inequalities)), np.zeros(sum(stages.equalities))
+        self.gradient = np.zeros(stages.variables)
+        counts = (stages.after, stages.inequalities, stages.equalities)
+        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
+        self.H = np.zeros(stages.block_sizes(stages.columns))
+        self._z, self._functions = np.ascontiguousarray(z), functions
+        self._failed = self._call("values", self.cost, self.c, self.h, self.e)
+        transcription.check()
+
+    def _call(self, name: str, *arrays: Any) -> int:
+        kinds = [ctypes.c_double if isinstance(a, float) else _POINTER for a in arrays]
+        function = ctypes.CFUNCTYPE(ctypes.c_int32, _POINTER, _POINTER, *kinds)(getattr(self._functions, name))
+        pointers = [a if isinstance(a, float) else a.ctypes.data for a in arrays]
+        return int(function(self._functions.user, self._z.ctypes.data, *pointers))
+
+    def differentiate(self) -> bool:
+        """First derivatives, and the second ones of the cost; whether there are such."""
+        zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]
+        failed = self._failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je)
+        return not (failed or self._call("hessians", 1.0, *zeros, self.H))
+
+    def bends(self, y: Array, ye: Array) -> Array:
+        """Second derivatives of y . h + ye . e."""
+        H = np.zeros_like(self.H)
+        self._call("hessians", 0.0, np.zeros_like(self.c), y, ye, H)
+        return H
+
+    def blocks(self, flat: Array, rows: Any) -> list[Array]:
+        """The matrices (rows, columns) of all stages."""
+        sizes = [r * n for r, n in zip(rows, self.stages.columns)]
+        parts = np.split(flat, np.cumsum(sizes)[:-1])
+        return [a.reshape(n, r).T for a, r, n in zip(parts, rows, self.stages.columns)]
+
+
+def moved(transcription: Transcription, z: Array, step: Array) -> Array:
+    """z after a step of v."""
+    found, functions = np.array(z), transcription.functions
+    move = ctypes.CFUNCTYPE(ctypes.c_int32, *[_POINTER] * 4)(functions.retract)
+    z, step = (np.ascontiguousarray(a, float) for a in (z, step))
+    move(functions.user, z.ctypes.data, step.ctypes.data, found.ctypes.data)
+    return found

@@ -1,0 +1,69 @@
+"""Units of the unknowns, the rows and the objective of a staged problem, from its derivatives at a start."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray as Array
+
+from .evaluated import Evaluated
+from .sizes import Sizes, measured_sizes
+from .staged import Staged
+from .transcribed import Point
+
+
+class StartUnits:
+    """Units for the core at a start.
+
+    Attributes:
+        parts: sizes of states, controls and shared unknowns, of each phase.
+        v: of all variables.
+        rows, equalities, cost: of the rows and the objective.
+    """
+
+    def __init__(self, staged: Staged, point: Point) -> None:
+        at = Evaluated(staged.transcription, staged.flat(point))
+        good, stages = at.differentiate(), at.stages
+        blocks = at.blocks(at.F, stages.after)
+        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks])
+        self.border = np.max([sizes.border for sizes in self.parts], axis=0)
+        by_stage = self._by_stage(staged)
+        self.v = np.concatenate([*by_stage, self.border])
+        columns = [np.concatenate([own, self.border]) for own in by_stage]
+        slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
+        changes = [np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(own, columns))]) for own in slopes]
+        for places in staged.places_alone():
+            weights = [np.zeros(len(change)) for change in changes]
+            for weight, at_place in zip(weights, places):
+                weight[at_place] = 1.0
+            bends = [c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.bends(*weights), stages.columns))]
+            for change, own, at_place in zip(changes, staged.stages_of_rows, places):
+                change[at_place] += 0.5 * np.array(bends)[own[at_place]]
+        self.rows, self.equalities = staged.levelled_rows(*changes)
+        bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
+        moves = np.abs(at.gradient) @ self.v + 0.5 * bends
+        self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+
+    @staticmethod
+    def _measured(staged: Staged, point: Point, blocks: list[Array]) -> list[Sizes]:
+        found, sizes_of = list[Sizes](), dict[str, Array]()
+        for part, segment in zip(staged.parts, staged.transcribed.segments):
+            own, first = part.shooting, part.stages.start
+            moved = np.stack(blocks[first : first + own.intervals])
+            moved = np.where(np.isfinite(moved).all(), moved, 0.0)
+            sizes = measured_sizes(own, segment.of(point), moved)
+            for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
+                slices = own.dynamics.group.slices
+                sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
+                sizes.d[slices[name]] = sizes_of[name]
+            found.append(sizes)
+        return found
+
+    def _by_stage(self, staged: Staged) -> list[Array]:
+        """Of the unknowns of each stage."""
+        found = list[Array]()
+        for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
+            found += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            join = part.phase.join
+            free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
+            found.append(np.concatenate([sizes.d, free]))
+        return found
