@@ -36,6 +36,7 @@ class Status(enum.Enum):
     UNBOUNDED_CURVATURE = 5
     STOPPED = 6
     _BAD_PROBLEM = 7
+    UNBOUNDED = 8
 
 
 @dataclasses.dataclass(frozen=True)
@@ -176,7 +177,7 @@ class _Problem(ctypes.Structure):
 
 
 #: Numbers of `twx_statistics`, in its order.
-_MEASURES = ("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale")
+_MEASURES = ("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale", "minimum")
 _COUNTS = (
     *("status", "iterations", "evaluations", "factorizations", "corrections", "restorations"),
     *("restoration_iterations", "filter_resets", "inertia_corrections"),
@@ -225,7 +226,7 @@ def solve(
         z: the start.
         v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
         units: by which steps and errors are measured; 1 where None.
-        largest_step: of v, how far a step may move an entry; any distance where None.
+        largest_step: of v, how far a step may move an entry, negative: a share of what it is then; any distance where None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
         watch: called before each iteration; violations are in the core's units.

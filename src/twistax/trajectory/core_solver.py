@@ -18,21 +18,21 @@ from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
 from .outcome import Callback, Outcome
+from . import strategies
 from .staged import Staged
 from .start_units import StartUnits
-from .transcribed import Given, Point, Values
+from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
 #: The core's tolerance over that of a solve: limits that are squares of small numbers need it.
-_CLOSER = 1e-2
+_CLOSER = 0.1
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
 #: begins at 0.1 of that unit.
 _COST = 0.1
-#: The largest turn of a step, rad; and the largest move of anything else, in its sizes.
-_TURN, _FARTHEST = 1.5, 30.0
-#: The objective has fallen without end where it has by so many of its units.
-_UNBOUNDED = 1e8
+#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
+#: its limit before states and controls have followed it.
+_TURN, _CHANGE = 1.5, 0.3
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
@@ -50,6 +50,7 @@ _STATUS = {
     CoreStatus.INFEASIBLE: Status.INFEASIBLE,
     CoreStatus.NON_FINITE: Status.NON_FINITE,
     CoreStatus.STOPPED: Status.OUT_OF_TIME,
+    CoreStatus.UNBOUNDED: Status.UNBOUNDED,
 }
 
 
@@ -68,6 +69,10 @@ class CoreSolver:
         self.transcribed = staged.transcribed
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
+        stages, border = staged.transcription.stages, staged.border
+        self._largest_step = np.where(staged.turning, _TURN, np.inf)
+        durations = stages.variables - stages.parameters + np.arange(border.phases)
+        self._largest_step[durations] = -_CHANGE
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -78,6 +83,15 @@ class CoreSolver:
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
 
+    def run(self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
+        """Solve from a start, with the strategies."""
+        return strategies.solved(self, start, given, max_iterations, callback)
+
+    def moved(self, point: Point, step: Step) -> Point:
+        """A point after a step."""
+        z = moved(self.staged.transcription, self.staged.flat(point), self.staged.step(*step))
+        return self.staged.point(z)
+
     def perturbed(self, point: Point, given: Given, rng: np.random.Generator) -> Point:
         """A point with every free entry of states, controls and border moved by a random step.
 
@@ -85,7 +99,7 @@ class CoreSolver:
         what is exponential in a state, as air is in a height, else makes starts that mean nothing.
         """
         staged, units, free = self.staged, self.units(point, given), self.transcribed.free
-        z, scales = staged.flat(point), self._scales(units, np.ones(len(self.transcribed.exists)))
+        z, scales = staged.flat(point), self.scales(units)
         d = np.where(self.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
         u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)
         here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
@@ -104,23 +118,28 @@ class CoreSolver:
                 break
         return staged.point(found)
 
-    def run(
+    def run_once(
         self,
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
         callback: Callback | None = None,
         max_seconds: float | None = None,
+        cost_floor: float = 0.0,
         **options: float,
     ) -> Outcome:
-        """Solve from a start."""
+        """Solve from a start, in the units that it has."""
         staged = self.staged
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         units = self.units(point, given)
+        units.cost = max(units.cost, cost_floor)
         chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0}
         call = functools.partial(self._call, point, given, units)
-        if self._violated_at_once(point, given, units) > self.tolerance:
-            return self._outcome(call({**chosen, "iterations": 0}), units, given)
+        violated = self._violated_at_once(point, given, units)
+        if not np.isfinite(violated):
+            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
+        if violated > self.tolerance:
+            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
         watch = _watch(callback, max_seconds)
         if not isinstance(start, WarmStart):
             return self._outcome(call({**chosen, **options}, None, watch), units, given)
@@ -128,7 +147,7 @@ class CoreSolver:
         kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
         if kept.status is not CoreStatus.SOLVED:
             kept = call({**chosen, **self._near(warm, units), **options}, warm, watch)
-        return self._outcome(kept, units, given)
+        return self._outcome(kept, units, given, warm=True)
 
     def _call(
         self,
@@ -148,7 +167,7 @@ class CoreSolver:
             staged.flat(point),
             staged.coordinates(point),
             units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
-            largest_step=np.where(staged.turning, _TURN, _FARTHEST * units.v),
+            largest_step=self._largest_step,
             options=Options(**options),
             warm=warm,
             watch=watch,
@@ -192,7 +211,11 @@ class CoreSolver:
 
     # ---- what came out ----------------------------------------------------------------------------------------------
 
-    def _outcome(self, result: Solution, units: StartUnits, given: Given) -> Outcome:
+    @np.errstate(all="ignore")
+    def _outcome(
+        self, result: Solution, units: StartUnits, given: Given, status: Status | None = None, warm: bool = False
+    ) -> Outcome:
+        """What came out; the status is that of the core unless it is known."""
         staged, own = self.staged, self.transcribed
         at = Evaluated(staged.transcription, result.z)
         point = staged.point(result.z)
@@ -204,7 +227,7 @@ class CoreSolver:
         sizes = self._row_sizes(units)
         inequality = own.exists & ~own.equality
         slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
-        scales = self._scales(units, sizes)
+        scales = self.scales(units)._replace(rows=sizes)
         defects, dynamics = (self._padded(a) for a in (at.c, result.lam))
         violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / sizes
         violated = np.where(own.exists | own.decided, violated, 0.0)
@@ -227,30 +250,22 @@ class CoreSolver:
             slack=slack,
             violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
-            status=self._status(result, float(violated.max(initial=0.0)), units),
-            iterations=int(numbers["iterations"]),
+            status=status or self._status(result, float(violated.max(initial=0.0))),
+            iterations=max(int(numbers["iterations"]), int(not warm)),
+            saddle=result.status is CoreStatus.SOLVED and not numbers["minimum"],
         )
 
-    def _status(self, result: Solution, violated: float, units: StartUnits) -> Status:
+    def _status(self, result: Solution, violated: float) -> Status:
         """The core's status in the words of this package."""
         numbers = result.statistics
         if result.status is CoreStatus.SOLVED:
             return Status.SOLVED
-        if violated > self.tolerance and self._is_decided(result):
-            return Status.INFEASIBLE
         holds = numbers["violation"] <= self.tolerance and violated <= self.tolerance
-        if holds and -numbers["cost"] > _UNBOUNDED * units.cost:
-            return Status.UNBOUNDED
         if holds and numbers["error"] <= self.tolerance:
             return Status.SOLVED
         if result.status in _STATUS:
             return _STATUS[result.status]
         return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * self.tolerance else Status.STALLED
-
-    @staticmethod
-    def _is_decided(result: Solution) -> bool:
-        """Whether it was left before the first step, for rows that nothing changes are violated."""
-        return result.statistics["iterations"] == 0
 
     def _padded(self, flat: Array) -> Array:
         """Numbers of all defects as (intervals, n)."""
@@ -261,7 +276,8 @@ class CoreSolver:
             at += count
         return found
 
-    def _scales(self, units: StartUnits, rows: Array) -> Scales:
+    def scales(self, units: StartUnits) -> Scales:
+        """Units of all unknowns and of the objective; rows count as they are."""
         own = self.transcribed
         d, u = np.ones((own.nodes, own.n)), np.ones((own.intervals, own.m))
         for number, (part, sizes) in enumerate(zip(self.staged.parts, units.parts)):
@@ -271,7 +287,7 @@ class CoreSolver:
             if part.phase.join is not None:
                 free = part.phase.join.free
                 u[first + shooting.intervals, : len(free)] = units.parts[number + 1].d[free]
-        return Scales(d, u, units.border, rows, np.asarray(units.cost))
+        return Scales(d, u, units.border, np.ones(len(own.exists)), np.asarray(units.cost))
 
 
 def _watch(callback: Callback | None, max_seconds: float | None) -> Watch:

@@ -15,6 +15,10 @@ from .transcribed import Point
 _TURN = 0.5
 #: A value that is constant counts as this share of its size; a spread below this share of the value is rounding.
 _CONSTANT, _ROUNDING = 0.1, 1e-9
+#: A spread of less than this share of what others move it by counts as zero.
+_NOTHING = 1e-4
+#: Limits of a control that are so many times what moves a state by its size say nothing.
+_WIDE = 1e6
 
 
 class Sizes(NamedTuple):
@@ -25,7 +29,7 @@ class Sizes(NamedTuple):
     border: Array  # (g,)
 
 
-def measured_sizes(shooting: Shooting, point: Point, moved: Array) -> Sizes:
+def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) -> Sizes:
     """Sizes of states, controls and shared unknowns at a start.
 
     A leaf's declared scale counts first; then half the spread of a state along the start, half the distance between two
@@ -33,29 +37,31 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array) -> Sizes:
 
     Args:
         moved: (intervals, n, n + m + g) derivatives of the ends of intervals.
+        gaps: (intervals, n) how far intervals end from where the next one starts.
     """
     n, m = shooting.n, shooting.m
-    d, u = np.full(n, np.nan), np.full(m, np.nan)
+    d, u, box = np.full(n, np.nan), np.full(m, np.nan), np.full(m, np.nan)
     for name, part in shooting.dynamics.group.slices.items():
         d[part] = _of_state(shooting.leaves[name], point.xs[name])
     for name, part in shooting.local.controls.slices.items():
-        u[part] = _of_control(shooting.leaves[name], point.us[:, part])
+        u[part], box[part] = _of_control(shooting.leaves[name], point.us[:, part])
     b, free = np.abs(point.border), slice(shooting.border.phases, None)
     low, high = shooting.border.limits.T
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
-    reach = np.abs(moved)
+    reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
+    through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
     for _ in range(3):
-        known = np.concatenate([d, u, b])
-        known = np.where(np.isnan(known) | (known <= 0.0), 0.0, known)
-        pushed = (reach * known).sum(axis=0)  # (n, size): what each unknown moves each state by, over the horizon
+        with np.errstate(all="ignore"):
+            needed = np.nanmin(np.where(through > 0.0, d[:, None] / through, np.inf), axis=0, initial=np.inf)
+        usual = np.where(box < _WIDE * needed, box, np.where(np.isfinite(needed), needed, box))
+        u = np.where(np.isnan(u) | (u < _NOTHING * usual), usual, u)
+        known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
+        pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
         pushed[np.arange(n), np.arange(n)] = 0.0
-        from_others = pushed[:, : n + m].max(axis=1)
-        d = np.where(np.isnan(d) & (from_others > 0.0), from_others, d)
-        through = reach[:, :, n : n + m].sum(axis=0)  # (n, m)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            needed = np.where((through > 0.0) & ~np.isnan(d)[:, None], d[:, None] / through, np.inf).min(axis=0)
-        u = np.where(np.isnan(u) & np.isfinite(needed), needed, u)
-    return Sizes(np.where(np.isnan(d), 1.0, d), np.where(np.isnan(u), 1.0, u), np.where(b > 0.0, b, 1.0))
+        others = pushed[:, : n + m].max(axis=1)
+        d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
+        d = np.where((drift > 0.0) & (np.isnan(d) | (d < _NOTHING * drift)), drift, d)
+    return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)))
 
 
 def _of_state(leaf: State, values: Array) -> Array:
@@ -73,20 +79,18 @@ def _of_state(leaf: State, values: Array) -> Array:
     return found
 
 
-def _of_control(leaf: Control, values: Array) -> Array:
+def _of_control(leaf: Control, values: Array) -> tuple[Array, Array]:
+    """Sizes of a control by itself, and by its limits; NaN where nothing is known."""
     if leaf.scale is not None:
-        return np.broadcast_to(np.ravel(leaf.scale), values.shape[1:])
-    sizes = _spread(values, leaf)
-    low, high = (np.full(len(sizes), np.nan) if a is None else np.ravel(a) for a in (leaf.min, leaf.max))
+        declared = np.broadcast_to(np.ravel(leaf.scale), values.shape[1:])
+        return declared, declared
+    low, high = (np.full(values.shape[1], np.nan) if a is None else np.ravel(a) for a in (leaf.min, leaf.max))
     box = 0.5 * (high - low)
-    sizes = np.where(np.isfinite(box) & (box > 0.0), box, sizes)
-    return np.where(np.isnan(sizes), _one_sided(low, high), sizes)
-
-
-def _one_sided(low: Array, high: Array) -> Array:
-    """The size of the one limit that there is."""
-    found = np.where(np.isfinite(low), np.abs(low), np.where(np.isfinite(high), np.abs(high), np.nan))
-    return np.where(found > 0.0, found, np.nan)
+    one_sided = np.where(np.isfinite(low), np.abs(low), np.where(np.isfinite(high), np.abs(high), np.nan))
+    box = np.where(np.isfinite(box) & (box > 0.0), box, np.where(one_sided > 0.0, one_sided, np.nan))
+    spread = _spread(values, leaf)
+    # Limits say how far a control goes, if they are not far from all that it needs.
+    return np.where(np.isnan(box), spread, np.nan), np.where(np.isnan(box), spread, box)
 
 
 def _spread(flat: Array, leaf: State | Control) -> Array:

@@ -24,7 +24,7 @@ class StartUnits:
         at = Evaluated(staged.transcription, staged.flat(point))
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
-        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks])
+        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
@@ -44,13 +44,16 @@ class StartUnits:
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
 
     @staticmethod
-    def _measured(staged: Staged, point: Point, blocks: list[Array]) -> list[Sizes]:
+    def _measured(staged: Staged, point: Point, blocks: list[Array], gaps: Array) -> list[Sizes]:
         found, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
             own, first = part.shooting, part.stages.start
             moved = np.stack(blocks[first : first + own.intervals])
             moved = np.where(np.isfinite(moved).all(), moved, 0.0)
-            sizes = measured_sizes(own, segment.of(point), moved)
+            at = sum(staged.transcription.stages.after[:first])
+            drift = gaps[at : at + own.intervals * own.n].reshape(-1, own.n)
+            drift = np.where(np.isfinite(drift).all(), drift, 0.0)
+            sizes = measured_sizes(own, segment.of(point), moved, drift)
             for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
                 slices = own.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])

@@ -29,7 +29,8 @@ typedef enum {
   TWX_NON_FINITE = 4,        /* a function is not finite at the start or where the solver must differentiate it */
   TWX_UNBOUNDED_CURVATURE = 5, /* no multiple of the identity makes the step a descent */
   TWX_STOPPED = 6,           /* `stop` returned other than 0 */
-  TWX_BAD_PROBLEM = 7        /* sizes or bounds that cannot be */
+  TWX_BAD_PROBLEM = 7,       /* sizes or bounds that cannot be */
+  TWX_UNBOUNDED = 8          /* the cost falls without end while the constraints hold */
 } twx_status;
 
 /* Functions return 0, or another number where the point must be rejected. Outputs of values, jacobians and hessians are
@@ -46,7 +47,7 @@ typedef struct {
   const double *size;         /* of v: units in which the core counts, or NULL for 1 */
   const double *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
   double cost_size;           /* unit of the cost */
-  const double *largest_step; /* of v: how far a step may move an entry, or NULL for any distance */
+  const double *largest_step; /* of v: how far a step may move an entry, negative: a share of what it is; NULL: any distance */
   void *user;
   int32_t (*values)(void *user, const double *z, double *cost, double *c, double *h, double *e);
   /* gradient of the cost by v; by (x_k, u_k, p): F_k of c_k (without the -1 of x_(k+1)), rows of h_k and e_k */
@@ -73,6 +74,7 @@ typedef struct { /* one iteration */
 
 typedef struct {
   double cost, error, stationarity, violation, complementarity, barrier, cost_scale;
+  double minimum;             /* 1: of a solution, the second-order conditions of a minimum hold */
   int32_t status, iterations, evaluations, factorizations, corrections, restorations, restoration_iterations,
       filter_resets, inertia_corrections;
   twx_record *log; /* rows for the first `log_rows` iterations, or NULL */

@@ -53,7 +53,9 @@ double twx_primal_length(const twx_work *w, const twx_iterate *d) {
   FOR_FREE(w, i) {
     if (d->v[i] < 0 && twx_has(w->lower[i])) length = twx_min(length, -w->fraction * twx_below(w, q->v, i) / d->v[i]);
     if (d->v[i] > 0 && twx_has(w->upper[i])) length = twx_min(length, w->fraction * twx_above(w, q->v, i) / d->v[i]);
-    if (largest && w->size[i] * fabs(d->v[i]) > largest[i]) length = twx_min(length, largest[i] / (w->size[i] * fabs(d->v[i])));
+    if (!largest) continue;
+    const double limit = largest[i] > 0 ? largest[i] / w->size[i] : -largest[i] * fabs(q->v[i]);
+    if (fabs(d->v[i]) > limit) length = twx_min(length, limit / fabs(d->v[i]));
   }
   for (size_t i = 0; i < w->rows; i++)
     if (d->s[i] < 0) length = twx_min(length, -w->fraction * q->s[i] / d->s[i]);

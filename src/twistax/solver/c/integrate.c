@@ -112,15 +112,19 @@ static int32_t solve_stages(const twx_memory *t, const double *z, size_t substep
   return 1;
 }
 
+static int32_t differ(const double *a, const double *b, size_t count) {
+  for (size_t i = 0; i < count; i++)
+    if (a[i] != b[i]) return 1;
+  return 0;
+}
+
 /* The memory for a point, integrated. Other than 0 where implicit stages are not solved. */
 int32_t twx_integrate(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
   const size_t S = (size_t)f->substeps, s = (size_t)f->stages, stride = (size_t)(f->point + f->m);
   const size_t inner = t->K * stride + (size_t)f->point;
   const double *own = z + f->at.z[0], *p = z + f->parameters_z;
-  if (*t->state > 0 && !memcmp(t->at, own, sizeof(double) * inner) &&
-      !memcmp(t->at + inner, p, sizeof(double) * (size_t)f->p))
-    return 0;
+  if (*t->state > 0 && !differ(t->at, own, inner) && !differ(t->at + inner, p, (size_t)f->p)) return 0;
   *t->state = 0;
   memset(q_of(t, 0), 0, sizeof(double) * t->K * t->size);
   join(t, 0, NULL, z, 0);

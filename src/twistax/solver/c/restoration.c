@@ -103,7 +103,7 @@ static twx_status reduce_violation(twx_work *w) {
       f.barrier *= BARRIER_DECREASE;
     }
   }
-  return TWX_MAX_ITERATIONS;
+  return TWX_STALLED;
 }
 
 /* Multipliers of bounds that grew too large start anew. */
@@ -122,7 +122,7 @@ twx_status twx_restore(twx_work *w) {
   w->statistics->restorations++;
   w->softness = 1, w->weight = 0;
   const twx_status status = reduce_violation(w);
-  w->softness = 0, w->weight = w->options->equality_weight;
+  w->softness = w->options->row_softness, w->weight = w->options->equality_weight;
   if (status != TWX_SOLVED) {
     twx_differentiate(w); /* the cost's gradient, for the measures of the result */
     return status;

@@ -69,6 +69,12 @@ static void report(twx_work *w, const twx_measures *m) {
   t->violation = m->violation, t->complementarity = m->complementarity, t->barrier = w->barrier;
 }
 
+static double largest_variable(const twx_work *w) {
+  double most = 1;
+  for (size_t i = 0; i < w->variables; i++) most = twx_max(most, fabs(w->iterate.v[i]));
+  return most;
+}
+
 static twx_status iterate(twx_work *w) {
   const twx_options *o = w->options;
   const twx_problem *p = w->problem;
@@ -77,6 +83,7 @@ static twx_status iterate(twx_work *w) {
     const twx_measures m = twx_measure(w, 0);
     report(w, &m);
     if (m.error <= o->tolerance) return TWX_SOLVED;
+    if (w->here.cost < -o->cost_largest && m.violation <= o->tolerance * largest_variable(w)) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations)) return TWX_STOPPED;
     status = update_barrier(w, &search);
@@ -90,6 +97,13 @@ static twx_status iterate(twx_work *w) {
     }
   }
   return TWX_STALLED;
+}
+
+/* Whether a solution is a minimum to second order: the linear system has the inertia of one, but for rounding. */
+static double is_minimum(twx_work *w) {
+  if (twx_differentiate_twice(w)) return 0;
+  twx_right_side(w, w->barrier);
+  return twx_factorize(w, w->options->curvature, 1);
 }
 
 /* The result in the problem's units. */
@@ -135,6 +149,7 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   twx_status status = twx_start(w);
   if (status == TWX_BAD_PROBLEM) return statistics->status = status;
   if (status == TWX_SOLVED) status = iterate(w);
+  if (status == TWX_SOLVED) statistics->minimum = is_minimum(w);
   unscale(w, z, solution);
   return statistics->status = status;
 }

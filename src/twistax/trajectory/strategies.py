@@ -1,0 +1,142 @@
+"""Strategies around a solver that goes to the nearest point that meets the first-order conditions.
+
+Each uses the solver as it is, from another start or in other units.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from . import durations
+from .outcome import Callback, Outcome
+from .transcribed import Given, Point, Step
+from .warm import WarmStart
+from .watch import AT_OPTIMUM, Status
+
+if TYPE_CHECKING:
+    from .core_solver import CoreSolver
+    from .iterate import Scales
+    from .start_units import StartUnits
+
+#: The objective's unit was worth nothing where it is so many times that of the result; rounds in better units; no unit
+#: is a smaller share of the largest.
+_WORTHLESS, _ROUNDS, _SMALL = 100.0, 10, 1e-6
+#: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
+_FAR = 1e3
+#: Iterations after which units are measured anew.
+_PATIENCE = 80
+#: Runs that end so may have been led there by durations that are free.
+_AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
+#: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
+_AWAY = (0.1, 0.3, 1.0)
+
+
+def solved(
+    solver: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+) -> Outcome:
+    """A solve from a start, in units that fit its result, at a minimum where one is near."""
+    count = 0
+
+    def once(begin: Any, given: Given, floor: float = 0.0, most: int = max_iterations) -> Outcome:
+        nonlocal count
+        before, most = count, min(most, max(max_iterations - count, 0))
+        later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
+        found = solver.run_once(begin, given, most, later, cost_floor=floor)
+        count += found.iterations
+        return found
+
+    def near(begin: Any, given: Given) -> Outcome:
+        first = in_fitting_units(solver, once, begin, given)
+        return at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), first)
+
+    result = near(start, given)
+    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
+        result = with_fixed_durations(solver, near, result, start, given, lambda: count < max_iterations)
+    return result._replace(iterations=count)
+
+
+def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, given: Given) -> Outcome:
+    """A solve whose objective counts in units that fit the result: those of a start may be worth nothing there.
+
+    What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
+    optimal.
+    """
+    result = solve(start, given, most=_PATIENCE)
+    if result.status is Status.MAX_ITERATIONS and result.iterations < _PATIENCE:
+        return result
+    if result.status is Status.MAX_ITERATIONS and not _are_far(solver, solver.units(result.point, given), result.scales):
+        result = solve(start, given)  # it was on its way
+    floor = _SMALL * float(result.scales.cost)
+    for _ in range(_ROUNDS):
+        if result.status not in (*AT_OPTIMUM, Status.MAX_ITERATIONS):
+            break
+        fresh, used = solver.units(result.point, given), result.scales
+        if float(used.cost) <= _WORTHLESS * max(fresh.cost, floor) and not _are_far(solver, fresh, used):
+            break
+        again = solve(result.point, given, floor)
+        if again.status not in AT_OPTIMUM:
+            break
+        result = again
+    return result
+
+
+def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
+    """Whether states or controls count in units that are nothing beside those that they have at a result, or far above."""
+    known = solver.scales(fresh)
+    ratios = np.concatenate([np.ravel(known.d / used.d), np.ravel(known.u / used.u)])
+    return bool((np.abs(np.log(ratios)) > np.log(_FAR)).any())
+
+
+def with_fixed_durations(
+    solver: CoreSolver,
+    solve: Callable[..., Outcome],
+    rested: Outcome,
+    start: Point,
+    given: Given,
+    may_go_on: Callable[[], bool],
+) -> Outcome:
+    """What runs find that begin with fixed durations; the earlier outcome if no such run succeeds.
+
+    Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
+    """
+    for point, fixed in durations.fixed(solver.staged.border, start, given):
+        if not may_go_on():
+            break
+        found = solve(point, fixed)
+        if found.status is not Status.SOLVED or not may_go_on():
+            continue
+        freed = solve(found.point, given)
+        if freed.status is Status.SOLVED:
+            return freed
+    return rested
+
+
+def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
+    """A result, or where the objective falls to second order from it what is found beside it, if that is better."""
+    seed = 0
+    while result.saddle and result.status is Status.SOLVED:
+        better = None
+        for size in _AWAY:
+            other = solve(_beside(solver, result, size, seed))
+            seed += 1
+            lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
+            if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):
+                better = other
+                break
+        if better is None:
+            break
+        result = better
+    return result
+
+
+def _beside(solver: CoreSolver, result: Outcome, size: float, seed: int) -> Point:
+    """The point after a random step of the controls; of the states where there are none."""
+    rng, own = np.random.default_rng(seed), solver.transcribed
+    u = np.where(own.free.u, size * rng.normal(size=own.free.u.shape) * result.scales.u, 0.0)
+    d = np.where(own.stirred, size * rng.normal(size=own.free.d.shape) * result.scales.d, 0.0)
+    if own.free.u.any():
+        d = np.zeros_like(d)
+    return solver.moved(result.point, Step(d, u, np.zeros(own.border.size)))
