@@ -17,6 +17,8 @@ _TURN = 0.5
 _CONSTANT, _ROUNDING = 0.1, 1e-9
 #: A spread of less than this share of what others move it by counts as zero.
 _NOTHING = 1e-4
+#: How often what is known says more.
+_ROUNDS = 4
 #: Limits of a control that are so many times what moves a state by its size say nothing.
 _WIDE = 1e6
 
@@ -50,7 +52,8 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
-    for _ in range(3):
+    among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
+    for _ in range(_ROUNDS):
         with np.errstate(all="ignore"):
             needed = np.nanmin(np.where(through > 0.0, d[:, None] / through, np.inf), axis=0, initial=np.inf)
         usual = np.where(box < _WIDE * needed, box, np.where(np.isfinite(needed), needed, box))
@@ -60,8 +63,16 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         pushed[np.arange(n), np.arange(n)] = 0.0
         others = pushed[:, : n + m].max(axis=1)
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
-        d = np.where((drift > 0.0) & (np.isnan(d) | (d < _NOTHING * drift)), drift, d)
+        d = _drifting(d, drift, among)
     return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)))
+
+
+def _drifting(d: Array, drift: Array, among: Array) -> Array:
+    """Sizes with those of states that only the guess itself moves; states that others of unknown size move come later."""
+    unknown = np.isnan(d) & (drift > 0.0)
+    first = unknown & ~(among & np.isnan(d)).any(axis=1)
+    found = np.where(first if first.any() else unknown, drift, d)
+    return np.where(found < _NOTHING * drift, drift, found)
 
 
 def _of_state(leaf: State, values: Array) -> Array:

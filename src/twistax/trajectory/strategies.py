@@ -71,7 +71,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         result = solve(start, given)  # it was on its way
     floor = _SMALL * float(result.scales.cost)
     for _ in range(_ROUNDS):
-        if result.status not in (*AT_OPTIMUM, Status.MAX_ITERATIONS):
+        if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
         fresh, used = solver.units(result.point, given), result.scales
         if float(used.cost) <= _WORTHLESS * max(fresh.cost, floor) and not _are_far(solver, fresh, used):

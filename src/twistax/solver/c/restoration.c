@@ -122,7 +122,7 @@ twx_status twx_restore(twx_work *w) {
   w->statistics->restorations++;
   w->softness = 1, w->weight = 0;
   const twx_status status = reduce_violation(w);
-  w->softness = w->options->row_softness, w->weight = w->options->equality_weight;
+  w->softness = 0;
   if (status != TWX_SOLVED) {
     twx_differentiate(w); /* the cost's gradient, for the measures of the result */
     return status;

@@ -208,10 +208,18 @@ int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian) {
   return eliminate_start(w) && factorize_border(w);
 }
 
+/* With squares of the equalities as last time, or the other way: they change no step, but its inertia by stages. */
+int32_t twx_factorize_weighted(twx_work *w, double identity) {
+  if (twx_factorize(w, identity, 1)) return 1;
+  w->weight = w->weight > 0 ? 0 : w->options->equality_weight;
+  return w->ne > 0 && twx_factorize(w, identity, 1);
+}
+
 /* Raise the multiple of the identity until the step is one of descent. Source: [WB] Algorithm IC. */
 int32_t twx_correct_inertia(twx_work *w) {
   const twx_options *o = w->options;
-  if (twx_factorize(w, 0, 1)) return 1;
+  if (twx_factorize_weighted(w, 0)) return 1;
+  w->weight = o->equality_weight;
   const int32_t first = w->last_identity == 0;
   double identity = first ? o->inertia_first : twx_max(o->inertia_smallest, o->inertia_decrease * w->last_identity);
   w->statistics->inertia_corrections++;

@@ -103,7 +103,7 @@ static twx_status iterate(twx_work *w) {
 static double is_minimum(twx_work *w) {
   if (twx_differentiate_twice(w)) return 0;
   twx_right_side(w, w->barrier);
-  return twx_factorize(w, w->options->curvature, 1);
+  return twx_factorize_weighted(w, w->options->curvature);
 }
 
 /* The result in the problem's units. */

@@ -132,7 +132,7 @@ void twx_least_squares_multipliers(twx_work *w) {
 static void set_barrier(twx_work *w) {
   const twx_options *o = w->options;
   w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
-  w->identity = w->last_identity = 0, w->softness = o->row_softness, w->weight = o->equality_weight, w->filter_rows = 0;
+  w->identity = w->last_identity = w->softness = 0, w->weight = 0, w->filter_rows = 0;
 }
 
 /* A warm start's multipliers, from the problem's units to the core's. */

@@ -93,6 +93,7 @@ TWX_INTERNAL int32_t twx_move(twx_work *w, const twx_iterate *step, double lengt
 
 /* riccati.c, sweep.c: the linear system of a step. */
 TWX_INTERNAL int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian);
+TWX_INTERNAL int32_t twx_factorize_weighted(twx_work *w, double identity);
 TWX_INTERNAL int32_t twx_correct_inertia(twx_work *w);
 TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *step, int32_t with_hessian);
 
