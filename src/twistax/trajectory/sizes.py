@@ -52,12 +52,14 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
+    unknown = np.isnan(u)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
-    for _ in range(_ROUNDS):
+    for number in range(_ROUNDS):
         with np.errstate(all="ignore"):
             needed = np.nanmin(np.where(through > 0.0, d[:, None] / through, np.inf), axis=0, initial=np.inf)
-        usual = np.where(box < _WIDE * needed, box, np.where(np.isfinite(needed), needed, box))
-        u = np.where(np.isnan(u) | (u < _NOTHING * usual), usual, u)
+        wide = (box >= _WIDE * needed) & (number > 0)  # at first sizes of states may be noise
+        usual = np.where(np.isnan(box) | wide, np.where(np.isfinite(needed), needed, box), box)
+        u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
         pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
         pushed[np.arange(n), np.arange(n)] = 0.0

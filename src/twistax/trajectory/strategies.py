@@ -69,17 +69,20 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         return result
     if result.status is Status.MAX_ITERATIONS and not _are_far(solver, solver.units(result.point, given), result.scales):
         result = solve(start, given)  # it was on its way
-    floor = _SMALL * float(result.scales.cost)
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
         fresh, used = solver.units(result.point, given), result.scales
+        floor = _SMALL * float(used.cost)
         if float(used.cost) <= _WORTHLESS * max(fresh.cost, floor) and not _are_far(solver, fresh, used):
             break
         again = solve(result.point, given, floor)
         if again.status not in AT_OPTIMUM:
             break
+        settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
         result = again
+        if settled:
+            break
     return result
 
 
