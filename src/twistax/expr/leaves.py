@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import numpy as np
@@ -16,6 +16,7 @@ from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
 from .printing import matrix_latex, name_latex, number_latex
+from .spellings import bound_of
 
 
 @dataclasses.dataclass(frozen=True)
@@ -142,8 +143,11 @@ class Variable(Leaf):
         scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
     """
 
-    min: np.ndarray | None
-    max: np.ndarray | None
+    if TYPE_CHECKING:
+        min: np.ndarray | None
+        max: np.ndarray | None
+    else:
+        min, max = bound_of("min"), bound_of("max")
     guess: np.ndarray | None
     scale: np.ndarray | None
     abstract = True
