@@ -171,12 +171,19 @@ def solved(cost: str) -> Callable[[Numbers, bool], str]:
     x, u = tx.State("x"), tx.Control("u", min=-10.0, max=10.0)
     rates = {"root": tx.Sqrt(a - x) + u, "lag": a * (u - x), "pole": a * x * x + u}
     dynamics = tx.compile(tx.System(rates={x: rates[cost]}))
-    transcription = Collocation(tx.tableaus.RADAU_IIA5)
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=u**2),
+        nodes=5,
+        transcription=Collocation(tx.tableaus.RADAU_IIA5),
+        initial={"x": 1.0},
+        final={"x": 0.0},
+        final_time=1.0,
+    )
 
     def run(numbers: Numbers, slopes: bool) -> str:
-        options: dict[str, Any] = {"initial": {"x": numbers.start}, "final": {"x": 0.0}, "final_time": numbers.end}
-        problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=5, transcription=transcription, **options)
-        result = problem.solve(params={"a": numbers.rate}, max_iterations=20)
+        ends: dict[str, Any] = {"initial": {"x": numbers.start}, "final_time": numbers.end}
+        result = problem.solve(params={"a": numbers.rate}, max_iterations=20, **ends)
         try:
             str(result.mesh_error)
         except tx.TwistaxError as error:
