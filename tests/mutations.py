@@ -1640,6 +1640,30 @@ MUTATIONS: list[Mutation] = [
         ("mechanics/test_nasa_check_cases.py",),
     ),
     *_at(
+        "mechanics/rotors.py",
+        (
+            "momenta of rotors that do not turn",
+            "turned = rotor * Cross(angular(across), linear(across))",
+            "turned = 0.0 * rotor * Cross(angular(across), linear(across))",
+            "mechanics/test_rotors.py::test_forces_are_those_of_a_body_in_its_place",
+        ),
+        (
+            "momenta of rotors turned by the velocity alone, in derivatives",
+            "+ Cross(angular(across), _slide(segment, m))",
+            "",
+            "mechanics/test_rotors.py::test_derivatives_are_those_of_a_body_in_its_place",
+        ),
+    ),
+    *_at(
+        "mechanics/dynamics.py",
+        (
+            "momenta of rotors that do not turn in forward dynamics",
+            "forces = forces if turning is None else forces - turning",
+            "forces = forces",
+            "mechanics/test_rotors.py::test_accelerations_are_those_of_a_body_in_its_place",
+        ),
+    ),
+    *_at(
         "mechanics/models/urdf.py",
         (
             "turns in the other order",
