@@ -1,7 +1,12 @@
 """Integrations and solves that fail in every way there is, in processes of their own: how many end the process.
 
 `python tests/failing_runs.py` runs all: 30 structures, each with 33 sets of numbers, one half with x64 and one half
-without. `--structures`, `--sets` and `--x64` choose some; `test_failing_runs.py` runs a sample.
+without. `--structures` and `--sets` choose some; `test_failing_runs.py` runs a sample.
+
+All 990 runs end in a result or an error of twistax, and no process dies: 491 succeed (SUCCESS 441, EVENT 33, SOLVED 17)
+and 499 fail (NON_FINITE 215, MAX_STEPS 120, NEWTON_FAILED 67, STEP_TOO_SMALL 58, MAX_ITERATIONS 30, COARSE 9). That
+takes seven minutes of one core, nearly all of them for compiling: each structure compiles once for each precision, the
+tank by Radau with an event for 60 s. After that a run takes milliseconds, or a second for 400 steps of the tank.
 
 A worker prints a line before each run and one after it, so that a process that dies names its run.
 """

@@ -131,6 +131,12 @@ def test_functions_of_numpy_as_methods(name: str) -> None:
     assert f"fix: np.{name}(V)" in attribute_error(V, name)
 
 
+def test_attributes_are_asked_of_expressions_without_a_shape() -> None:
+    assert not hasattr(V + M, "mean")
+    assert not hasattr(V + M, "transform")
+    assert "fix: tx.Max(*(V + M))" in attribute_error(V + M, "max")
+
+
 def test_what_nothing_has_is_no_attribute() -> None:
     for name in ("foo", "_foo", "__array_interface__", "__cuda_array_interface__", "_repr_png_", "_ipython_display_"):
         assert not hasattr(V, name)

@@ -8,9 +8,11 @@ from __future__ import annotations
 import dis
 import sys
 from types import FrameType
-from typing import Any, NoReturn
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..errors import ModelError, OperationError
+import numpy as np
+
+from ..errors import ModelError, OperationError, ShapeError
 
 #: Attributes of arrays, each with what gives the same of an expression, {x} in texts.
 CODE = {
@@ -101,24 +103,40 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
     if not name.startswith("_"):
         text = repr(expr)
         x = text if len(text) <= 20 else "x"
-        fix = spelled(name, x, expr.ndim) or (f"np.{name}({x})" if of_numpy else None)
+        fix = spelled(name, x, _rank(expr) if name in CODE else 1) or (f"np.{name}({x})" if of_numpy else None)
         if fix:
             return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
 
 
-def bound_of(name: str) -> property:
-    """`min` or `max` of a leaf: its bound, None without one; and as a method what other expressions say of it.
+def _rank(expr: Any) -> int:
+    """How many axes an expression has; 1 where it has no shape, which is an error of its own."""
+    try:
+        return expr.ndim
+    except ShapeError:
+        return 1
 
-    `x.max()` would be the error that None cannot be called.
-    """
 
+def _bound(name: str) -> property:
     def read(leaf: Any) -> Any:
         if _reads_a_method(sys._getframe(1)):
             raise AttributeError(name)  # so that Python asks `__getattr__`
         return leaf.__dict__[name]
 
     return property(read)
+
+
+class Bounded:
+    """A leaf with `min` and `max`: its bounds, and as methods what other expressions say of them.
+
+    `x.max` is None without a bound, so that `x.max()` would be the error that None cannot be called.
+    """
+
+    if TYPE_CHECKING:
+        min: np.ndarray | None
+        max: np.ndarray | None
+    else:
+        min, max = _bound("min"), _bound("max")
 
 
 def _reads_a_method(frame: FrameType) -> bool:

@@ -182,5 +182,6 @@ def _objection_to(body: SpatialInertia) -> str | None:
 
 def _well_posed(body: SpatialInertia) -> bool:
     """Whether a body of numbers has one acceleration for each wrench: its spatial inertia is positive definite."""
-    mass, tensor = (np.asarray(part.value) for part in (body.mass, body.inertia))
+    parts: tuple[Any, Any] = (body.mass, body.inertia)
+    mass, tensor = (np.asarray(part.value) for part in parts)
     return bool(mass > 0.0) and positive_definite(tensor)
