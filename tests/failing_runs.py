@@ -1,7 +1,12 @@
 """Integrations and solves that fail in every way there is, in processes of their own: how many end the process.
 
 `python tests/failing_runs.py` runs all: 30 structures, each with 33 sets of numbers, one half with x64 and one half
-without. `--structures`, `--sets` and `--x64` choose some; `test_failing_runs.py` runs a sample.
+without. `--structures` and `--sets` choose some; `test_failing_runs.py` runs a sample.
+
+All 990 runs end in a result or an error of twistax, and no process dies: 491 succeed (SUCCESS 441, EVENT 33, SOLVED 17)
+and 499 fail (NON_FINITE 215, MAX_STEPS 120, NEWTON_FAILED 67, STEP_TOO_SMALL 58, MAX_ITERATIONS 30, COARSE 9). That
+takes seven minutes of one core, nearly all of them for compiling: each structure compiles once for each precision, the
+tank by Radau with an event for 60 s. After that a run takes milliseconds, or a second for 400 steps of the tank.
 
 A worker prints a line before each run and one after it, so that a process that dies names its run.
 """
@@ -171,12 +176,19 @@ def solved(cost: str) -> Callable[[Numbers, bool], str]:
     x, u = tx.State("x"), tx.Control("u", min=-10.0, max=10.0)
     rates = {"root": tx.Sqrt(a - x) + u, "lag": a * (u - x), "pole": a * x * x + u}
     dynamics = tx.compile(tx.System(rates={x: rates[cost]}))
-    transcription = Collocation(tx.tableaus.RADAU_IIA5)
+    problem = Problem(
+        dynamics,
+        tx.Minimize(running=u**2),
+        nodes=5,
+        transcription=Collocation(tx.tableaus.RADAU_IIA5),
+        initial={"x": 1.0},
+        final={"x": 0.0},
+        final_time=1.0,
+    )
 
     def run(numbers: Numbers, slopes: bool) -> str:
-        options: dict[str, Any] = {"initial": {"x": numbers.start}, "final": {"x": 0.0}, "final_time": numbers.end}
-        problem = Problem(dynamics, tx.Minimize(running=u**2), nodes=5, transcription=transcription, **options)
-        result = problem.solve(params={"a": numbers.rate}, max_iterations=20)
+        ends: dict[str, Any] = {"initial": {"x": numbers.start}, "final_time": numbers.end}
+        result = problem.solve(params={"a": numbers.rate}, max_iterations=20, **ends)
         try:
             str(result.mesh_error)
         except tx.TwistaxError as error:

@@ -253,6 +253,13 @@ MUTATIONS: list[Mutation] = [
             "OperationError)",
             "expr/test_spellings.py",
         ),
+        ("bounds that are called as methods", "if _reads_a_method(", "if False and (", "expr/test_spellings.py"),
+        (
+            "rows of matrices for their entries",
+            "elif ndim > 1 and name in",
+            "elif False and name in",
+            "expr/test_spellings.py",
+        ),
     ),
     *_at(
         "jax_inside.py",
@@ -526,6 +533,23 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "expr/vmap.py",
         ("nested maps share placeholders", "Placeholder(len(around), i", "Placeholder(0, i", "expr/test_vmap.py"),
+        ("elements of any shape", "if shape != placeholder.shape:", "if False:", "expr/test_vmap.py"),
+        (
+            "conditions as a batch",
+            'return tuple(to_numbers("Vmap", to_expr(value)) for value in values)',
+            "return tuple(to_expr(value) for value in values)",
+            "expr/test_vmap.py",
+        ),
+    ),
+    *_at(
+        "expr/rate.py",
+        ("leaves and rates of any shape", "expect(self, name, got, shape)", "pass", "expr/test_rate_substitution.py"),
+        (
+            "a condition in place of a leaf that moves",
+            'along = tuple(to_numbers("Rate", child) for child in children[:count])',
+            "along = tuple(children[:count])",
+            "expr/test_rate_substitution.py",
+        ),
     ),
     *_at(
         "expr/graph.py",
@@ -1616,6 +1640,30 @@ MUTATIONS: list[Mutation] = [
         ("mechanics/test_nasa_check_cases.py",),
     ),
     *_at(
+        "mechanics/rotors.py",
+        (
+            "momenta of rotors that do not turn",
+            "turned = rotor * Cross(angular(across), linear(across))",
+            "turned = 0.0 * rotor * Cross(angular(across), linear(across))",
+            "mechanics/test_rotors.py::test_forces_are_those_of_a_body_in_its_place",
+        ),
+        (
+            "momenta of rotors turned by the velocity alone, in derivatives",
+            "+ Cross(angular(across), _slide(segment, m))",
+            "",
+            "mechanics/test_rotors.py::test_derivatives_are_those_of_a_body_in_its_place",
+        ),
+    ),
+    *_at(
+        "mechanics/dynamics.py",
+        (
+            "momenta of rotors that do not turn in forward dynamics",
+            "forces = forces if turning is None else forces - turning",
+            "forces = forces",
+            "mechanics/test_rotors.py::test_accelerations_are_those_of_a_body_in_its_place",
+        ),
+    ),
+    *_at(
         "mechanics/models/urdf.py",
         (
             "turns in the other order",
@@ -1658,9 +1706,27 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "a negative mass hidden by what it is fixed to",
-            "and not doubt.negative and",
-            "and",
+            "positive = body is not None and doubt.mass >= 0.0",
+            "positive = body is not None",
             "mechanics/test_urdf_files.py",
+        ),
+        (
+            "an inertia that is not positive definite accepted",
+            "return bool(mass > 0.0) and positive_definite(tensor)",
+            "return bool(mass > 0.0)",
+            "mechanics/test_urdf_files.py::test_inertias_that_are_not_positive_definite_are_refused",
+        ),
+        (
+            "physical=True as if nothing was asked",
+            "elif body is not None and positive and demanded is None and",
+            "elif body is not None and positive and demanded is not False and",
+            "mechanics/test_urdf_files.py::test_physical_may_demand_a_body_that_there_can_be",
+        ),
+        (
+            "a link above the triangle judged without what is fixed to it",
+            "elif body is not None and positive and _objection_to(body) is None:",
+            "elif False:",
+            "mechanics/test_urdf_files.py::test_a_principal_moment_is_judged_with_what_is_fixed_to_the_link",
         ),
     ),
     *_at(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -53,6 +54,33 @@ def test_a_rate_after_a_substitution(rate: tx.Expr, exchange: dict[Any, Any], ri
 def test_a_substitution_without_the_rate_is_refused(rate: tx.Expr, exchange: dict[Any, Any], match: str) -> None:
     with pytest.raises(tx.ModelError, match=match):
         substitute(rate, {leaf.key(): e for leaf, e in exchange.items()})
+
+
+Q, QD = tx.State("q", shape=(3,)), tx.State("qd", shape=(3,))
+
+
+@pytest.mark.parametrize("leaf", [Q, QD])
+@pytest.mark.parametrize("shape", [(4,), (), (1, 3)])
+def test_leaves_and_rates_of_another_shape_are_refused(leaf: tx.State, shape: tuple[int, ...]) -> None:
+    other = substitute(tx.Rate(X * Q, {Q: QD, X: V}), {leaf.key(): tx.Constant(np.ones(shape))})
+    with pytest.raises(tx.ShapeError, match=r"Rate expects (leaves|rates)\[\d\] with shape \(3,\), got"):
+        tx.lower(other)
+
+
+@pytest.mark.parametrize(
+    "attempt",
+    [
+        lambda: tx.Rate(X > 0.1, {X: V}),
+        lambda: tx.Rate(tx.All(Q <= 0.1), {Q: QD}),
+        lambda: tx.Rate(Q == 0.1, {Q: QD}),
+        lambda: tx.Rate(X * X, {X: V > 0.0}),
+        lambda: substitute(tx.Rate(X * X, {X: V}), {X.key(): Y > 0.0}),
+        lambda: substitute(tx.Rate(X * X, {X: V}), {V.key(): Y > 0.0}),
+    ],
+)
+def test_conditions_are_refused(attempt: Callable[[], Any]) -> None:
+    with pytest.raises(tx.ModelError, match=r"Rate expects numbers, got the condition (.|\n)*fix: say which numbers"):
+        attempt()
 
 
 def test_a_rate_on_a_group_after_a_substitution() -> None:

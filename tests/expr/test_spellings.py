@@ -69,7 +69,6 @@ def attribute_error(x: Any, name: str) -> str:
 
 @pytest.mark.parametrize("name", CODE)
 def test_the_code_that_is_named_gives_what_the_method_gives(name: str) -> None:
-    # A leaf has bounds by the names of two methods, so a derived vector is asked.
     x, text = (M.T, "M") if name in OF_MATRICES else (-V, "V")
     fix = attribute_error(x, name).partition("\n  fix: ")[2]
     assert fix == spelled(name, repr(x))
@@ -83,6 +82,37 @@ def test_the_code_that_is_named_gives_what_the_method_gives(name: str) -> None:
         expected = expected(*ARGUMENTS.get(name, ()))
     value = value_of(found, **NUMBERS) if isinstance(found, tx.Expr) else found
     np.testing.assert_allclose(value, expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize("name", ["max", "min"])
+@pytest.mark.parametrize("bounds", [{}, {"min": -1.0, "max": 1.0}])
+def test_bounds_of_leaves_are_no_methods(name: str, bounds: dict[str, float]) -> None:
+    """Called as a method each gives the spelling that other expressions give; read as a value it is the bound."""
+    for kind in (tx.State, tx.Control):
+        x = kind("x", shape=(2,), **bounds)
+        for call in ("x.max()", "x.max(axis=0)", "x.max(0, keepdims=True)"):
+            words = rf"x.{name}: an expression is no array(.|\n)*fix: tx.{name.title()}\(\*x\)"
+            with pytest.raises(AttributeError, match=words):
+                eval(call.replace("max", name), {"x": x})
+        bound = {"max": x.max, "min": x.min}[name]
+        assert getattr(x, name) is bound
+        assert hasattr(x, name)
+        assert (bound is None) == (not bounds)
+        with pytest.raises(tx.ImmutableError):
+            setattr(x, name, 3.0)
+        copied = pickle.loads(pickle.dumps(x))
+        np.testing.assert_array_equal(x.replace(scale=1.0).max, copied.max)
+
+
+@pytest.mark.parametrize("name", ["max", "min", "prod", "cumsum", "cumprod", "sum", "mean", "ptp"])
+def test_methods_of_all_entries_of_matrices_and_scalars(name: str) -> None:
+    for x, text, value in ((M.T, "M.T", NUMBERS["M"].T), (-s, "(-s)", np.float64(-0.7))):
+        fix = attribute_error(x, name).partition("\n  fix: ")[2]
+        found = eval(str(spelled(name, text, x.ndim)), NAMES | {"M": M, "s": s})
+        assert fix == spelled(name, repr(x), x.ndim)
+        expected = np.ptp(value) if name == "ptp" else getattr(value, name)()
+        result = value_of(found, s=0.7, M=NUMBERS["M"])
+        np.testing.assert_allclose(np.squeeze(result), np.squeeze(expected), rtol=1e-14)
 
 
 @pytest.mark.parametrize(
@@ -99,6 +129,12 @@ def test_no_public_attribute_of_arrays_is_without_a_spelling(name: str) -> None:
 @pytest.mark.parametrize("name", ["sin", "sqrt", "cross", "exp", "arctan2", "where"])
 def test_functions_of_numpy_as_methods(name: str) -> None:
     assert f"fix: np.{name}(V)" in attribute_error(V, name)
+
+
+def test_attributes_are_asked_of_expressions_without_a_shape() -> None:
+    assert not hasattr(V + M, "mean")
+    assert not hasattr(V + M, "transform")
+    assert "fix: tx.Max(*(V + M))" in attribute_error(V + M, "max")
 
 
 def test_what_nothing_has_is_no_attribute() -> None:
@@ -164,6 +200,7 @@ def test_operators_of_jax_arrays_leave_it_to_expressions() -> None:
         (lambda: f"{s:.2f}", "with the format '.2f'"),
         (lambda: np.mean(V), r"np.mean is not available for expressions.\n  fix: tx.linalg.Sum\(x\) / np.size\(x\)"),
         (lambda: np.max(V), r"fix: tx.Max\(\*x\)"),
+        (lambda: np.max(M), r"fix: tx.Max\(\*tx.Concat\(\*x\)\)"),
         (lambda: np.reshape(V, (2, 3)), r"fix: tx.Stack"),
         (lambda: np.array([s, s]), r"tx.Stack"),
     ],

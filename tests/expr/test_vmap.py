@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import pickle
+from typing import Any
 
 import jax
 import numpy as np
@@ -121,3 +122,33 @@ def test_errors() -> None:
     tx.Vmap(lambda p: escaped.append(p) or p, batch=points)
     with pytest.raises((ModelError, KeyError)):
         value_of(escaped[0], **VALUES)
+
+
+def test_elements_of_another_shape_after_a_substitution_are_refused() -> None:
+    """Another length is not."""
+    mapped = tx.Vmap(lambda p: 2.0 * p, batch=points)
+    longer = tx.substitute(mapped, {points.key(): tx.Constant(np.ones((7, 3)))})
+    np.testing.assert_array_equal(value_of(longer), np.full((7, 3), 2.0))
+    for other in (tx.Parameter("b", shape=(5, 2)), tx.Constant(np.ones(3)), tx.Constant(np.ones((4, 3, 1)))):
+        with pytest.raises(ShapeError, match=r"expects elements of batch 0 with shape \(3,\)"):
+            tx.substitute(mapped, {points.key(): other}).check_shape()
+    with pytest.raises(ShapeError, match="elements of batch 1"):
+        tx.substitute(
+            tx.Vmap(lambda r, p: r * p, [radii, points]), {points.key(): tx.Constant(np.ones((4, 2)))}
+        ).check_shape()
+
+
+@pytest.mark.parametrize("axis", [True, 1.0, -1, None])
+def test_an_axis_that_is_no_whole_number_is_refused(axis: Any, unchecked: None) -> None:
+    with pytest.raises(ShapeError, match="Vmap: axis must be a whole number of 0 or more"):
+        tx.Vmap(lambda p: p, batch=points, axis=axis)
+    assert tx.Vmap(lambda p: p, batch=points, axis=np.int64(1)).check_shape() == (3, 4)
+
+
+def test_a_batch_of_conditions_is_refused() -> None:
+    with pytest.raises(ModelError, match=r"Vmap expects numbers, got the condition (.|\n)*fix: say which numbers"):
+        tx.Vmap(lambda p: -p, batch=x > 0.5)
+    with pytest.raises(ModelError, match="Vmap expects numbers, got the condition"):
+        tx.substitute(tx.Vmap(lambda p: -p, batch=x), {x.key(): x > 0.5})
+    mapped = tx.Vmap(lambda p: -p, batch=np.array([True, False]))
+    np.testing.assert_array_equal(value_of(mapped), [-1.0, 0.0])

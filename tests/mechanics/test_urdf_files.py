@@ -258,22 +258,83 @@ def test_a_massless_link_that_moves_and_a_negative_mass_are_refused(tmp_path: Pa
         robot(tmp_path, *PAIR, link("pad", inertial(-0.1)), joint("j", "base", "rod"), FIXED)
 
 
-WRONG = (*PAIR[:1], link("rod", inertial(1, "5 1 1")), link("tip", inertial(1, "1 9 1")),
-         joint("j", "base", "rod"), joint("k", "rod", "tip"))  # fmt: skip
+def arm(rod: str, tip: str) -> tuple[str, ...]:
+    return link("base"), link("rod", rod), link("tip", tip), joint("j", "base", "rod"), joint("k", "rod", "tip")
+
+
+#: One moment above the sum of the others; and one that is negative.
+WRONG = arm(inertial(1, "5 1 1"), inertial(1, "1 9 1"))
+NEGATIVE = arm(inertial(1, "5 1 -1"), inertial(1, "1 9 -1"))
+
+
+def taken(name: str, moments: str, hint: str = "") -> str:
+    return (
+        f"link '{name}' has a mass or inertia that no body has (1 kg, principal moments {moments} kg m2){hint}; it is "
+        f"taken as it is, for the equations of motion have one solution. physical={{'{name}': True}} refuses it"
+    )
+
+
+def test_a_principal_moment_above_the_sum_of_the_others_is_noted(tmp_path: Path) -> None:
+    """It moves as Newton and Euler say."""
+    assert robot(tmp_path, *WRONG).notes == (taken("rod", "1, 1, 5"), taken("tip", "1, 1, 9"))
+    path = tmp_path / "robot.urdf"
+    path.write_text(f'<robot name="r">{link("rod", inertial(1, "5 1 1", at="0 0 0"))}</robot>')
+    single = load(path, floating=True, gravity=(0.0, 0.0, 0.0))
+    assert single.notes == (taken("rod", "1, 1, 5"),)
+    w, torque, tensor = np.array([0.3, -0.7, 0.5]), np.array([1.0, 2.0, -3.0]), np.diag([5.0, 1.0, 1.0])
+    still = np.zeros(3)
+    qdd = mechanics.aba(single, {"root": tx.pose()}, np.concatenate([still, w]), np.concatenate([still, torque]))
+    expected = np.linalg.solve(tensor, torque - np.cross(w, tensor @ w))
+    np.testing.assert_allclose(tx.lower(qdd)(0.0)[3:], expected, rtol=1e-14)
+
+
+@pytest.mark.parametrize(
+    ("added", "note"), [("4 4 4", "make it one that is possible"), ("2 2 2", taken("rod", "1, 1, 5"))]
+)
+def test_a_principal_moment_is_judged_with_what_is_fixed_to_the_link(added: str, note: str, tmp_path: Path) -> None:
+    """With 4 more the moments are 5, 5, 9, with 2 more 3, 3, 7."""
+    pad = link("pad", inertial(1, added))
+    weld = FIXED.replace("0 0.3 0.1", "0 0 0").replace("0.2 0 0.5", "0 0 0")
+    (found,) = robot(
+        tmp_path, link("base"), link("rod", inertial(1, "5 1 1")), pad, joint("j", "base", "rod"), weld
+    ).notes
+    assert note in found
+
+
+def test_products_of_inertia_of_the_other_sign_are_recognised(tmp_path: Path) -> None:
+    """2 on the diagonal and 0.9 beside it have 1.1, 1.1, 3.8; with -0.9 it is 0.2, 2.9, 2.9."""
+    but = ", but has with the other sign of the products of inertia"
+    (note,) = robot(tmp_path, *arm(inertial(), inertial(1, "2 2 2", "0.9 0.9 0.9"))).notes
+    assert note == taken("tip", "1.1, 1.1, 3.8", but)
+    with pytest.raises(tx.ModelError, match=f"link 'tip' has a mass or inertia that no body has{but}. SpatialInertia"):
+        robot(tmp_path, *arm(inertial(), inertial(1, "2 2 2", "0.9 0.9 0.9")), physical=True)
+
+
+@pytest.mark.parametrize("moments", ["0 1 2", "1e-12 1 2", "-1e-3 1 2"])
+def test_inertias_that_are_not_positive_definite_are_refused(moments: str, tmp_path: Path) -> None:
+    with pytest.raises(tx.ModelError, match=r"link 'tip' has a mass(.|\n)*physical={'tip': False}"):
+        robot(tmp_path, *arm(inertial(), inertial(1, moments)))
 
 
 def test_physical_is_chosen_by_link(tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match=r"'rod' has(.|\n)*so have 'tip'(.|\n)*{'rod': False, 'tip': False}"):
-        robot(tmp_path, *WRONG)
+        robot(tmp_path, *NEGATIVE)
     with pytest.raises(tx.ModelError, match=r"<link name='tip'>.*link 'tip' has(.|\n)*physical={'tip': False}"):
-        robot(tmp_path, *WRONG, physical={"rod": False})
+        robot(tmp_path, *NEGATIVE, physical={"rod": False})
     for physical in (False, {"rod": False, "tip": False}):
-        taken = robot(tmp_path, *WRONG, physical=physical).notes
-        assert taken == tuple(
-            f"link {name!r} has a mass or inertia that no body has, taken as it is" for name in ("rod", "tip")
-        )
+        for parts in (WRONG, NEGATIVE):
+            assert robot(tmp_path, *parts, physical=physical).notes == tuple(
+                f"link {name!r} has a mass or inertia that no body has, taken as it is" for name in ("rod", "tip")
+            )
     with pytest.raises(tx.ModelError, match="link 'tip' has a mass"):  # as Parameters too
-        robot(tmp_path, *WRONG, physical={"rod": False}, parameters=True)
+        robot(tmp_path, *NEGATIVE, physical={"rod": False}, parameters=True)
+
+
+def test_physical_may_demand_a_body_that_there_can_be(tmp_path: Path) -> None:
+    with pytest.raises(tx.ModelError, match=r"'rod' has(.|\n)*so have 'tip'(.|\n)*{'rod': False, 'tip': False}"):
+        robot(tmp_path, *WRONG, physical=True)
+    with pytest.raises(tx.ModelError, match=r"<link name='tip'>.*link 'tip' has(.|\n)*physical={'tip': False}"):
+        robot(tmp_path, *WRONG, physical={"tip": True})
 
 
 @pytest.mark.parametrize(

@@ -16,6 +16,7 @@ from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
 from .printing import matrix_latex, name_latex, number_latex
+from .spellings import Bounded
 
 
 @dataclasses.dataclass(frozen=True)
@@ -133,7 +134,7 @@ class Time(Leaf):
         return inputs.t
 
 
-class Variable(Leaf):
+class Variable(Bounded, Leaf):
     """A leaf an optimiser may choose: bounds, guess and scale travel with it.
 
     Attributes:
@@ -142,8 +143,6 @@ class Variable(Leaf):
         scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
     """
 
-    min: np.ndarray | None
-    max: np.ndarray | None
     guess: np.ndarray | None
     scale: np.ndarray | None
     abstract = True
@@ -257,8 +256,7 @@ class Parameter(Leaf):
         shape: shape of the value; taken from `value` if left out.
         value: used when a call gives none.
     Raises:
-        ModelError: a value that is not made of real numbers.
-        ShapeError: a value of another shape.
+        ModelError, ShapeError: a value that is not made of real numbers, or that has another shape.
     """
 
     value: np.ndarray | None
@@ -340,7 +338,7 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
 
 def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
     """Bounds, guess and scale of a variable."""
-    shape, euclidean = group.shape, group.flat
+    shape = group.shape
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():
         raise ModelError(f"{name!r} expects min below max, got min {low} and max {high}")
@@ -353,7 +351,7 @@ def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any
             raise ModelError(f"{name!r}: guess expects finite numbers, got {short(guess)}")
         if guess.shape != shape and guess.shape[1:] != shape:
             raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {guess.shape}")
-    scale = _value(name, "scale", scale, shape if euclidean else (group.dimension,))
+    scale = _value(name, "scale", scale, shape if group.flat else (group.dimension,))
     if scale is not None and not ((scale > 0) & (scale < np.inf)).all():
         raise ModelError(f"{name!r}: scale must be positive and finite, got {scale}")
     return {"min": low, "max": high, "guess": guess, "scale": scale}

@@ -109,21 +109,13 @@ class Expr(Operators):
 
     def _take_numbers(self) -> None:
         """Constant truth values are 0 and 1; a condition is refused."""
-
-        def number(child: Expr) -> Expr:
-            if child.boolean and not child.is_leaf:
-                raise ModelError(
-                    f"{type(self).__name__} expects numbers, got the condition {child!r}.\n"
-                    "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
-                )
-            return to_expr(np.asarray(cast("Any", child).value, float)) if child.boolean else child
-
+        name = type(self).__name__
         for field in self._fields:
             value = getattr(self, field.name)
             if field.variadic:
-                setattr(self, field.name, tuple(map(number, value)))
+                setattr(self, field.name, tuple(to_numbers(name, child) for child in value))
             elif field.operand:
-                setattr(self, field.name, number(value))
+                setattr(self, field.name, to_numbers(name, value))
 
     def validate(self) -> None:
         """Check static fields at construction; shapes are `infer_shape`'s business."""
@@ -413,6 +405,16 @@ def all_nodes() -> list[type[Expr]]:
     package = __name__.partition(".")[0]
     own = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
     return sorted(own, key=lambda cls: (cls.__module__, cls.__qualname__))
+
+
+def to_numbers(owner: str, child: Expr) -> Expr:
+    """The operand of a node; constant truth values as 0 and 1. Raises ModelError for a condition."""
+    if child.boolean and not child.is_leaf:
+        raise ModelError(
+            f"{owner} expects numbers, got the condition {child!r}.\n"
+            "  fix: say which numbers it stands for: tx.Where(condition, 1.0, 0.0)"
+        )
+    return to_expr(np.asarray(cast("Any", child).value, float)) if child.boolean else child
 
 
 def expect(node: Expr, operand: str, got: Shape, wanted: Shape, hint: str | None = None) -> None:

@@ -92,7 +92,7 @@ class Operators:
                 f"{ufunc!r} is not a function of NumPy's own, and has no meaning for expressions.\n"
                 "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
             )
-        function = _meaning(name)
+        function = _meaning(name, self)
         if method != "__call__":
             raise OperationError(
                 f"np.{name}.{method} is not available for expressions.\n"
@@ -105,7 +105,7 @@ class Operators:
     def __array_function__(self, func: Callable[..., Any], types: Any, args: Any, kwargs: Any) -> Any:
         module = getattr(func, "__module__", "numpy").removeprefix("numpy").removeprefix(".")
         name = f"{module}.{func.__name__}" if module else func.__name__
-        function = _meaning(name)
+        function = _meaning(name, self)
         try:
             return function(*args, **kwargs)
         except TypeError as error:
@@ -285,15 +285,15 @@ def takes_expressions(name: str) -> bool:
     return name in _SAME or name in _MEANINGS
 
 
-def _meaning(name: str) -> Callable[..., Any]:
-    """What a function of NumPy builds from expressions. Raises TypeError."""
+def _meaning(name: str, expr: Any) -> Callable[..., Any]:
+    """What a function of NumPy builds from expressions, of which `expr` is one. Raises TypeError."""
     if name in _NEAR:
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:
         return getattr(_nodes(), _SAME[name])
     if name in _MEANINGS:
         return _MEANINGS[name]
-    if fix := spellings.spelled(name, "x"):
+    if fix := spellings.spelled(name, "x", expr.ndim):
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: {fix}")
     raise OperationError(
         f"np.{name} is not available for expressions.\n"

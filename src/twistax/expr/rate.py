@@ -14,7 +14,7 @@ from ..groups import Group
 from .fields import ExprLike
 from .graph import evaluate_all, leaves_of, postorder, substitute
 from .leaves import Constant, Control, Leaf, State, Time
-from .node import Expr, Shape, to_expr
+from .node import Expr, Shape, expect, to_expr, to_numbers
 
 
 class _Placeholder(Leaf):
@@ -63,8 +63,10 @@ class Rate(Expr):
         along: the leaves that move, then their rates.
     Raises:
         ModelError: the operand depends on a state or control whose rate is not there, at once or after a substitution;
-            a substitution makes one leaf of two whose rates differ.
-        ShapeError: a rate of another shape than that of its leaf, or of its body velocity.
+            a substitution makes one leaf of two whose rates differ; a condition as operand or rate, or in place of a
+            leaf.
+        ShapeError: a rate of another shape than that of its leaf, or of its body velocity, at once or after a
+            substitution; a substitution that gives a leaf another shape.
     Source: A. Griewank, A. Walther, Evaluating Derivatives (2008), chapter 3.
     """
 
@@ -81,7 +83,7 @@ class Rate(Expr):
     )
 
     def __new__(cls, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> Any:
-        expr = to_expr(operand)
+        expr = to_numbers("Rate", to_expr(operand))
         expr.check_shape()
         pairs = list(_moving(expr, rates_by_name(rates or {})))
         depth = 1 + _depth(expr)
@@ -138,7 +140,8 @@ class Rate(Expr):
 
     def with_children(self, children: list[Expr]) -> Rate:
         count = len(self.along)
-        along, pairs = tuple(children[:count]), list(zip(self._captured, children[count:], strict=True))
+        along = tuple(to_numbers("Rate", child) for child in children[:count])
+        pairs = list(zip(self._captured, children[count:], strict=True))
         if all(a is b for a, b in zip(along, self.along, strict=True)) and all(a.key() == b.key() for a, b in pairs):
             return self
         moving = self._moving_after(along, pairs)
@@ -181,6 +184,10 @@ class Rate(Expr):
         return moving
 
     def infer_shape(self, *shapes: Shape) -> Shape:
+        count, names = len(self.placeholders), self.child_names()
+        wanted = [leaf.shape for leaf in self.placeholders] + [_rate_shape(leaf) for leaf in self.placeholders]
+        for name, got, shape in zip(names[: 2 * count], shapes[: 2 * count], wanted, strict=True):
+            expect(self, name, got, shape)
         return self.body.check_shape()
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
@@ -250,7 +257,7 @@ def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]
                 f"Rate: the expression depends on the {kind} {leaf.name!r}, whose rate is not known.\n"
                 f"  fix: rates={{{leaf.name!r}: its rate}}; zero for what stays as it is"
             )
-        rate, wanted = rates[leaf.name], _rate_shape(leaf)
+        rate, wanted = to_numbers("Rate", rates[leaf.name]), _rate_shape(leaf)
         if rate.shape != wanted:
             raise ShapeError(f"Rate expects the rate of {leaf.name!r} with shape {wanted}, got {rate.shape}")
         simplified = rate.canonicalize()

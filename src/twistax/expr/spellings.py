@@ -5,10 +5,14 @@ Methods and attributes of arrays, functions of `jax.numpy` and `math`, and funct
 
 from __future__ import annotations
 
+import dis
 import sys
-from typing import Any, NoReturn
+from types import FrameType
+from typing import TYPE_CHECKING, Any, NoReturn
 
-from ..errors import ModelError, OperationError
+import numpy as np
+
+from ..errors import ModelError, OperationError, ShapeError
 
 #: Attributes of arrays, each with what gives the same of an expression, {x} in texts.
 CODE = {
@@ -70,9 +74,23 @@ PROSE = {
 }
 
 
-def spelled(name: str, x: str) -> str | None:
+#: Methods that take the entries of a matrix one after the other, as the spellings do those of a vector.
+_OF_ENTRIES = ("max", "min", "ptp", "prod", "cumsum", "cumprod")
+#: What methods come to for a scalar.
+_OF_SCALARS = dict.fromkeys(("max", "min", "prod", "sum", "mean"), "{x}") | {
+    "ptp": "{x} - {x}",
+    "cumsum": "tx.Concat({x})",
+    "cumprod": "tx.Concat({x})",
+}
+
+
+def spelled(name: str, x: str, ndim: int = 1) -> str | None:
     """How an attribute of arrays is written of the expression that is written x; None for what is none."""
     text = CODE.get(name) or PROSE.get(name)
+    if not ndim:
+        text = _OF_SCALARS.get(name, text)
+    elif ndim > 1 and name in _OF_ENTRIES:
+        x = f"tx.Concat(*{x})"
     return text.format(x=x) if text else None
 
 
@@ -85,10 +103,48 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
     if not name.startswith("_"):
         text = repr(expr)
         x = text if len(text) <= 20 else "x"
-        fix = spelled(name, x) or (f"np.{name}({x})" if of_numpy else None)
+        fix = spelled(name, x, _rank(expr) if name in CODE else 1) or (f"np.{name}({x})" if of_numpy else None)
         if fix:
             return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
+
+
+def _rank(expr: Any) -> int:
+    """How many axes an expression has; 1 where it has no shape, which is an error of its own."""
+    try:
+        return expr.ndim
+    except ShapeError:
+        return 1
+
+
+def _bound(name: str) -> property:
+    def read(leaf: Any) -> Any:
+        if _reads_a_method(sys._getframe(1)):
+            raise AttributeError(name)  # so that Python asks `__getattr__`
+        return leaf.__dict__[name]
+
+    return property(read)
+
+
+class Bounded:
+    """A leaf with `min` and `max`: its bounds, and as methods what other expressions say of them.
+
+    `x.max` is None without a bound, so that `x.max()` would be the error that None cannot be called.
+    """
+
+    if TYPE_CHECKING:
+        min: np.ndarray | None
+        max: np.ndarray | None
+    else:
+        min, max = _bound("min"), _bound("max")
+
+
+def _reads_a_method(frame: FrameType) -> bool:
+    """Whether a frame reads an attribute in order to call it: the instructions of CPython say so."""
+    code, at = frame.f_code.co_code, frame.f_lasti
+    if sys.version_info < (3, 12):
+        return code[at] == dis.opmap["LOAD_METHOD"]
+    return code[at] == dis.opmap["LOAD_ATTR"] and bool(code[at + 1] & 1)
 
 
 def for_jax() -> property:

@@ -10,13 +10,13 @@ from typing import Any
 import jax
 import numpy as np
 
-from ..checks import callable_with
+from ..checks import callable_with, whole
 from ..errors import ModelError, OperationError, ShapeError
 from .arithmetic import Constraint
 from .fields import Operands
 from .graph import evaluate_all, leaves_of, substitute
 from .leaves import Leaf
-from .node import Expr, Shape, to_expr
+from .node import Expr, Shape, to_expr, to_numbers
 
 #: The placeholders of the Vmaps that are being built around the current one.
 _around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextvars.ContextVar("around", default=())
@@ -68,8 +68,9 @@ class Vmap(Expr):
         body: what fn returned.
         placeholders: the arguments fn was called with.
     Raises:
-        ShapeError: a batch without that axis, or batches of different length.
-        ModelError: no batch.
+        ShapeError: a batch without that axis, or batches of different length; a substitution that gives the elements
+            another shape.
+        ModelError: no batch; a batch of conditions.
     """
 
     batches: Operands
@@ -88,7 +89,8 @@ class Vmap(Expr):
 
     def __new__(cls, fn: Callable[..., Any], batch: Any, axis: int = 0) -> Any:
         node = object.__new__(cls)
-        batches = tuple(to_expr(b) for b in (batch if isinstance(batch, (list, tuple)) else [batch]))
+        axis = whole("Vmap: axis", axis, 0, ShapeError)
+        batches = _batches(batch if isinstance(batch, (list, tuple)) else [batch])
         around = _around.get()
         elements = enumerate(_element_shapes([b.check_shape() for b in batches], axis))
         placeholders = tuple(Placeholder(len(around), i, shape) for i, shape in elements)
@@ -135,7 +137,7 @@ class Vmap(Expr):
         return (
             self
             if body is self.body and all(a is b for a, b in zip(batches, self.batches))
-            else self._copy(tuple(batches), body)
+            else self._copy(_batches(batches), body)
         )
 
     def _copy(self, batches: tuple[Expr, ...], body: Expr) -> Vmap:
@@ -145,7 +147,13 @@ class Vmap(Expr):
         return copy
 
     def infer_shape(self, *shapes: Shape) -> Shape:
-        _element_shapes(list(shapes[: len(self.batches)]), self.axis)
+        elements = _element_shapes(list(shapes[: len(self.batches)]), self.axis)
+        for i, (shape, placeholder) in enumerate(zip(elements, self.placeholders, strict=True)):
+            if shape != placeholder.shape:
+                raise ShapeError(
+                    f"Vmap expects elements of batch {i} with shape {placeholder.shape}, for which its function was "
+                    f"called, got {shape}.\n  fix: build another Vmap"
+                )
         return (shapes[0][self.axis], *self.body.check_shape())
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
@@ -185,11 +193,16 @@ def _expression(value: Any) -> Expr:
         raise ModelError(f"Vmap expects a function that returns an expression: {error}") from None
 
 
+def _batches(values: Iterable[Any]) -> tuple[Expr, ...]:
+    """Operands made of numbers. Raises ModelError."""
+    return tuple(to_numbers("Vmap", to_expr(value)) for value in values)
+
+
 def _element_shapes(shapes: list[Shape], axis: int) -> list[Shape]:
     if not shapes:
         raise ModelError("Vmap expects at least one batch, got []")
     for i, shape in enumerate(shapes):
-        if not isinstance(axis, int) or not 0 <= axis < len(shape):
+        if axis >= len(shape):
             raise ShapeError(f"Vmap expects axis {axis} to be one of batch {i}, got shape {shape}")
         if shape[axis] != shapes[0][axis]:
             raise ShapeError(

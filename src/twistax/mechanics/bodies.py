@@ -218,7 +218,7 @@ class SpatialInertia:
             ModelError: the inertia tensor is constant and singular; rates that are not known.
         """
         tensor = _known(self.inertia)
-        if tensor is not None and np.linalg.eigvalsh(tensor)[0] <= _ROUND_OFF * np.max(np.abs(tensor), initial=0.0):
+        if tensor is not None and not positive_definite(tensor):
             raise ModelError(
                 "acceleration expects an inertia with three positive principal moments, "
                 f"got {np.linalg.eigvalsh(tensor).tolist()} kg m2.\n"
@@ -298,6 +298,13 @@ def power(F: ExprLike, V: ExprLike) -> Expr:
     Raises: ShapeError if an argument is not of shape (6,).
     """
     return Dot(of_shape("power", "F", F, (6,)), of_shape("power", "V", V, (6,)))
+
+
+def positive_definite(tensor: np.ndarray) -> bool:
+    """Whether all principal moments are finite, and positive beyond round-off."""
+    if not np.isfinite(tensor).all():
+        return False
+    return bool(np.linalg.eigvalsh(tensor)[0] > _ROUND_OFF * np.max(np.abs(tensor)))
 
 
 def _velocities(owner: str, V: ExprLike) -> tuple[Expr, Expr]:

@@ -38,6 +38,7 @@ from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Com
 from .dynamics import Wrenches, checked, forward_dynamics, outside
 from .mechanism import Mechanism, Positions
 from .motion import ZERO, acceleration_of_base
+from .rotors import turning_by_velocities
 from .spread import Spread
 from .tree import Segment
 
@@ -251,7 +252,8 @@ class _Perturbed:
                 if columns is by_q:
                     carried = carried + AdjointDual(each.S, self._F[each.place])
                 columns.append(self._column(place, self._felt[first:end] @ x + self._turned[first:end] @ b, carried))
-        return self._gathered(by_q), self._gathered(by_qd)
+        found, turning = self._gathered(by_qd), turning_by_velocities(self.mechanism, self._qd)
+        return self._gathered(by_q), found if turning is None else found + turning
 
     @functools.cached_property
     def mass_matrix(self) -> Expr:

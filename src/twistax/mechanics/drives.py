@@ -31,6 +31,7 @@ class Drive:
 
     Attributes:
         armature: inertia of the rotor as the joint feels it, $gear^2$ times its own: kg m2 about an axis, kg along one.
+            That of a planar or free joint has a momentum in the child's axes, which turn.
         damping: N m s/rad or N s/m.
         friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
         friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.

@@ -19,6 +19,7 @@ from .arguments import of_shape
 from .inertia_frames import in_frame, mirrored
 from .mechanism import Mechanism, Positions
 from .motion import ZERO, Moving, acceleration_of_base, inertia_of, motion
+from .rotors import turning_of_rotors
 
 #: Wrenches (6,) by the names of the frames they act in, at their origins and in their axes.
 Wrenches = Mapping[str, ExprLike]
@@ -55,7 +56,8 @@ def inverse_dynamics(
     """
     checked("inverse_dynamics", mechanism)
     rates = mechanism.coordinates("inverse_dynamics", "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
-    return _gathered(mechanism, carried_wrenches("inverse_dynamics", mechanism, q, qd, rates, wrenches), rates)
+    needed = carried_wrenches("inverse_dynamics", mechanism, q, qd, rates, wrenches)
+    return _gathered(mechanism, needed, mechanism.coordinates("inverse_dynamics", "qd", qd), rates)
 
 
 def carried_wrenches(
@@ -85,7 +87,7 @@ def carried_wrenches(
     return needed
 
 
-def _gathered(mechanism: Mechanism, needed: list[Expr], qdd: Expr) -> Expr:
+def _gathered(mechanism: Mechanism, needed: list[Expr], qd: Expr, qdd: Expr) -> Expr:
     """H' F of all joints, followers with their leaders, and what the rotors take (n,)."""
     tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for segment, F in zip(mechanism.segments, needed, strict=True):
@@ -93,7 +95,8 @@ def _gathered(mechanism: Mechanism, needed: list[Expr], qdd: Expr) -> Expr:
             tau[i].append(segment.scaled(Dot(segment.link.joint.motion_subspace[:, k], F)))
             if segment.link.drive.rotor is not None:
                 tau[i].append(segment.link.drive.rotor * segment.ratio**2 * qdd[i])
-    return Concat(*(sum(terms[1:], terms[0]) for terms in tau))
+    forces, turning = Concat(*(sum(terms[1:], terms[0]) for terms in tau)), turning_of_rotors(mechanism, qd)
+    return forces if turning is None else forces + turning
 
 
 def bias_forces(
@@ -123,7 +126,8 @@ def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLi
     Raises as `inverse_dynamics` does.
     """
     owner, still = "coriolis_forces", Constant(np.zeros(checked("coriolis_forces", mechanism).dofs))
-    return _gathered(mechanism, carried_wrenches(owner, mechanism, q, qd, still, None, of_velocities=True), still)
+    needed = carried_wrenches(owner, mechanism, q, qd, still, None, of_velocities=True)
+    return _gathered(mechanism, needed, mechanism.coordinates(owner, "qd", qd), still)
 
 
 def forward_dynamics(
@@ -159,7 +163,10 @@ def forward_dynamics(
         return closed_dynamics(mechanism, q, qd, forces, wrenches=wrenches)[0]
     if any(segment.link.mimic for segment in mechanism.segments):
         return SolvePositive(mass_matrix(mechanism, q), forces - bias_forces(mechanism, q, qd, wrenches=wrenches))
-    moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
+    rates = mechanism.coordinates(owner, "qd", qd)
+    turning = turning_of_rotors(mechanism, rates)
+    forces = forces if turning is None else forces - turning
+    moving = motion(mechanism, mechanism.positions(owner, q), rates)
     I = [each.inertia for each in moving]
     b = [_less(each.needed, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []

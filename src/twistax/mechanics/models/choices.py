@@ -1,4 +1,4 @@
-"""What the caller of `load` decides: which numbers become Parameters, and whose mass or inertia is not checked."""
+"""What the caller of `load` decides: which numbers become Parameters, and which masses and inertias are accepted."""
 
 from __future__ import annotations
 
@@ -13,18 +13,38 @@ from ...errors import ModelError, TwistaxError
 from ...expr import Parameter
 from ...expr.lie import Pose
 from ..arguments import matrix
-from ..bodies import SpatialInertia
+from ..bodies import SpatialInertia, positive_definite
 from ..tree import Link, segments_of, sorted_links
 from .xml_file import Element
 
 
 @dataclasses.dataclass(frozen=True)
 class _Doubt:
-    """A link whose mass and inertia no body has: why, whether its mass is negative, and where it stands."""
+    """A link with a mass or inertia that no body has.
+
+    Attributes:
+        why: the error of `SpatialInertia`.
+        mass: of the link.
+        moments: the principal moments about its centre of mass, smallest first.
+        signs: whether a body has them if the products of inertia have the other sign.
+        element: where the file has it.
+    """
 
     why: str
-    negative: bool
+    mass: float
+    moments: np.ndarray
+    signs: bool
     element: Element
+
+    @property
+    def numbers(self) -> str:
+        """Mass and principal moments as text."""
+        return f"{self.mass:.4g} kg, principal moments {', '.join(f'{moment:.4g}' for moment in self.moments)} kg m2"
+
+    @property
+    def hint(self) -> str:
+        """What may be wrong in the file."""
+        return ", but has with the other sign of the products of inertia" if self.signs else ""
 
 
 class Choices:
@@ -32,7 +52,8 @@ class Choices:
 
     Args:
         wanted: True for all, or names.
-        physical: False for all links, or {name of a link: False}, whose masses and inertias are taken as they are.
+        physical: which masses and inertias that no body has are accepted. None: those with which the equations of
+            motion have one solution. True: none. False: all. A mapping says it for single links, None holds for others.
     Attributes:
         length: the largest distance in the file between two of its frames, m. What an inertia has below the round-off
             of mass times length^2 has no effect.
@@ -40,11 +61,11 @@ class Choices:
         notes: what was taken as it is, or changed.
     """
 
-    def __init__(self, wanted: bool | Iterable[str], physical: bool | Mapping[str, bool] = True) -> None:
+    def __init__(self, wanted: bool | Iterable[str], physical: bool | Mapping[str, bool] | None = None) -> None:
         if not isinstance(wanted, bool) and (isinstance(wanted, str) or not isinstance(wanted, Iterable)):
             raise ModelError(f"load expects parameters=True or a list of names, got {wanted!r}")
         by_link = isinstance(physical, Mapping) and all(isinstance(value, bool) for value in physical.values())
-        if not by_link and not isinstance(physical, bool):
+        if not by_link and physical is not None and not isinstance(physical, bool):
             raise ModelError(
                 f"load expects physical=True, False, or a mapping of links such as {{'tool': False}}, got "
                 f"{short(physical)}"
@@ -71,6 +92,8 @@ class Choices:
 
     def body(self, owner: str, mass: float, center: Any, R: Any, tensor: Any, element: Element) -> SpatialInertia:
         """The body of a link, its tensor about its centre of mass in axes R."""
+        products = tensor - np.diag(np.diag(tensor))
+        other_signs = tensor - 2.0 * products
         tensor = R @ tensor @ R.T
         tensor = 0.5 * (tensor + tensor.T)
         why = _objection(mass, center, tensor)
@@ -81,7 +104,8 @@ class Choices:
                 tensor, why = without, None
                 self._rounded.append(owner)
         if why is not None:
-            self.doubts[owner] = _Doubt(why, mass < 0.0, element)
+            signs = bool(products.any()) and _objection(mass, center, other_signs) is None
+            self.doubts[owner] = _Doubt(why, mass, np.linalg.eigvalsh(tensor), signs, element)
         self._bodies.append(owner)
         return SpatialInertia(
             mass=self.of(owner, "mass", mass) if mass else mass,  # two that may be zero have no centre together
@@ -93,32 +117,41 @@ class Choices:
     def judge(self, links: Collection[Link], base: str) -> None:
         """Decide about the doubts, by what is fixed together and so moves as one body.
 
-        A link that does not move, or whose mass is not negative and that is part of a body that is physical, gets a
-        note. So does one whose mass and inertia are to be taken as they are.
+        A link gets a note if it does not move, if the whole body is physical, if the caller accepts the link as it is,
+        or if the whole body has a positive definite spatial inertia and the caller demands no more. If all moving
+        bodies are positive definite, the mass matrix is: the equations of motion have one solution. A negative mass is
+        accepted only where the caller says so.
 
         Args:
             links: of the model, with numbers for masses and inertias.
             base: the name of the base.
-        Raises: ModelError for the others.
+        Raises: ModelError for the other links.
         """
         segments, frames = segments_of(sorted_links(links, base), (), base) if links else ((), {})
         refused = list[str]()
         for owner, doubt in self.doubts.items():
             at = frames[owner].segment if owner in frames else -1
             body = segments[at].body if at >= 0 else None
+            demanded = self.physical.get(owner) if isinstance(self.physical, Mapping) else self.physical
+            positive = body is not None and doubt.mass >= 0.0
             what = f"link {owner!r} has a mass or inertia that no body has"
             if at < 0:
                 self.notes.append(f"{what}; it does not move")
-            elif body is not None and not doubt.negative and _objection_to(body) is None:
+            elif body is not None and positive and _objection_to(body) is None:
                 self.notes.append(f"{what}; the links fixed to it make it one that is possible")
-            elif not (self.physical if isinstance(self.physical, bool) else self.physical.get(owner, True)):
+            elif demanded is False:
                 self.notes.append(f"{what}, taken as it is")
+            elif body is not None and positive and demanded is None and _well_posed(body):
+                self.notes.append(
+                    f"{what} ({doubt.numbers}){doubt.hint}; it is taken as it is, for the equations of motion have one "
+                    f"solution. physical={{{owner!r}: True}} refuses it"
+                )
             else:
                 refused.append(owner)
         if refused:
             doubt, others = self.doubts[refused[0]], ", ".join(map(repr, refused[1:]))
             raise doubt.element.wrong(
-                f"link {refused[0]!r} has a mass or inertia that no body has. {doubt.why}\n"
+                f"link {refused[0]!r} has a mass or inertia that no body has{doubt.hint}. {doubt.why}\n"
                 + (f"  so have {others}\n" if others else "")
                 + f"  or take them as they are by physical={dict.fromkeys(refused, False)}"
             )
@@ -129,7 +162,7 @@ class Choices:
             self.notes.append(f"inertias that are round-off, here zero: of {listed(self._rounded)}")
         for name in sorted(set() if isinstance(self.wanted, bool) else self.wanted - set(self.known)):
             raise ModelError(f"load: the model calls no parameter {name!r}; expected: {listed(self.known, name)}")
-        for name in () if isinstance(self.physical, bool) else self.physical:
+        for name in self.physical if isinstance(self.physical, Mapping) else ():
             if name not in self._bodies:
                 raise ModelError(f"load: physical names {name!r}; links with a mass are: {listed(self._bodies, name)}")
 
@@ -145,3 +178,10 @@ def _objection(mass: Any, center: Any, tensor: Any) -> str | None:
 
 def _objection_to(body: SpatialInertia) -> str | None:
     return _objection(body.mass, body.center_of_mass, body.inertia)
+
+
+def _well_posed(body: SpatialInertia) -> bool:
+    """Whether a body of numbers has one acceleration for each wrench: its spatial inertia is positive definite."""
+    parts: tuple[Any, Any] = (body.mass, body.inertia)
+    mass, tensor = (np.asarray(part.value) for part in parts)
+    return bool(mass > 0.0) and positive_definite(tensor)

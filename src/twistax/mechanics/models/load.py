@@ -23,7 +23,7 @@ def load(
     parameters: bool | Iterable[str] = False,
     keep: Collection[str] = (),
     gravity: ExprLike | None = None,
-    physical: bool | Mapping[str, bool] = True,
+    physical: bool | Mapping[str, bool] | None = None,
     quarter_turns: float = 1e-9,
     within: str | Path | None = None,
 ) -> Mechanism:
@@ -34,8 +34,10 @@ def load(
     that is not known, and what was read in a way that the file does not say. Nothing in a file is run. Of URDF no other
     file is opened, of MJCF included files and the meshes that a mass follows from.
 
-    Masses and inertias are checked of what is fixed together, which moves as one body. A link with a mass or inertia
-    that no body has is accepted with a note where the body that it is part of is a possible one, or does not move.
+    Masses and inertias are checked. Links that are fixed together count as one body. A link with a mass or inertia that
+    no body has is refused if the equations of motion may have no solution or several: its body has a mass or a
+    principal moment that is not positive. It gets a note if its body does not move, is possible as a whole, or has one
+    principal moment above the sum of the other two, as files from identification or CAD have.
 
     Args:
         path: of the file.
@@ -48,8 +50,8 @@ def load(
             A mass of zero stays zero.
         keep: names of fixed joints that are not merged, as for `Mechanism`.
         gravity: (3,), m/s2, in the base's axes; the file's, or 9.81 downwards along z, unless given.
-        physical: refuse a mass or inertia that no body has. False takes all as they are, `{"tool": False}` that of the
-            link "tool"; the notes say so.
+        physical: True refuses every moving body that no real body can be, False accepts all masses and inertias as they
+            are. `{"tool": False}` says it for the link "tool" alone.
         quarter_turns: angles of origins this near to a multiple of a quarter turn, rad, are taken as that: files write
             1.57079632679. In MJCF entries of rotation matrices. Zero takes them as they are written.
         within: a folder that the file is in. Other files are opened in this folder or below, links of the file system

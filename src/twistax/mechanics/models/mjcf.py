@@ -286,7 +286,6 @@ class Mjcf:
         model, kinds = self.model, self.mujoco.mjtJoint
         ball, free = (model.jnt_type == int(kind) for kind in (kinds.mjJNT_BALL, kinds.mjJNT_FREE))
         at = model.jnt_dofadr
-        armed = free & (model.dof_armature[at] != 0.0)
         yields = getattr(model, "jnt_springyield", np.zeros(model.njnt)) != 0.0  # from version 4 on
         curved = model.jnt_stiffnesspoly.any(axis=1) | model.dof_dampingpoly[at].any(axis=1)
         counted = (
@@ -300,7 +299,6 @@ class Mjcf:
         for what, joints in (
             ("the limit of the ball joint", ball & (model.jnt_limited != 0)),
             ("the spring of the free joint", free & (model.jnt_stiffness != 0.0)),
-            ("the armature along world axes, here along the body's, of the free joint", armed),
             ("the yield of the spring of joint", yields),
             ("what is not linear in spring and damper of joint", curved),
         ):

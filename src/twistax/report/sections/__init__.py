@@ -7,6 +7,7 @@ from . import (
     calls,
     costs,
     edges,
+    files,
     flight_limits,
     hessians,
     identities,
@@ -42,6 +43,7 @@ STABILITY: dict[str, Section] = {
     "spoiled": spoiled.SPOILED,
     "masses": moving_masses.MOVING_MASSES,
     "loops": moving_masses.LOOPS,
+    "files": files.FILES,
 }
 
 FIGURES: dict[str, Section] = {
