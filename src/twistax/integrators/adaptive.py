@@ -17,11 +17,11 @@ from ..lowering.small_call import held, small_call
 from .charts import Blocks
 from .interpolant import Between
 from .kernels import Packed, beside, kernel_tries
-from .meeting import Stride, halted_code, watched_along
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import Stops, first_rows, put, rows
 from .run import Outcome, Part, Result, Run, Saved, Watched
+from .search import Stride, halted_code, watched_along
 from .step_control import Errors, StepControl, first_step
 from .steps import Steps, all_finite, zeros_like
 from .tolerances import Tolerances
@@ -119,17 +119,13 @@ class AdaptiveSteps(Steps):
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         stops, packed = self.stops, Packed.of(y)
         read = packed.read
-        now, found, carry = small_call(
-            lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, packed
-        )
+        now, found = small_call(lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, packed)
         short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         watched, evaluations = now.watched, now.evaluations
         if watched is not None:
             evaluations = evaluations + watched.evaluations
-            if watched.crossed is not None:
-                y_rows = jax.vmap(read)(watched.crossed.y.flat)
-                watched = watched._replace(crossed=watched.crossed._replace(y=y_rows))
+            watched = watched.after_loop(read, now.accepted)
         outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
@@ -142,7 +138,7 @@ class AdaptiveSteps(Steps):
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], found)
                 saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
-        return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched, carry)
+        return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched)
 
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
         """The packed state at a time up to the end of a step.
@@ -154,8 +150,8 @@ class AdaptiveSteps(Steps):
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
-    def _all_steps(self, stepper: Stepper, y: Packed, record: bool) -> tuple[_Now, Any, Packed]:
-        """The loops over stops and steps: what they carry at the end, the method too, and what is found at stops."""
+    def _all_steps(self, stepper: Stepper, y: Packed, record: bool) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at stops."""
         stops = self.stops
         bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
         begun, first = beside(AdaptiveSteps._begin, bare, stepper, y)
@@ -174,8 +170,7 @@ class AdaptiveSteps(Steps):
             now = now._replace(watched=watched, code=halted_code(watched, now.code))
 
         if now.rows is not None or stops.ts is None:
-            now = self._to(end, stepper, packing, now)
-            return now, None, Packed(now.carry, begun.read)
+            return self._to(end, stepper, packing, now), None
 
         def to_stop(now: _Now, t: jax.Array) -> tuple[_Now, Any]:
             now = self._to(t, stepper, packing, now)
@@ -186,8 +181,7 @@ class AdaptiveSteps(Steps):
 
         # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
         like = now.last, zero, jnp.asarray(False)
-        now, found = first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
-        return now, found, Packed(now.carry, begun.read)
+        return first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
 
     def _start(self, stepper: Stepper, t: jax.Array, y: Packed, carry: Packed, h: jax.Array) -> tuple[_Now, _Packing]:
         """What the loop carries before its first step, of length h."""
@@ -300,7 +294,7 @@ class AdaptiveSteps(Steps):
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
     def advance(self, stepper: Stepper, carry: Packed, t: jax.Array, y: Packed, h: jax.Array) -> Packed:
-        """A try of unlimited tolerance, as if its end were the next limit."""
+        """The packed state after one more step: a try of unlimited tolerance, as if its end were the next limit."""
         now, packing = self._start(stepper, t, y, carry, jnp.full_like(h, jnp.inf))
         stops = self.stops._replace(limits=jnp.where(self.stops.limits > t, t + h, self.stops.limits))
         tolerances = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), self.tolerances)
