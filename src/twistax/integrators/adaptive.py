@@ -20,7 +20,7 @@ from .kernels import Packed, beside, kernel_tries
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import Stops, first_rows, put, rows
-from .run import Outcome, Part, Result, Run, Saved, Watched
+from .run import Halt, Outcome, Part, Result, Run, Saved, Watched
 from .search import Stride, halted_code, watched_along
 from .step_control import Errors, StepControl, first_step
 from .steps import Steps, all_finite, zeros_like
@@ -165,9 +165,9 @@ class AdaptiveSteps(Steps):
             ts = jnp.asarray(stops.ts)
             now = now._replace(rows=Filling(ts, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
-            advance = functools.partial(self.advance, stepper, begun)
+            advance = functools.partial(self._advance, stepper, packing, now)
             watched = self.watch.begin(advance, stepper, self.t0, first, y)
-            now = now._replace(watched=watched, code=halted_code(watched, now.code))
+            now = now._replace(watched=watched, code=halted_code(watched.halt, now.code))
 
         if now.rows is not None or stops.ts is None:
             return self._to(end, stepper, packing, now), None
@@ -293,16 +293,16 @@ class AdaptiveSteps(Steps):
         """The same with these limits, without saved times and events: others need no other kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
-    def advance(self, stepper: Stepper, carry: Packed, t: jax.Array, y: Packed, h: jax.Array) -> Packed:
+    def _advance(self, stepper: Stepper, packing: _Packing, now: _Now, h: jax.Array) -> Packed:
         """The packed state after one more step: a try of unlimited tolerance, as if its end were the next limit."""
-        now, packing = self._start(stepper, t, y, carry, jnp.full_like(h, jnp.inf))
-        stops = self.stops._replace(limits=jnp.where(self.stops.limits > t, t + h, self.stops.limits))
+        stops = self.stops._replace(limits=jnp.where(self.stops.limits > now.t, now.t + h, self.stops.limits))
         tolerances = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), self.tolerances)
-        kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(t, stepper, packing, now)
+        now = now._replace(h=jnp.full_like(now.h, jnp.inf), path=None, every=None, watched=None, rows=None)
+        kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(now.t, stepper, packing, now)
         if kernel is None:
-            return Packed.of(stepper.advance(t, y.open(), h))
+            return Packed.of(stepper.advance(now.t, packing.state(now.y), h))
         moved, _ = kernel(now, now.tried, now.tried + 1, None)
-        return Packed(jnp.where(moved.accepted > 0, moved.y, jnp.nan), y.read)
+        return Packed(jnp.where(moved.accepted > now.accepted, moved.y, jnp.nan), packing.state)
 
     def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
         """After a try, or as before it where it meets an event that ends the integration: the loop halts there."""
@@ -310,18 +310,14 @@ class AdaptiveSteps(Steps):
         good, step = after.accepted > before.accepted, after.t - before.t
         y, end = Packed(before.y, packing.state), Packed(after.y, packing.state)
         slopes = None if after.slopes is None else Packed(after.slopes, packing.slopes)
-        advance = functools.partial(self.advance, stepper, Packed(before.carry, packing.carry))
+        advance = functools.partial(self._advance, stepper, packing, before)
         stride = Stride(before.accepted, before.t, step, y, end, slopes)
         ends = before.accepted == 0, after.t == self.stops.limits[-1]
         watched = watched_along(self.watch, advance, stepper, stride, before.watched, good, ends)
-        code = halted_code(watched, after.code)
-        hit = code != after.code
-        kept = ("t", "y", "carry", "errors", "accepted", "last")
-        old = jax.tree.map(
-            lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
-        )
-        h = jnp.where(hit, step, after.h)
-        return after._replace(**dict(zip(kept, old, strict=True)), h=h, code=code, watched=watched)
+        apart = {"watched": None, "rows": None, "path": None, "every": None}
+        states = before._replace(**apart), after._replace(**apart)
+        settled = beside(_settled, None, stepper, *states, watched.halt, step)
+        return settled._replace(watched=watched, rows=after.rows, path=after.path, every=after.every)
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now) -> tuple[_Now, _Step | None]:
         """One step, taken or taken back, and what its polynomial is of, where the method has one."""
@@ -450,6 +446,17 @@ class AdaptiveSteps(Steps):
 
 #: From what is carried, the first try, the stop, and rows, to what is carried and rows.
 _Kernel: TypeAlias = Callable[[_Now, jax.Array, jax.Array, Filling | None], tuple[_Now, Filling | None]]
+
+
+def _settled(_: None, __: Stepper, before: _Now, after: _Now, halt: Halt, step: jax.Array) -> _Now:
+    """After a try, or before it where it halts."""
+    code = halted_code(halt, after.code)
+    hit = code != after.code
+    kept = ("t", "y", "carry", "errors", "accepted", "last")
+    old = jax.tree.map(
+        lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
+    )
+    return after._replace(**dict(zip(kept, old, strict=True)), h=jnp.where(hit, step, after.h), code=code)
 
 
 def _going(now: _Now, t: jax.Array) -> jax.Array:

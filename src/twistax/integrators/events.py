@@ -40,8 +40,8 @@ from .kernels import Packed, beside, opened
 from .method import Stepper
 from .run import Halt, Result, Watched
 
-#: A step from a packed state: of its time, the state and a length.
-Advance: TypeAlias = Callable[[jax.Array, Packed, jax.Array], Packed]
+#: From a length to the packed state after a step of that length, from where the current step begins.
+Advance: TypeAlias = Callable[[jax.Array], Packed]
 
 #: A value at the start counts as zero up to this power of the round-off, of what it changes by in a moment.
 _HAIR = 0.3
@@ -187,7 +187,7 @@ class Watch:
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, held, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(t, y, s))
+        values, held, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(s))
         none = Halt.none(t)
         halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
         crossed = None

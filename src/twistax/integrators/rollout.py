@@ -106,15 +106,15 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
             return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
 
         found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
-    return _with_conditions(stepper, run, found)
+    return _with_conditions(stepper, run, found, functools.partial(small_call, crossing_rows))
 
 
-def _with_conditions(stepper: Stepper, run: Run, found: Rollout) -> Rollout:
-    """With what is known of the conditions."""
+def _with_conditions(stepper: Stepper, run: Run, found: Rollout, rows: Any = crossing_rows) -> Rollout:
+    """With what is known of the conditions; `rows` makes those of crossings."""
     if run.watched is None:
         return found
     crossed = run.watched.crossed
-    crossings = None if crossed is None else crossing_rows(stepper, crossed)
+    crossings = None if crossed is None else rows(stepper, crossed)
     return found._replace(at_start=run.watched.held, crossings=crossings)
 
 

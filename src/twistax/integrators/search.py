@@ -10,7 +10,7 @@ import numpy as np
 
 from ..lowering.small_call import held
 from .bracket import Bracket, Extremum, near_zero
-from .crossings import row_of, state_of
+from .crossings import Row, row_of, state_of
 from .events import Advance, Watch
 from .kernels import Packed, beside, in_one, opened
 from .method import Stepper
@@ -85,6 +85,22 @@ class _Root(NamedTuple):
     rises: jax.Array
 
 
+class _Halted(NamedTuple):
+    """Where the loop over steps halts, as far as is known, with the packed state there."""
+
+    halt: Halt
+    y: jax.Array
+
+    def or_earlier(self, here: jax.Array, result: Result, which: jax.Array, s: jax.Array, y: jax.Array) -> _Halted:
+        """Halted by something else, where that is here and earlier; of two at the same time by the event."""
+        code = jnp.full_like(which, result.value)
+        same = (s == self.halt.s) & (code < self.halt.code)
+        sooner = here & ((s < self.halt.s) | same)
+        other = _Halted(Halt(code, which, s), y)
+        found: _Halted = jax.tree.map(lambda a, b: jnp.where(sooner, a, b), other, self)
+        return found
+
+
 def watched_along(
     watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, known: Watched, taken: Any, ends: Any
 ) -> Watched:
@@ -99,7 +115,7 @@ def watched_along(
     if inside is None:
 
         def at(share: jax.Array) -> jax.Array:
-            moved = advance(t, y, share * h)
+            moved = advance(share * h)
             return beside(Watch.values, watch, stepper, t, h, t + share * h, moved)
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
@@ -112,12 +128,16 @@ def watched_along(
 
     def one(now: tuple[_Task, Watched]) -> tuple[_Task, Watched]:
         task, known = now
-        moved = jnp.where(task.place > 0.0, advance(t, y, task.place).flat, y.flat)
-        # Hundreds of scalars: as part of the loop they take XLA longer than all else.
-        here = task.job, known.halt.s, Packed(moved, y.read)
-        following, root = beside(_next, watch, stepper, t, h, along, *here)
         known = known._replace(evaluations=known.evaluations + cost)
-        return following, _with_root(watch, stride, known, task.place, root, moved, before)
+        halted = _Halted(known.halt, known.y)
+        # Hundreds of scalars: as part of the loop they take XLA longer than all else.
+        given = along, task, halted, stride.steps, y, advance(task.place)
+        following, halted, row, crosses = beside(_next, watch, stepper, t, h, *given)
+        if known.crossed is not None:
+            crossed, left_out, full = known.crossed.with_one(row, crosses, before)
+            known = known._replace(crossed=crossed)
+            halted = halted.or_earlier(full, Result.MAX_CROSSINGS, *state_of(left_out))
+        return following, known._replace(**halted._asdict())
 
     # A loop, not a branch: of a batch it runs only while one of its members needs it.
     start = first._replace(left=first.left & taken), known
@@ -125,37 +145,9 @@ def watched_along(
     return known._replace(values=jnp.where(taken, after, known.values))
 
 
-def _with_root(
-    watch: Watch, stride: Stride, known: Watched, s: jax.Array, root: _Root, y: jax.Array, before: Any
-) -> Watched:
-    """With a root, where there is one.
-
-    Args:
-        s, y: how far into the step it lies, and the packed state there.
-        before: how many crossings earlier steps have.
-    """
-    if any(watch.terminal):
-        known = _halted(known, root.stops, Result.EVENT, root.which, s, y)
-    if known.crossed is not None:
-        row = row_of(stride.steps, stride.t, stride.h, s, y, root.which, root.rises)
-        crossed, left_out, full = known.crossed.with_one(row, root.crosses, before)
-        known = _halted(known._replace(crossed=crossed), full, Result.MAX_CROSSINGS, *state_of(left_out))
-    return known
-
-
-def _halted(known: Watched, here: jax.Array, result: Result, which: jax.Array, s: jax.Array, y: jax.Array) -> Watched:
-    """Halted, where that is here and earlier than what is known; of two at the same time by the event."""
-    code = jnp.full_like(which, result.value)
-    same = (s == known.halt.s) & (code < known.halt.code)
-    new, old = (Halt(code, which, s), y), (known.halt, known.y)
-    sooner = here & ((s < known.halt.s) | same)
-    halt, y = jax.tree.map(lambda a, b: jnp.where(sooner, a, b), new, old)
-    return known._replace(halt=halt, y=y)
-
-
-def halted_code(watched: Watched, code: jax.Array) -> jax.Array:
+def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
     """The number of the result, where the conditions halt the integration."""
-    return jnp.where(watched.halt.code != Result.SUCCESS.value, watched.halt.code, code)
+    return jnp.where(halt.code != Result.SUCCESS.value, halt.code, code)
 
 
 def _first(
@@ -181,18 +173,27 @@ def _next(
     t: jax.Array,
     h: jax.Array,
     along: _Along,
-    job: Any,
-    end: jax.Array,
+    task: _Task,
+    halted: _Halted,
+    steps: jax.Array,
+    y: Packed,
     moved: Packed,
-) -> tuple[_Task, _Root]:
-    """What is looked for after the state at the place of a job is known, and whether there is a root.
+) -> tuple[_Task, _Halted, Row | None, jax.Array]:
+    """What is looked for after the step from y to the place of a task was taken, and where the loop halts then.
 
     Args:
-        end: how far into the step the integration ends, as far as is known.
+        steps: the accepted steps before.
+    Returns:
+        Also the row of a crossing, where there are any, and whether it is there.
     """
-    own: _Job = opened(job)
-    value = watch.values(stepper, t, h, t + own.place, moved)
-    return _Search(watch, t, h, along).after(own, value, end)
+    place = task.place
+    moved = Packed(jnp.where(place > 0.0, moved.flat, y.flat), moved.read)
+    values = watch.values(stepper, t, h, t + place, moved)
+    following, root = _Search(watch, t, h, along).after(opened(task.job), values, halted.halt.s)
+    if any(watch.terminal):
+        halted = halted.or_earlier(root.stops, Result.EVENT, root.which, place, moved.flat)
+    row = None if all(watch.terminal) else row_of(steps, t, h, place, moved.flat, root.which, root.rises)
+    return following, halted, row, root.crosses
 
 
 class _Search:
@@ -247,7 +248,11 @@ class _Search:
         return _Job(index, looks, none > 0, sign, low, high, rest, none, extremum, bracket)
 
     def after(self, job: _Job, values: jax.Array, end: jax.Array) -> tuple[_Task, _Root]:
-        """As `_next`, with the values of all conditions at the place of the job."""
+        """What is looked for after the values of all conditions at the place of a job are known, and the root there.
+
+        Args:
+            end: how far into the step the integration ends, as far as is known.
+        """
         h, number = self.h, self.numbers[job.item]
         place, value = held((job.place, values[number]))
         job = held(job._replace(extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
