@@ -51,8 +51,8 @@ class CrossingTable(NamedTuple):
         tags = jnp.concatenate([tags[:room], rest])
         return cls(jnp.broadcast_to(numbers, (room, len(numbers))), tags, jnp.minimum(used, room))
 
-    def with_one(self, row: Row, here: jax.Array, before: jax.Array) -> tuple[CrossingTable, Row, jax.Array]:
-        """With one more crossing of the current step, where it is here; if there is no room, without the latest one.
+    def with_one(self, row: Row, before: jax.Array) -> tuple[CrossingTable, Row, jax.Array]:
+        """With one more crossing of the current step; if there is no room, without the latest one.
 
         Args:
             before: how many crossings earlier steps have.
@@ -61,10 +61,10 @@ class CrossingTable(NamedTuple):
         """
         last, used, s = len(self.tags) - 1, self.used, row[0][_SINCE]
         latest = self.numbers[last], self.tags[last]
-        full = here & (used > last)
+        full = used > last
         evicts = full & (before <= last) & (latest[0][_SINCE] > s)
         left_out = jax.tree.map(lambda a, b: jnp.where(evicts, a, b), latest, row)
-        takes = here & (~full | evicts)
+        takes = ~full | evicts
 
         def goes_on(now: tuple[jax.Array, Any]) -> jax.Array:
             place, (numbers, _) = now
@@ -77,7 +77,7 @@ class CrossingTable(NamedTuple):
         start = jnp.minimum(used, last), (self.numbers, self.tags)
         place, rows = jax.lax.while_loop(goes_on, moved, start)
         rows = jax.tree.map(lambda a, b: _written(a, place, jnp.where(takes, b, a[place])), rows, row)
-        return CrossingTable(*rows, used + (takes & ~full).astype(used.dtype)), left_out, full
+        return CrossingTable(*rows, used + (~full).astype(used.dtype)), left_out, full
 
     def rows(self, read: Callable[[jax.Array], Blocks], steps: jax.Array, end: jax.Array) -> Crossed:
         """The rows, those after the end without a crossing.

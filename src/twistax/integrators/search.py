@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..lowering.small_call import held
+from ..lowering.small_call import held, small_call
 from .bracket import Bracket, Extremum, near_zero
-from .crossings import Row, row_of, state_of
+from .crossings import CrossingTable, Row, row_of, state_of
 from .events import Advance, Watch
 from .kernels import Packed, beside, in_one, opened
 from .method import Stepper
@@ -134,7 +134,10 @@ def watched_along(
         given = along, task, halted, stride.steps, y, advance(task.place)
         following, halted, row, crosses = beside(_next, watch, stepper, t, h, *given)
         if known.crossed is not None:
-            crossed, left_out, full = known.crossed.with_one(row, crosses, before)
+            nothing = known.crossed, row, jnp.asarray(False)
+            crossed, left_out, full = jax.lax.cond(
+                crosses, lambda: small_call(CrossingTable.with_one, known.crossed, row, before), lambda: nothing
+            )
             known = known._replace(crossed=crossed)
             halted = halted.or_earlier(full, Result.MAX_CROSSINGS, *state_of(left_out))
         return following, known._replace(**halted._asdict())
