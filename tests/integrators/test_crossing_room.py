@@ -137,7 +137,7 @@ def test_saved_times_and_dense_output_reach_the_crossing_without_room() -> None:
     np.testing.assert_allclose(found.ts, [0.2, 0.515, 0.53], atol=1e-13)
     np.testing.assert_allclose(found.xs["x"], found.ts, atol=1e-13)
     np.testing.assert_allclose(found.evaluate(0.525)["x"], 0.525, atol=1e-13)
-    with pytest.raises(tx.InputError, match="in \\[0, 0.53\\]"):
+    with pytest.raises(tx.InputError, match=r"in \[0, 0.53\]"):
         found.evaluate(0.54)
 
 
@@ -148,3 +148,17 @@ def test_the_error_names_room_and_time_and_evaluates_no_rates(monkeypatch: pytes
     monkeypatch.setattr("twistax.integrators.failures.on_host", unwanted)
     with pytest.raises(tx.IntegrationError, match=r"more than 2 crossings .* at t = 0.53 s\.\n.*\n.*\n.*max_crossings"):
         tx.integrate(clock(), {"x": 0.0}, t1=1.0, rtol=1e-9, dt=1.0, event=events(), max_crossings=2)
+
+
+def test_derivatives_up_to_the_crossing_without_room() -> None:
+    """Rows before it have theirs; the end of a failed integration has none."""
+
+    def place(start: jax.Array) -> tuple[jax.Array, jax.Array]:
+        event = events()[:-1]
+        how: dict[str, Any] = {"steps": 2, "event": event, "max_crossings": 2, "throw": False}
+        found = tx.integrate(clock(), {"x": start}, t1=1.0, save_at=jnp.array([0.2, 0.515, 0.9]), **how)
+        return found.xs["x"], found.crossings.ts
+
+    xs, ts = jax.jit(jax.jacrev(place))(jnp.asarray(0.0))
+    np.testing.assert_array_equal(xs, [1.0, 1.0, np.nan])
+    np.testing.assert_allclose(ts, [-1.0, -1.0], atol=1e-13)

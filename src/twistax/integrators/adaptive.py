@@ -314,8 +314,7 @@ class AdaptiveSteps(Steps):
         stride = Stride(before.accepted, before.t, step, y, end, slopes)
         ends = before.accepted == 0, after.t == self.stops.limits[-1]
         watched = watched_along(self.watch, advance, stepper, stride, before.watched, good, ends)
-        apart = {"watched": None, "rows": None, "path": None, "every": None}
-        states = before._replace(**apart), after._replace(**apart)
+        states = [now._replace(watched=None, rows=None, path=None, every=None) for now in (before, after)]
         settled = beside(_settled, None, stepper, *states, watched.halt, step)
         return settled._replace(watched=watched, rows=after.rows, path=after.path, every=after.every)
 

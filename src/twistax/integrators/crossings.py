@@ -77,7 +77,8 @@ class CrossingTable(NamedTuple):
         start = jnp.minimum(used, last), (self.numbers, self.tags)
         place, rows = jax.lax.while_loop(goes_on, moved, start)
         rows = jax.tree.map(lambda a, b: _written(a, place, jnp.where(takes, b, a[place])), rows, row)
-        return CrossingTable(*rows, used + (~full).astype(used.dtype)), left_out, full
+        numbers, tags = rows
+        return CrossingTable(numbers, tags, used + (~full).astype(used.dtype)), left_out, full
 
     def rows(self, read: Callable[[jax.Array], Blocks], steps: jax.Array, end: jax.Array) -> Crossed:
         """The rows, those after the end without a crossing.

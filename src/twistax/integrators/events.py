@@ -217,7 +217,7 @@ class Watch:
         stops, crosses = (
             np.array([each is mode for each in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
         )
-        met = (stops & (past | zero) & ~leaves) | (crosses & enters)
+        met = jnp.asarray((stops & (past | zero) & ~leaves) | (crosses & enters))
         # A crossing just after the start that counts is left to the first step.
         kept = turns & ~zero & (stops | crosses) & ((senses == 0.0) | (jnp.sign(soon) * senses > 0.0))
         noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)

@@ -92,9 +92,10 @@ def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
-    meeting = None if run.watched is None else Meeting.of(run)
-    end: Blocks = opened(run.end)
-    moved = None if meeting is None else jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, end)
+    meeting, moved = None, None
+    if run.watched is not None:
+        meeting = Meeting.of(run)
+        moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, opened(run.end))
 
     if run.saved is None:
         found = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
