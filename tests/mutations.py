@@ -1203,14 +1203,14 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "the root that is found last ends the integration",
-            "sooner = here & ((s < known.halt.s) | same)",
+            "sooner = here & ((s < self.halt.s) | same)",
             "sooner = here",
             "integrators/test_crossing_room.py",
         ),
         (
             "a crossing without room before the event at the same time",
-            "sooner = here & ((s < known.halt.s) | same)",
-            "sooner = here & (s < known.halt.s)",
+            "sooner = here & ((s < self.halt.s) | same)",
+            "sooner = here & (s < self.halt.s)",
             "integrators/test_crossing_room.py",
         ),
     ),
