@@ -1206,8 +1206,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "steps are not looked into",
-            "(self.hits(values) | near_zero(values)[0]).any()",
-            "self.hits(values[:: len(values) - 1]).any()",
+            "for row in [*inside, high]:",
+            "for row in [*(old for _ in inside), high]:",
             "integrators/test_crossings.py",
         ),
         (
@@ -1218,19 +1218,49 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/meeting.py",
+        "integrators/search.py",
         (
             "an extremum near zero is not looked for",
-            "self.flags = (watch.hits(values) | self.suspects).reshape(-1)",
-            "self.flags = watch.hits(values).reshape(-1)",
+            "return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))",
+            "return cls(values, suspects, tips, watch.hits(values).reshape(-1))",
             "integrators/test_crossings.py",
         ),
         (
+            "the root that is found last ends the integration",
+            "sooner = here & ((s < self.halt.s) | same)",
+            "sooner = here",
+            "integrators/test_crossing_room.py",
+        ),
+        (
+            "a crossing without room before the event at the same time",
+            "sooner = here & ((s < self.halt.s) | same)",
+            "sooner = here & (s < self.halt.s)",
+            "integrators/test_crossing_room.py",
+        ),
+    ),
+    *_at(
+        "integrators/crossings.py",
+        (
             "crossings after the end",
-            "((rows.s > found.s) | (found.full & ~found.met))",
-            "(found.full & ~found.met)",
+            "& ~((before == steps) & (s > end))",
+            "",
             "integrators/test_crossings.py",
         ),
+        (
+            "room for what the search of a step meets first",
+            "evicts = full & (before <= last) & (latest[0][_SINCE] > s)",
+            "evicts = full & (before < 0)",
+            "integrators/test_crossing_room.py",
+        ),
+        (
+            "crossings in the order of the search",
+            "takes & (place > before) & (numbers",
+            "takes & (place > 99) & (numbers",
+            "integrators/test_crossing_room.py",
+        ),
+    ),
+    *_at(
+        "integrators/meeting.py",
         (
             "times of crossings do not move",
             "lambda slope, change: change / slope(jnp.ones_like(change)),",

@@ -17,11 +17,11 @@ from ..lowering.small_call import held, small_call
 from .charts import Blocks
 from .interpolant import Between
 from .kernels import Packed, beside, kernel_tries
-from .meeting import Stride, halted_code, watched_along
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import Stops, first_rows, put, rows
-from .run import Outcome, Part, Result, Run, Saved, Watched
+from .run import Halt, Outcome, Part, Result, Run, Saved, Watched
+from .search import Stride, halted_code, watched_along
 from .step_control import Errors, StepControl, first_step
 from .steps import Steps, all_finite, zeros_like
 from .tolerances import Tolerances
@@ -119,17 +119,13 @@ class AdaptiveSteps(Steps):
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         stops, packed = self.stops, Packed.of(y)
         read = packed.read
-        now, found, carry = small_call(
-            lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, packed
-        )
+        now, found = small_call(lambda steps, stepper, y: steps._all_steps(stepper, y, record), self, stepper, packed)
         short = (now.code == Result.SUCCESS.value) & (now.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, now.code)
         watched, evaluations = now.watched, now.evaluations
         if watched is not None:
             evaluations = evaluations + watched.evaluations
-            if watched.crossed is not None:
-                y_rows = jax.vmap(read)(watched.crossed.y.flat)
-                watched = watched._replace(crossed=watched.crossed._replace(y=y_rows))
+            watched = watched.after_loop(read, now.accepted)
         outcome = Outcome(code, now.tried, now.accepted, evaluations, now.t, now.h)
         trail = self.trail(now.path, now.accepted, jax.vmap(read)(now.every)) if self.dense else None
         saved = None
@@ -142,7 +138,7 @@ class AdaptiveSteps(Steps):
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], found)
                 saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
-        return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched, carry)
+        return Run(Packed(now.y, read), outcome, saved, now.path, trail, watched)
 
     def _row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
         """The packed state at a time up to the end of a step.
@@ -154,8 +150,8 @@ class AdaptiveSteps(Steps):
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
-    def _all_steps(self, stepper: Stepper, y: Packed, record: bool) -> tuple[_Now, Any, Packed]:
-        """The loops over stops and steps: what they carry at the end, the method too, and what is found at stops."""
+    def _all_steps(self, stepper: Stepper, y: Packed, record: bool) -> tuple[_Now, Any]:
+        """The loops over stops and steps: what they carry at the end, and what is found at stops."""
         stops = self.stops
         bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
         begun, first = beside(AdaptiveSteps._begin, bare, stepper, y)
@@ -169,13 +165,12 @@ class AdaptiveSteps(Steps):
             ts = jnp.asarray(stops.ts)
             now = now._replace(rows=Filling(ts, jnp.broadcast_to(now.y, (ts.size, now.y.size)), zero))
         if self.watch is not None:
-            advance = functools.partial(self.advance, stepper, begun)
+            advance = functools.partial(self._advance, stepper, packing, now)
             watched = self.watch.begin(advance, stepper, self.t0, first, y)
-            now = now._replace(watched=watched, code=halted_code(watched, now.code))
+            now = now._replace(watched=watched, code=halted_code(watched.halt, now.code))
 
         if now.rows is not None or stops.ts is None:
-            now = self._to(end, stepper, packing, now)
-            return now, None, Packed(now.carry, begun.read)
+            return self._to(end, stepper, packing, now), None
 
         def to_stop(now: _Now, t: jax.Array) -> tuple[_Now, Any]:
             now = self._to(t, stepper, packing, now)
@@ -186,8 +181,7 @@ class AdaptiveSteps(Steps):
 
         # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
         like = now.last, zero, jnp.asarray(False)
-        now, found = first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
-        return now, found, Packed(now.carry, begun.read)
+        return first_rows(to_stop, now, jnp.append(stops.ts, end), stops.count + 1, like)
 
     def _start(self, stepper: Stepper, t: jax.Array, y: Packed, carry: Packed, h: jax.Array) -> tuple[_Now, _Packing]:
         """What the loop carries before its first step, of length h."""
@@ -299,16 +293,16 @@ class AdaptiveSteps(Steps):
         """The same with these limits, without saved times and events: others need no other kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
-    def advance(self, stepper: Stepper, carry: Packed, t: jax.Array, y: Packed, h: jax.Array) -> Packed:
-        """A try of unlimited tolerance, as if its end were the next limit."""
-        now, packing = self._start(stepper, t, y, carry, jnp.full_like(h, jnp.inf))
-        stops = self.stops._replace(limits=jnp.where(self.stops.limits > t, t + h, self.stops.limits))
+    def _advance(self, stepper: Stepper, packing: _Packing, now: _Now, h: jax.Array) -> Packed:
+        """The packed state after one more step: a try of unlimited tolerance, as if its end were the next limit."""
+        stops = self.stops._replace(limits=jnp.where(self.stops.limits > now.t, now.t + h, self.stops.limits))
         tolerances = jax.tree.map(lambda a: jnp.full_like(a, jnp.inf), self.tolerances)
-        kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(t, stepper, packing, now)
+        now = now._replace(h=jnp.full_like(now.h, jnp.inf), path=None, every=None, watched=None, rows=None)
+        kernel = dataclasses.replace(self, stops=stops, tolerances=tolerances)._kernel(now.t, stepper, packing, now)
         if kernel is None:
-            return Packed.of(stepper.advance(t, y.open(), h))
+            return Packed.of(stepper.advance(now.t, packing.state(now.y), h))
         moved, _ = kernel(now, now.tried, now.tried + 1, None)
-        return Packed(jnp.where(moved.accepted > 0, moved.y, jnp.nan), y.read)
+        return Packed(jnp.where(moved.accepted > now.accepted, moved.y, jnp.nan), packing.state)
 
     def _watched(self, stepper: Stepper, packing: _Packing, before: _Now, after: _Now) -> _Now:
         """After a try, or as before it where it meets an event that ends the integration: the loop halts there."""
@@ -316,18 +310,13 @@ class AdaptiveSteps(Steps):
         good, step = after.accepted > before.accepted, after.t - before.t
         y, end = Packed(before.y, packing.state), Packed(after.y, packing.state)
         slopes = None if after.slopes is None else Packed(after.slopes, packing.slopes)
-        advance = functools.partial(self.advance, stepper, Packed(before.carry, packing.carry))
+        advance = functools.partial(self._advance, stepper, packing, before)
         stride = Stride(before.accepted, before.t, step, y, end, slopes)
         ends = before.accepted == 0, after.t == self.stops.limits[-1]
         watched = watched_along(self.watch, advance, stepper, stride, before.watched, good, ends)
-        code = halted_code(watched, after.code)
-        hit = code != after.code
-        kept = ("t", "y", "carry", "errors", "accepted", "last")
-        old = jax.tree.map(
-            lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
-        )
-        h = jnp.where(hit, step, after.h)
-        return after._replace(**dict(zip(kept, old, strict=True)), h=h, code=code, watched=watched)
+        states = [now._replace(watched=None, rows=None, path=None, every=None) for now in (before, after)]
+        settled = beside(_settled, None, stepper, *states, watched.halt, step)
+        return settled._replace(watched=watched, rows=after.rows, path=after.path, every=after.every)
 
     def _try(self, stepper: Stepper, packing: _Packing, now: _Now) -> tuple[_Now, _Step | None]:
         """One step, taken or taken back, and what its polynomial is of, where the method has one."""
@@ -456,6 +445,17 @@ class AdaptiveSteps(Steps):
 
 #: From what is carried, the first try, the stop, and rows, to what is carried and rows.
 _Kernel: TypeAlias = Callable[[_Now, jax.Array, jax.Array, Filling | None], tuple[_Now, Filling | None]]
+
+
+def _settled(_: None, __: Stepper, before: _Now, after: _Now, halt: Halt, step: jax.Array) -> _Now:
+    """After a try, or before it where it halts."""
+    code = halted_code(halt, after.code)
+    hit = code != after.code
+    kept = ("t", "y", "carry", "errors", "accepted", "last")
+    old = jax.tree.map(
+        lambda a, b: jnp.where(hit, a, b), *([getattr(now, name) for name in kept] for now in (before, after))
+    )
+    return after._replace(**dict(zip(kept, old, strict=True)), h=jnp.where(hit, step, after.h), code=code)
 
 
 def _going(now: _Now, t: jax.Array) -> jax.Array:

@@ -34,14 +34,14 @@ from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.inputs import need_held
-from .bracket import near_zero
 from .controls import Signals
-from .kernels import beside, opened
+from .crossings import CrossingTable
+from .kernels import Packed, beside, opened
 from .method import Stepper
-from .run import Crossed, Watched
+from .run import Halt, Result, Watched
 
-#: A step from a stored state: of its time, the state and a length.
-Advance: TypeAlias = Callable[[jax.Array, Any, jax.Array], Any]
+#: From a length to the packed state after a step of that length, from where the current step begins.
+Advance: TypeAlias = Callable[[jax.Array], Packed]
 
 #: A value at the start counts as zero up to this power of the round-off, of what it changes by in a moment.
 _HAIR = 0.3
@@ -180,35 +180,28 @@ class Watch:
         found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
 
-    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any) -> Watched:
+    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Packed) -> Watched:
         """At the start of an integration whose first step is about h.
 
         The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, met, held, rises = beside(Watch._before, self, stepper, t, y, s, advance(t, y, s))
-        ends = met & np.asarray(self.terminal)
-        none = jnp.zeros((), int)
-        found = Watched(values, held, ends.any(), jnp.argmax(ends), jnp.zeros_like(t), none, jnp.asarray(False))
-        if all(self.terminal):
-            return found
-        crossed = Crossed.none(self.room, t, y)
-        for number, terminal in enumerate(self.terminal):
-            if not terminal:
-                here = Crossed(none, t, h, y, jnp.zeros_like(t), jnp.asarray(number), rises[number], none)
-                crossed, full = crossed.with_one(here, met[number])
-                found = found._replace(full=found.full | full)
-        return found._replace(crossed=crossed)
+        values, held, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(s))
+        none = Halt.none(t)
+        halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
+        crossed = None
+        if not all(self.terminal):
+            crossed = CrossingTable.begun(self.room, t, h, y.flat, tags, count)
+        return Watched(values, held, halt, y.flat, none.code, crossed)
 
-    def _before(
-        self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
+    def _before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
         """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h.
 
         Returns:
-            (m,) each: values to begin with; whether the event is met; whether its condition is zero or past it; whether
-            it rises.
+            (m,) values to begin with; (m,) whether each condition is zero or past it; the number of the result, and the
+            event that leads to it; (k, 3) tags of crossings, of all k events that do not end the integration, those of
+            crossings first; and how many crossings there are.
         """
         now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
         senses = np.asarray(self.senses, now.dtype)
@@ -228,11 +221,30 @@ class Watch:
         # A crossing just after the start that counts is left to the first step.
         kept = turns & ~zero & (stops | crosses) & ((senses == 0.0) | (jnp.sign(soon) * senses > 0.0))
         noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)
-        return jnp.where(noise, soon, now), met, zero | past, jnp.where(side == 0.0, senses, side) > 0.0
+        rises = jnp.where(side == 0.0, senses, side) > 0.0
+        return jnp.where(noise, soon, now), zero | past, *self._begun(met, rises)
+
+    def _begun(self, met: jax.Array, rises: jax.Array) -> tuple[Any, ...]:
+        """The result, the event that leads to it, and crossings, of the events that are met at the start."""
+        none, ends = jnp.zeros((), int), len(self.terminal)
+        first = jnp.where(met & np.asarray(self.terminal), np.arange(ends), ends).min()
+        code = jnp.where(first < ends, Result.EVENT.value, none)
+        passing = [number for number, terminal in enumerate(self.terminal) if not terminal]
+        if not passing:
+            return code, jnp.where(first < ends, first, -1), None, None
+        here, tags = (jnp.stack([a[k] for k in passing]).astype(none.dtype) for a in (met, rises))
+        # Row k is that of the crossing with k others before it.
+        before = (here[None] * np.tri(len(passing), k=-1, dtype=int)).sum(1)
+        rows = here[None] * (before[None] == np.arange(len(passing))[:, None]).astype(none.dtype)
+        which = (rows * np.add(passing, 1)[None]).sum(1) - 1
+        lost = which[self.room] if self.room < len(passing) else none - 1
+        code = jnp.where((first == ends) & (lost >= 0), Result.MAX_CROSSINGS.value, code)
+        tags = jnp.stack([0 * which, which, (rows * tags[None]).sum(1)], 1)
+        return code, jnp.where(first < ends, first, lost), tags, here.sum()
 
     def seen(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, end: Any, inside: Any, old: jax.Array, ends: Any
-    ) -> tuple[jax.Array, jax.Array, jax.Array]:
+    ) -> tuple[jax.Array, jax.Array]:
         """What the conditions are along a step from y to end, of length h.
 
         Args:
@@ -242,7 +254,7 @@ class Watch:
             ends: whether it is the first step, and whether it is the last one.
         Returns:
             (k + 2, m) values at places at equal distances, zero at the end where it is zero up to round-off, of NaN the
-            value before; the values to go on with; whether anything may be crossed.
+            value before; the values to go on with.
         """
         now = self.values(stepper, t, h, t + h, end)
         if not isinstance(inside, jax.Array):
@@ -259,8 +271,7 @@ class Watch:
         rows = [old]
         for row in [*inside, high]:
             rows.append(jnp.where(jnp.isnan(row), rows[-1], row))
-        values = jnp.stack(rows)
-        return values, jnp.where(jnp.isnan(now), old, now), (self.hits(values) | near_zero(values)[0]).any()
+        return jnp.stack(rows), jnp.where(jnp.isnan(now), old, now)
 
     def hits(self, values: jax.Array) -> jax.Array:
         """(k + 1, m) whether the condition crosses zero from a place to the next, in its direction. Zero is past it."""

@@ -41,15 +41,16 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[str, Any])
     elif result is Result.NEWTON_FAILED:
         what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
         cause, fix = (said.format(h=h) for said in steps.not_solved)
+    elif result is Result.MAX_CROSSINGS:
+        room = steps.watch.room
+        what = f"more than {room} crossings of events that do not end the integration, at t = {t:.6g} s"
+        cause = "conditions that cross zero often, or chatter about it"
+        fix = f"tx.integrate(..., max_crossings=...), which is {room}"
     else:
         errors = on_host(_errors, stepper, steps, outcome.t, outcome.h, x) or {}
         state = max(errors, key=lambda name: float(errors[name]), default=None)
         blame = f" at t = {t:.6g} s" + (f"; state {state!r} has the largest error" if state else "")
-        if result is Result.MAX_CROSSINGS:
-            what = f"more than {steps.watch.room} crossings of events that do not end the integration, at t = {t:.6g} s"
-            cause = "conditions that cross zero often, or chatter about it"
-            fix = f"tx.integrate(..., max_crossings=...), which is {steps.watch.room}"
-        elif result is Result.MAX_STEPS:
+        if result is Result.MAX_STEPS:
             what = f"{int(outcome.tried)} steps ran out{blame}"
             cause = f"steps are {h:.3g} s there: tolerances this tight, rates this fast, or a stiff system"
             fix = "try looser tolerances, or more steps: control=tx.StepControl(max_steps=...)"

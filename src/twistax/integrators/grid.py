@@ -16,6 +16,16 @@ from .controls import row_at
 SNAP = 1e-9
 
 
+def slack(times: Any, h: Any, eps: float) -> Any:
+    """How far from the end of a step of length h times count as on it, in s: times may be rounded too.
+
+    Args:
+        eps: the relative spacing of floating-point numbers in the precision of the times.
+    """
+    array: Any = jnp if is_traced((times, h)) else np
+    return array.maximum(SNAP * h, 4.0 * eps * abs(times))
+
+
 class Splits(NamedTuple):
     """Where jumps lie in a sequence of steps: inside of an equal step, which they split, or at its end."""
 
@@ -74,12 +84,12 @@ def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, 
     fixed = jax.lax.stop_gradient((limits, t0, h)) if array is jnp else (limits, t0, h)
     times, start, length = (array.asarray(value) for value in fixed)
     length = array.where(length > 0.0, length, 1.0)
-    slack = array.maximum(SNAP, 4.0 * float(np.finfo(times.dtype).eps) * abs(times) / length)
+    near = slack(times, length, float(np.finfo(times.dtype).eps)) / length
     place = (times - start) / length
     nearest = array.rint(place)
-    on_end = abs(place - nearest) <= slack
+    on_end = abs(place - nearest) <= near
     end = array.where(on_end, nearest, array.ceil(place))
-    again = (array.diff(end) == 0.0) & on_end[1:] & on_end[:-1] | (array.diff(place) <= slack[1:])
+    again = (array.diff(end) == 0.0) & on_end[1:] & on_end[:-1] | (array.diff(place) <= near[1:])
     again = array.append(array.zeros(1, bool), again)
     present = (end > 0.0) & ((end < steps) | (~on_end & (end <= steps))) & ~again
     added = array.cumsum(present & ~on_end).astype(kind)

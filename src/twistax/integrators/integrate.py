@@ -110,8 +110,8 @@ def integrate(
             `Result.EVENT`, which is no failure; `Solution.event` is its number. With save_at the last row is then where
             it ended, besides the saved times before it. Those with terminal=False do not end it: `Solution.crossings`
             has them. Derivatives of the times and the states there are those of the implicit function theorem.
-        max_crossings: how many crossings `Solution.crossings` has room for, all events together; with one more the
-            integration ends, with `Result.MAX_CROSSINGS`. 128 if left out.
+        max_crossings: how many crossings `Solution.crossings` has room for, all events together, in the order of their
+            times. At the first without room the integration ends, with `Result.MAX_CROSSINGS`. 128 if left out.
         throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
         progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
             with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple, TypeVar
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax.flatten_util import ravel_pytree
 
 from ..lowering.scalar.loops import Filling, Repeated, repeat
@@ -22,9 +23,24 @@ from .method import Attempt, Carry, Stepper
 
 Now = TypeVar("Now")
 Result = TypeVar("Result")
+Tree = TypeVar("Tree")
 
 #: States of more numbers are left to XLA, whose vectors run along them.
 _WIDEST = 400
+
+
+@dataclasses.dataclass(frozen=True)
+class _Unpacked:
+    """Makes a pytree of numbers of one type again what it was before."""
+
+    structure: Any
+    types: tuple[jax.ShapeDtypeStruct, ...]
+
+    def __call__(self, flat: jax.Array) -> Any:
+        ends = np.cumsum([0, *(own.size for own in self.types)])
+        parts = [flat[a:b].reshape(own.shape) for a, b, own in zip(ends, ends[1:], self.types, strict=False)]
+        leaves = [part.astype(own.dtype) for part, own in zip(parts, self.types, strict=True)]
+        return jax.tree.unflatten(self.structure, leaves)
 
 
 @jax.tree_util.register_dataclass
@@ -47,6 +63,15 @@ class Packed:
 def opened(tree: Any) -> Any:
     """The pytree, whether it is packed or not."""
     return tree.open() if isinstance(tree, Packed) else tree
+
+
+def in_one(tree: Tree, dtype: Any) -> Any:
+    """The pytree of numbers, small whole ones and truth values, in one array of a type; in small functions as it is."""
+    if inside_small_call():
+        return tree
+    leaves, structure = jax.tree.flatten(tree)
+    flat = jnp.concatenate([jnp.asarray(leaf).reshape(-1).astype(dtype) for leaf in leaves])
+    return Packed(flat, _Unpacked(structure, _types(leaves)))
 
 
 def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:

@@ -15,17 +15,9 @@ from ..jax_inside import any_of_batch, batched_branches_transpose, is_traced
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
+from .crossings import CrossingRows, crossing_rows
 from .kernels import Packed, advance_again, beside, opened
-from .meeting import (
-    CrossingRows,
-    Meeting,
-    crossing_rows,
-    cut_at,
-    refined,
-    refined_rows,
-    saved_before,
-    to_event,
-)
+from .meeting import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from .method import Stepper, jitted
 from .rows import first_rows
 from .run import Outcome, Part, Result, Run, Saved, Trail
@@ -100,11 +92,10 @@ def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
     run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
-    meeting = None if run.watched is None else Meeting.of(run)
-    moved = None if meeting is None else to_event(functools.partial(steps.advance, stepper, run.carry), run, meeting)
-
-    def advance_all(ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
-        return small_call(_one_by_one, stepper, ys, parts, count)
+    meeting, moved = None, None
+    if run.watched is not None:
+        meeting = Meeting.of(run)
+        moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, opened(run.end))
 
     if run.saved is None:
         found = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
@@ -113,21 +104,19 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     else:
 
         def to_saves(saved: Saved, parts: Part) -> Blocks:
-            return advance_all(saved.y, parts, saved.asked.sum())
+            return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
 
         found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
-    return _with_crossings(stepper, run, found, advance_all)
+    return _with_conditions(stepper, run, found, functools.partial(small_call, crossing_rows))
 
 
-def _with_crossings(stepper: Stepper, run: Run, found: Rollout, advance_all: Any) -> Rollout:
-    """With what is known of the conditions, and the states at crossings."""
+def _with_conditions(stepper: Stepper, run: Run, found: Rollout, rows: Any = crossing_rows) -> Rollout:
+    """With what is known of the conditions; `rows` makes those of crossings."""
     if run.watched is None:
         return found
-    found, crossed = found._replace(at_start=run.watched.held), run.watched.crossed
-    if crossed is None:
-        return found
-    ys = advance_all(crossed.y, Part(crossed.t, crossed.s), crossed.used)
-    return found._replace(crossings=crossing_rows(stepper, crossed, ys))
+    crossed = run.watched.crossed
+    crossings = None if crossed is None else rows(stepper, crossed)
+    return found._replace(at_start=run.watched.held, crossings=crossings)
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
@@ -191,7 +180,7 @@ def _to_saved_times(
             saved, parts = saved_before(saved, parts, steps.saved_times, halted, meeting)
     stored, outcome = stepper.stored, run.outcome
     end = _or_start(stored.value(end), outcome.accepted == 0, x)
-    event = None if meeting is None else meeting.which
+    event = None if meeting is None else meeting.event
     if saved is None or parts is None or advance_all is None:
         return Rollout({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
@@ -279,6 +268,11 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
         meeting = refined(stepper, steps.watch, end, run.outcome.h, known._replace(t=begins))
 
+    def advance_all(starts: Blocks, parts: Part) -> Blocks:
+        if stepper.method.solves and not batched_branches_transpose():
+            return jax.lax.map(lambda each: step(*each), (starts, parts))
+        return jax.vmap(step)(starts, parts)
+
     if crossed is not None and run.watched is not None:
         # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
         there = crossed.which >= 0
@@ -287,19 +281,15 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
             t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
         )
         crossed = refined_rows(stepper, steps.watch, crossed)
+        crossed = crossed._replace(y=advance_all(crossed.y, Part(crossed.t, crossed.s)))
         run = run._replace(watched=run.watched._replace(crossed=crossed))
 
     def to_saves(saved: Saved, parts: Part) -> Blocks:
-        return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts, None)
+        return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts)
 
-    def advance_all(starts: Blocks, parts: Part, _: Any) -> Blocks:
-        if stepper.method.solves and not batched_branches_transpose():
-            return jax.lax.map(lambda each: step(*each), (starts, parts))
-        return jax.vmap(step)(starts, parts)
-
-    moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), run, meeting)
+    moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), end, meeting)
     found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
-    return _with_crossings(stepper, run, found, advance_all)
+    return _with_conditions(stepper, run, found)
 
 
 # ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import enum
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 
 from .charts import Blocks
+from .crossings import CrossingTable
 from .kernels import Packed
 
 
@@ -65,36 +67,18 @@ class Saved(NamedTuple):
     asked: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
 
 
-class Crossed(NamedTuple):
-    """Crossings of conditions that do not end an integration: one, or rows of them."""
+class Halt(NamedTuple):
+    """What halts the loop over steps within a step: an event that ends it, or a crossing without room."""
 
-    steps: jax.Array  # the accepted steps before
-    t: jax.Array  # the start of the step in which it lies
-    h: jax.Array  # the length of that step
-    y: Any  # the stored state there
-    s: jax.Array  # how far into the step it lies
-    which: jax.Array  # the number of the event; -1 for rows without one
-    rises: jax.Array  # whether the condition rises
-    used: Any  # rows in use
+    code: jax.Array  # the number of the `Result`; zero for nothing
+    which: jax.Array  # the number of the event
+    s: jax.Array  # how far into the step it lies; infinite for nothing
 
     @classmethod
-    def none(cls, room: int, t: jax.Array, y: Any) -> Crossed:
-        """No rows, with room for some."""
+    def none(cls, t: jax.Array) -> Halt:
+        """Nothing; t is any time."""
         zero = jnp.zeros((), int)
-        one = cls(zero, t, t, y, t, zero - 1, jnp.asarray(False), zero)
-        found: Crossed = jax.tree.map(lambda a: jnp.broadcast_to(a, (room, *a.shape)), one)
-        return found._replace(used=zero)
-
-    def with_one(self, one: Crossed, here: jax.Array) -> tuple[Crossed, jax.Array]:
-        """With one more row, where it is here; whether there was no room for it."""
-        room, count = len(self.which), self.used
-        fits, row = here & (count < room), jnp.minimum(count, room - 1)
-
-        def put(rows: jax.Array, value: jax.Array) -> jax.Array:
-            return rows.at[row].set(jnp.where(fits, value.astype(rows.dtype), rows[row]))
-
-        found: Crossed = jax.tree.map(put, self._replace(used=()), one._replace(used=()))
-        return found._replace(used=count + fits.astype(count.dtype)), here & (count >= room)
+        return cls(zero, zero - 1, jnp.full_like(t, jnp.inf))
 
 
 class Watched(NamedTuple):
@@ -102,12 +86,17 @@ class Watched(NamedTuple):
 
     values: jax.Array  # (m,) where the next step begins; the last ones that were not NaN
     held: jax.Array  # (m,) whether each was zero, or past it, at the start
-    met: jax.Array  # whether an event that ends the integration was met
-    which: jax.Array  # the number of that event
-    s: jax.Array  # how far into the step it lies
+    halt: Halt
+    y: Any  # the stored state where it halts; within the loop packed
     evaluations: jax.Array  # of the right-hand side, to find roots
-    full: jax.Array  # whether there was no room for a crossing
-    crossed: Crossed | None = None  # where there are events that do not end the integration
+    #: Within the loop a `CrossingTable`, after it `Crossed`, where there are events that do not end the integration.
+    crossed: Any = None
+
+    def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> Watched:
+        """What the loop leaves behind, after so many accepted steps; `read` unpacks a state."""
+        table: CrossingTable | None = self.crossed
+        crossed = None if table is None else table.rows(read, steps, self.halt.s)
+        return self._replace(y=read(self.y), crossed=crossed)
 
 
 class Run(NamedTuple):
@@ -119,7 +108,6 @@ class Run(NamedTuple):
     path: Any  # what is needed to take the same steps again, where it was asked for
     trail: Trail | None  # where it is kept
     watched: Watched | None = None  # what is known of the conditions, where there are any
-    carry: Any = ()  # what the method carries at the end, where the steps go on from it
 
 
 class Part(NamedTuple):

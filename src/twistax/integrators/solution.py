@@ -19,7 +19,7 @@ from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
 from ..units import same_unit, seconds
 from .charts import Blocks
-from .meeting import CrossingRows
+from .crossings import CrossingRows
 from .method import Stepper, jitted
 from .run import Result, Trail
 from .unreached import nan_unless

@@ -16,12 +16,12 @@ from ..lowering.dynamics import Arrays
 from ..lowering.small_call import small_call
 from .charts import Blocks
 from .grid import Grid, Splits
-from .kernels import kernel_steps
-from .meeting import Stride, halted_code, watched_along
+from .kernels import Packed, kernel_steps
 from .meter import Meter
 from .method import Carry, Stepper
 from .rows import first_rows, put, rows
 from .run import Outcome, Part, Result, Run, Saved, Trail, Watched
+from .search import Stride, halted_code, watched_along
 
 
 def ended_well(code: Any) -> Any:
@@ -51,16 +51,6 @@ class Steps(ABC):
     @abstractmethod
     def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
         """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
-
-    def advance(self, stepper: Stepper, carry: Any, t: jax.Array, y: Any, h: jax.Array) -> Any:
-        """The stored state after one more step: by the kernel of the loop where it has one.
-
-        Traceable, not differentiable.
-
-        Args:
-            carry, y: what the method carries there, and the state, as `run` left them.
-        """
-        return stepper.advance(t, y, h)
 
     @abstractmethod
     def steps_of(self, path: Any) -> Part:
@@ -151,7 +141,10 @@ class FixedSteps(Steps):
         if self.at is not None:
             stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
         now, found = small_call(FixedSteps._all_steps, self, stepper, y, stops)
-        evaluations = now.evaluations + (0 if now.watched is None else now.watched.evaluations)
+        evaluations, watched = now.evaluations, now.watched
+        if watched is not None:
+            evaluations = evaluations + watched.evaluations
+            watched = watched.after_loop(Packed.of(y).read, now.steps)
         outcome = Outcome(now.code, now.steps, now.steps, evaluations, *self._grid.step(now.steps))
         trail = None if now.every is None else self.trail(None, now.steps, now.every)
         saved = None
@@ -159,17 +152,17 @@ class FixedSteps(Steps):
             starts, reached = jax.tree.map(lambda a: a[:-1], found)
             asked = jnp.arange(len(reached)) < self.at.count
             saved = Saved(self.at.index, self._grid.begin(self.at.index)[0], starts, reached & asked, asked)
-        return Run(now.y, outcome, saved, None, trail, now.watched)
+        return Run(now.y, outcome, saved, None, trail, watched)
 
     def _all_steps(self, stepper: Stepper, y: Blocks, stops: jax.Array) -> tuple[_Now, Any]:
         """The loops over stops and steps: what they carry at the end, and what is found at every stop."""
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         none, carry = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y)
         start = _Now(none, y, carry, none, jnp.zeros((), int), every, self._slopes(stepper, y, carry), None)
-        advance = functools.partial(self.advance, stepper, ())
         if self.watch is not None:
-            watched = self.watch.begin(advance, stepper, *self._grid.step(none), y)
-            start = start._replace(watched=watched, code=halted_code(watched, start.code))
+            advance = functools.partial(self._advance, stepper, start)
+            watched = self.watch.begin(advance, stepper, *self._grid.step(none), Packed.of(y))
+            start = start._replace(watched=watched, code=halted_code(watched.halt, start.code))
         kernel = None if every is not None else kernel_steps(stepper, self._grid, none, (y, carry, start.slopes))
 
         def in_kernel(now: _Now, stop: jax.Array) -> _Now:
@@ -190,7 +183,7 @@ class FixedSteps(Steps):
 
         def one_step(now: _Now) -> _Now:
             after = self._one_step(stepper, now) if kernel is None else in_kernel(now, now.steps + 1)
-            return after if now.watched is None else self._watched(advance, stepper, now, after)
+            return after if now.watched is None else self._watched(stepper, now, after)
 
         def steps_to(now: _Now, stop: jax.Array) -> _Now:
             if kernel is not None and now.watched is None:
@@ -245,26 +238,30 @@ class FixedSteps(Steps):
         t, h = self._grid.step(jnp.zeros((), int))
         return zeros_like(lambda: stepper.follow(t, y, carry, h, sampled=True).slopes)
 
-    def _watched(self, advance: Any, stepper: Stepper, before: _Now, after: _Now) -> _Now:
+    def _watched(self, stepper: Stepper, before: _Now, after: _Now) -> _Now:
         """After a step, or as before it where it meets an event that ends the integration."""
         assert before.watched is not None
         t, h = self._grid.step(before.steps)
-        stride = Stride(before.steps, t, h, before.y, after.y, after.slopes)
+        stride = Stride(before.steps, t, h, Packed.of(before.y), Packed.of(after.y), after.slopes)
+        advance = functools.partial(self._advance, stepper, before)
         ends = before.steps == 0, before.steps + 1 == self.steps
         watched = watched_along(self.watch, advance, stepper, stride, before.watched, after.steps > before.steps, ends)
-        code = halted_code(watched, after.code)
+        code = halted_code(watched.halt, after.code)
         hit = code != after.code
         steps, y = jax.tree.map(lambda a, b: jnp.where(hit, a, b), (before.steps, before.y), (after.steps, after.y))
         return after._replace(steps=steps, y=y, code=code, watched=watched)
 
-    def advance(self, stepper: Stepper, carry: Carry, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
-        none, carry = jnp.zeros_like(jnp.asarray(self.steps)), stepper.method.before(stepper.dynamics, y)
-        grid, state = self._grid.one_step(t, h), (y, carry, self._slopes(stepper, y, carry))
+    def _advance(self, stepper: Stepper, now: _Now, h: jax.Array) -> Packed:
+        """The packed state after one more step of another length, by the kernel of the loop where it has one."""
+        t, _ = self._grid.step(now.steps)
+        none, carry = jnp.zeros_like(now.steps), stepper.method.before(stepper.dynamics, now.y)
+        grid, state = self._grid.one_step(t, h), (now.y, carry, now.slopes)
         kernel = kernel_steps(stepper, grid, none, state)
         if kernel is None:
-            return stepper.advance(t, y, h)
+            return Packed.of(stepper.advance(t, now.y, h))
         (moved, _, _), count = kernel.run(stepper, grid, none, none + 1, state)
-        return jax.tree.map(lambda a: jnp.where(count > 0, a, jnp.nan), moved)
+        packed = Packed.of(moved)
+        return Packed(jnp.where(count > 0, packed.flat, jnp.nan), packed.read)
 
     def steps_of(self, path: None) -> Part:
         t, h = self._grid.step(jnp.arange(self.bound))

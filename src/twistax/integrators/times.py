@@ -12,7 +12,7 @@ from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..units import Quantity, same_unit, seconds
-from .grid import SNAP, Splits, splits_of
+from .grid import Splits, slack, splits_of
 from .steps import FixedSteps, Saves
 
 
@@ -132,9 +132,9 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
     position = (times - start) / length
     nearest = np.rint(position)
     # What counts as on the grid allows for the precision the times came in.
-    eps = np.finfo(given).eps if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
-    slack = np.maximum(SNAP, 4 * eps * np.maximum(np.abs(times), abs(start)) / length)
-    snapped = np.abs(position - nearest) <= slack
+    eps = float(np.finfo(given).eps) if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    near = slack(np.maximum(np.abs(times), abs(start)), length, eps) / length
+    snapped = np.abs(position - nearest) <= near
     index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
     share = np.where(snapped, 0.0, position - index)
     return Saves(times.astype(dtype), index.astype(int), share.astype(dtype), share == 0.0, None)
@@ -158,7 +158,7 @@ def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves
     # Jumps at the ends of equal steps add none, and are no places within one.
     inside = (array.diff(added, prepend=0) > 0) & (slots < np.iinfo(slots.dtype).max)
     times = array.sort(array.where(inside, times, np.inf))
-    slack = array.maximum(SNAP * h, 4.0 * float(np.finfo(times.dtype).eps) * abs(ts))
-    past = array.searchsorted(times, ts + slack, side="right")
-    there = array.searchsorted(times, ts - slack, side="left") < past
+    near = slack(ts, h, float(np.finfo(times.dtype).eps))
+    past = array.searchsorted(times, ts + near, side="right")
+    there = array.searchsorted(times, ts - near, side="left") < past
     return at._replace(index=at.index + past.astype(slots.dtype), on=there | at.on)

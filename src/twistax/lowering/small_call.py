@@ -71,11 +71,22 @@ def no_small_call() -> Iterator[None]:
 
 
 def held(tree: Tree) -> Tree:
-    """The same numbers, kept in one array. Inside a small function XLA else computes scalars anew at every reader."""
+    """The same numbers, kept in one array. Inside a small function XLA else computes scalars anew at every reader.
+
+    Whole numbers are small, so that they are floating-point numbers too.
+    """
     if not inside_small_call():
         return tree
-    packed, read = ravel_pytree(tree)
-    return read(jax.lax.optimization_barrier(packed))
+    kinds = [jnp.result_type(leaf) for leaf in jax.tree.leaves(tree)]
+    dtype = next((kind for kind in kinds if jnp.issubdtype(kind, jnp.floating)), jnp.float32)
+
+    def is_number(value: Any) -> bool:
+        return jnp.issubdtype(jnp.result_type(value), jnp.floating)
+
+    packed, read = ravel_pytree(jax.tree.map(lambda a: a if is_number(a) else a.astype(dtype), tree))
+    numbers = read(jax.lax.optimization_barrier(packed))
+    found: Tree = jax.tree.map(lambda a, b: b if is_number(a) else b.astype(a.dtype), tree, numbers)
+    return found
 
 
 def fits(function: Callable[..., Any], *arguments: Any) -> bool:
