@@ -29,7 +29,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("scene", "..scenes", "SCENES", "only this scene"),
         ("method", ".work_precision.contenders", "CONTENDERS", "only this method"),
         ("case", ".speed.cases", "CASES", "with --speed, only this function"),
-        ("only", ".sections", "EVERY", "with --stability, --figures or --optimal, only this section, with --foreign this problem"),
+        (
+            "only",
+            ".sections",
+            "EVERY",
+            "with --stability, --figures or --optimal, only this section, with --foreign this problem",
+        ),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
         known = _one_of("section" if name == "only" else name, module, names)

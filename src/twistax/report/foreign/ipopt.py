@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import needed
-from .statement import Foreign, Points
+from .statement import Foreign, Points, coefficients
 
 #: Functions are expanded into scalar expressions, which makes IPOPT several times as fast. Its other defaults stay.
 _PLUGIN = {"expand": True, "print_time": False, "error_on_fail": False}
@@ -54,7 +54,7 @@ class _Statement:
         self.problem, self.opti = problem, ca.Opti()
         count = problem.intervals
         self.X = self.opti.variable(len(problem.states), count + 1)
-        self.U = self.opti.variable(len(problem.controls), count + problem.linear) if problem.controls else None
+        self.U: Any = self.opti.variable(len(problem.controls), count + problem.linear) if problem.controls else None
         self.free = {name: self.opti.variable() for name in problem.free}
         self.p = ca.vertcat(*self.free.values()) if self.free else ca.DM(0, 1)
         self.T = self.opti.variable() if isinstance(problem.final_time, tuple) else problem.final_time
@@ -129,7 +129,8 @@ class _Statement:
         """Direct collocation, whose inner states are unknowns."""
         ca, rule, shares = self.ca, self.problem.rule, self.problem.shares
         points = ca.collocation_points(rule.points, rule.kind)
-        slopes, ends, weights = ca.collocation_coeff(points)
+        slopes, ends, _ = ca.collocation_coeff(points)
+        weights = coefficients(rule.kind, rule.points)[1]  # CasADi's for one Radau point give the start half of it
         inner = self.opti.variable(len(self.problem.states), len(points))
         places = shares[k] + (shares[k + 1] - shares[k]) * np.array(points)
         for i, var in enumerate(self.problem.states.values()):

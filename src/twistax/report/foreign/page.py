@@ -55,7 +55,9 @@ class Beside(Report):
         theirs = ipopt(problem, self._seconds)
         tell("twistax", 0.5)
         mine = ours(problem, self._seconds)
-        numbers = {f"{name}, {by}": x for by, side in (("IPOPT", theirs), ("twistax", mine)) for name, x in side.numbers}
+        numbers = {
+            f"{name}, {by}": x for by, side in (("IPOPT", theirs), ("twistax", mine)) for name, x in side.numbers
+        }
         holds = mine.solved and not apart(problem, mine, theirs) > SAME
         note = DONE if mine.solved and theirs.solved else f"IPOPT: {theirs.word}; twistax: {mine.word}"
         row = Row(part, problem.name, _BY, problem.transcription, mine.second / theirs.second, "of its time", _BAR)

@@ -77,7 +77,7 @@ class RungeKutta:
 
 @dataclasses.dataclass(frozen=True)
 class Points:
-    """Collocation, with the running cost by the weights of the method. Ours solves its equations inside the interval."""
+    """Collocation, the running cost by its weights. Ours solves its equations inside of an interval."""
 
     points: int
     kind: str = "legendre"  # or "radau", as CasADi calls them
@@ -174,7 +174,7 @@ class Foreign:
         constraints: dict[str, Any] = {}
         for name, (low, expr, high) in (self.path(bag, MATHS) if self.path else {}).items():
             constraints |= _sides(name, low, tx.to_expr(expr), high)
-        rates = dict(zip(states.values(), self.rates(bag, MATHS), strict=True))
+        rates: dict[Any, Any] = dict(zip(states.values(), self.rates(bag, MATHS), strict=True))
         system = tx.System(rates=rates, controls=list(controls.values()), constraints=constraints)
         running, cost = (part and part(bag, MATHS) for part in (self.running, self.cost))
         objective = (tx.Maximize if self.maximise else tx.Minimize)(cost, running=running)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from .statement import Foreign, Points, Var
+from ..statement import Foreign, Points, Var
 
 _FILE = "control-toolbox/OptimalControlProblems.jl, ext/JuMPModels/{}.jl"
 _SUM = "trapezoid rule, cost summed over nodes"

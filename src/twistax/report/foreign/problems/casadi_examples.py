@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from .statement import Foreign, Points, RungeKutta, Var
+from ..statement import Foreign, Points, RungeKutta, Var
 
 RACE_CAR = Foreign(
     name="race car below a speed limit",
@@ -18,14 +19,14 @@ RACE_CAR = Foreign(
     intervals=100,
 )
 
-_VAN_DER_POL = dict(
-    states={"x1": Var(-0.25, start=0.0), "x2": Var(start=1.0, guess=0.0)},
-    controls={"u": Var(-1.0, 1.0, guess=0.0)},
-    rates=lambda x, m: [(1.0 - x.x2**2) * x.x1 - x.x2 + x.u, x.x1],
-    running=lambda x, m: x.x1**2 + x.x2**2 + x.u**2,
-    final_time=10.0,
-    intervals=20,
-)
+_VAN_DER_POL: dict[str, Any] = {
+    "states": {"x1": Var(-0.25, start=0.0), "x2": Var(start=1.0, guess=0.0)},
+    "controls": {"u": Var(-1.0, 1.0, guess=0.0)},
+    "rates": lambda x, m: [(1.0 - x.x2**2) * x.x1 - x.x2 + x.u, x.x1],
+    "running": lambda x, m: x.x1**2 + x.x2**2 + x.u**2,
+    "final_time": 10.0,
+    "intervals": 20,
+}
 
 VAN_DER_POL_SHOOTING = Foreign(
     name="Van der Pol, shooting",

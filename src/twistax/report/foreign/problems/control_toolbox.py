@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from .statement import Foreign, Points, Var
+from ..statement import Foreign, Points, Var
 
 _FILE = "control-toolbox/OptimalControlProblems.jl, ext/JuMPModels/{}.jl"
 _TILT = math.pi / 6.0
@@ -21,7 +21,7 @@ DUCTED_FAN = Foreign(
         "angle": Var(-_TILT, _TILT, 0.0, 0.0),
         "spin": _STILL,
     },
-    controls={"u1": Var(-5.0, 5.0, guess=0.0), "u2": Var(0.0, 17.0, guess=0.0)},
+    controls={"u1": Var(-5.0, 5.0, guess=0.0), "u2": Var(0.0, 17.0, guess=4.0)},
     rates=lambda x, m: [
         x.v1,
         (x.u1 * m.cos(x.angle) - x.u2 * m.sin(x.angle)) / 2.2,

@@ -7,14 +7,15 @@ are those of its models, as `COPSBenchmark.jl` and `OptimalControlProblems.jl` o
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from .statement import Foreign, Var
+from ..statement import Foreign, Var
 
 _TRAPEZOID = "trapezoid rule"
 _TURN = 2.0 * math.pi / 3.0
 
 
-def _inertia(x):
+def _inertia(x: Any) -> Any:
     return ((5.0 - x.rho) ** 3 + x.rho**3) / 3.0
 
 
@@ -89,7 +90,7 @@ GODDARD = Foreign(
 )
 
 
-def _lifted(x, m):
+def _lifted(x: Any, m: Any) -> Any:
     """Accelerations of the glider in a thermal."""
     r = (x.x / 100.0 - 2.5) ** 2
     w = x.vy - 2.5 * (1.0 - r) * m.exp(-r)

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
-from .statement import Foreign, Points, Var
+from ..statement import Foreign, Points, Var
 
 _FILE = "PSOPT, examples/{0}/{0}.cxx"
 _S, _C = math.sin(math.radians(75.0)), math.cos(math.radians(75.0))
@@ -65,14 +66,14 @@ CRANE = Foreign(
 )
 
 
-def _missile(x, m):
+def _missile(x: Any, m: Any) -> Any:
     density = 3.312e-9 * x.h**2 - 1.142e-4 * x.h + 1.224
     push = 0.5 * density * x.V**2 * 0.3376
     force, lift = x.T - (-1.9431 * x.a**2 - 0.1499 * x.a + 0.2359) * push, 21.9 * x.a * push
     return force, lift
 
 
-def _flown(x, m):
+def _flown(x: Any, m: Any) -> Any:
     (force, lift), mass = _missile(x, m), 1005.0
     return [
         (force * m.sin(x.a) + lift * m.cos(x.a)) / (mass * x.V) - 9.81 * m.cos(x.gamma) / x.V,
@@ -85,7 +86,7 @@ def _flown(x, m):
 MISSILE = Foreign(
     name="missile, terminal bunt",
     source=f"Subchan and Zbikowski (2009); {_FILE.format('missile')}",
-    published=40.9122,
+    published=40.91755,
     states={
         "gamma": Var(-math.pi / 2.0, math.pi / 2.0, 0.0, -math.pi / 2.0),
         "V": Var(200.0, 310.0, 272.0, 310.0),
@@ -109,7 +110,7 @@ _LINES = 10
 _X = [i / (_LINES - 1) for i in range(_LINES)]
 
 
-def _heated(x, m):
+def _heated(x: Any, m: Any) -> Any:
     """Rates of ten lines; the two values beyond the ends follow from the fluxes there."""
     e, d, pi = m.exp(-x.t), 1.0 / (_LINES - 1), math.pi
     y = [getattr(x, f"y{i}") for i in range(_LINES)]
