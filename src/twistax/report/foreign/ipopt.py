@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import dataclasses
+import itertools
 import math
 from collections.abc import Callable
 from types import SimpleNamespace
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..checks import needed
-from .statement import Foreign, Points, coefficients
+from .statement import Foreign, Phased, Points, coefficients
 
 #: Functions are expanded into scalar expressions, which makes IPOPT several times as fast. Its other defaults stay.
 _PLUGIN = {"expand": True, "print_time": False, "error_on_fail": False}
@@ -41,23 +42,32 @@ class Nlp:
         return bool(stats["success"]), cost, int(stats["iter_count"]), str(stats["return_status"])
 
 
-def stated(problem: Foreign) -> Nlp:
+def stated(problem: Foreign | Phased) -> Nlp:
     """The problem in Opti. Raises Absent without CasADi."""
-    return _Statement(problem).nlp()
+    opti = needed("casadi", "'twistax[casadi]'").Opti()
+    phases = problem.phases if isinstance(problem, Phased) else [problem]
+    written = [_Statement(phase, opti) for phase in phases]
+    total = sum(each.written() for each in written)
+    for before, after in itertools.pairwise(written):
+        for i, (name, var) in enumerate(after.problem.states.items()):
+            if var.start is None:
+                opti.subject_to(after.X[i, 0] == before.X[list(before.problem.states).index(name), -1])
+    opti.minimize(-total if problem.maximise else total)
+    return Nlp(opti, total)
 
 
 class _Statement:
-    """What Opti knows while a problem is written down."""
+    """What Opti knows while a problem, or a phase of it, is written down."""
 
-    def __init__(self, problem: Foreign) -> None:
+    def __init__(self, problem: Foreign, opti: Any) -> None:
         self.ca = ca = needed("casadi", "'twistax[casadi]'")
-        self.problem, self.opti = problem, ca.Opti()
+        self.problem, self.opti = problem, opti
         count = problem.intervals
-        self.X = self.opti.variable(len(problem.states), count + 1)
-        self.U: Any = self.opti.variable(len(problem.controls), count + problem.linear) if problem.controls else None
-        self.free = {name: self.opti.variable() for name in problem.free}
+        self.X = opti.variable(len(problem.states), count + 1)
+        self.U: Any = opti.variable(len(problem.controls), count + problem.linear) if problem.controls else None
+        self.free = {name: opti.variable() for name in problem.free}
         self.p = ca.vertcat(*self.free.values()) if self.free else ca.DM(0, 1)
-        self.T = self.opti.variable() if isinstance(problem.final_time, tuple) else problem.final_time
+        self.T = opti.variable() if isinstance(problem.final_time, tuple) else problem.final_time
         self.f, self.sides, self.reads = self._function()
 
     def _function(self) -> tuple[Any, list[tuple[float, float]], list[set[str]]]:
@@ -75,21 +85,20 @@ class _Statement:
         reads = [{name for name in [*names, "t"] if ca.depends_on(row, getattr(bag, name))} for row in rows]
         return ca.Function("f", [x, u, p, t], outputs), [(low, high) for low, _, high in path.values()], reads
 
-    def nlp(self) -> Nlp:
-        """All of it."""
-        problem, opti = self.problem, self.opti
+    def written(self) -> Any:
+        """Write down all rows and the guess; gives the objective."""
+        problem = self.problem
         step = self._collocated if isinstance(problem.rule, Points) else self._shot
         total: Any = 0.0
         for k, width in enumerate(np.diff(problem.shares)):
             total += step(k, problem.shares[k] * self.T, width * self.T)
-            self._rows_of_interval(k, width * self.T)
+            self._rows_of_interval(k)
         self._rows(-1, self._u(-1), self.T, lambda reads: not self._held & reads)
         self._limits()
         self._guess()
         if problem.cost:
             total += problem.cost(self._at(self.X[:, -1], self.T), self.ca)
-        opti.minimize(-total if problem.maximise else total)
-        return Nlp(opti, total)
+        return total
 
     def _at(self, x: Any, t: Any) -> SimpleNamespace:
         return SimpleNamespace(**{name: x[i] for i, name in enumerate(self.problem.states)}, **self.free, t=t)
@@ -161,18 +170,14 @@ class _Statement:
         if self.sides:
             self._asked(self.f(self.X[:, k], u, self.p, t)[2], which)
 
-    def _rows_of_interval(self, k: int, h: Any) -> None:
-        """Path rows at its first node, and at its second those that read a held control; limits of rates."""
+    def _rows_of_interval(self, k: int) -> None:
+        """Path rows at its first node, and at its second those that read a held control."""
         problem = self.problem
         leaves = {**problem.states, **problem.controls}
         fixed = {name for name, var in leaves.items() if var.start is not None and name not in self._held} | {"t"}
         self._rows(k, self._u(k), problem.shares[k] * self.T, lambda reads: k or not reads <= fixed)
         after = lambda reads: reads & self._held and reads & set(problem.states)  # noqa: E731
         self._rows(k + 1, self._u(k), problem.shares[k + 1] * self.T, after)
-        for name, limit in self.problem.rate_limits.items():
-            i = list(self.problem.controls).index(name)
-            self.opti.subject_to(self.U[i, k + 1] - self.U[i, k] <= limit * h)
-            self.opti.subject_to(self.U[i, k + 1] - self.U[i, k] >= -limit * h)
 
     def _boxes(self, x: Any) -> None:
         for i, var in enumerate(self.problem.states.values()):

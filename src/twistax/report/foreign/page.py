@@ -14,7 +14,7 @@ from ..page import texts
 from ..rows import DONE, Row, now, number
 from ..timing import Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
-from .statement import Foreign
+from .statement import Foreign, Phased
 
 #: Seconds that a side has for a problem, and in the quick run.
 _SECONDS, _QUICK = 60.0, 15.0
@@ -39,7 +39,7 @@ class Beside(Report):
 
     name, template = "foreign", "foreign"
 
-    def __init__(self, problems: Mapping[str, Foreign], arguments: argparse.Namespace) -> None:
+    def __init__(self, problems: Mapping[str, Foreign | Phased], arguments: argparse.Namespace) -> None:
         self._problems = {key: it for key, it in problems.items() if key in (arguments.only or problems)}
         self._texts = texts(self.name)
         self.title = self._texts["title"]
@@ -128,7 +128,7 @@ class Beside(Report):
             "-" if problem.published is None else f"{problem.published:.7g}",
             *(f"{side.cost:.8g}" if math.isfinite(side.cost) else "-" for side in (theirs, mine)),
             in_words(apart(problem, mine, theirs)),
-            *both("iterations", 1),
+            *both("iterations", 1.0),
             shown(ratios["steps"]),
             *both("first", 1.0),
             shown(ratios["first answer"]),
@@ -136,7 +136,7 @@ class Beside(Report):
             shown(ratios["second solve"]),
         ]
 
-    def _source(self, problem: Foreign) -> str:
+    def _source(self, problem: Foreign | Phased) -> str:
         return f"{problem.name}: {problem.source}." + (f" There: {problem.theirs}." if problem.theirs else "")
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from ..checks import Absent
 from ..rows import first_line
 from .ipopt import stated
-from .statement import Foreign
+from .statement import Foreign, Phased
 
 #: Relative difference of objectives up to which they are one optimum.
 SAME = 1e-6
@@ -74,7 +74,7 @@ def _overdue(seconds: float) -> Side:
     return Side(False, f"no answer in {seconds:g} s")
 
 
-def ipopt(problem: Foreign, seconds: float) -> Side:
+def ipopt(problem: Foreign | Phased, seconds: float) -> Side:
     """By plain IPOPT. Raises Absent without CasADi."""
     gc.collect()
     begin = time.perf_counter()
@@ -89,7 +89,7 @@ def ipopt(problem: Foreign, seconds: float) -> Side:
     return Side(solved, word, cost, iterations, first, second)
 
 
-def ours(problem: Foreign, seconds: float) -> Side:
+def ours(problem: Foreign | Phased, seconds: float) -> Side:
     """By `Problem.solve` with its defaults; any mesh is taken, for it is the same on both sides."""
     gc.collect()
     begin = time.perf_counter()
@@ -111,7 +111,7 @@ def ours(problem: Foreign, seconds: float) -> Side:
     return Side(result.solved, result.status.name, float(result.cost), result.iterations, first, second)
 
 
-def apart(problem: Foreign, mine: Side, theirs: Side) -> float:
+def apart(problem: Foreign | Phased, mine: Side, theirs: Side) -> float:
     """By how much our objective is worse, relative; negative where it is better, NaN unless both are solved."""
     if not (mine.solved and theirs.solved):
         return math.nan

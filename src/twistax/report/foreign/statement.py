@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 
 import twistax as tx
 
-from ...trajectory import Collocation, Held, Initial, Linear, MultipleShooting, Problem
+from ...trajectory import Collocation, Held, Initial, Linear, MultipleShooting, Phase, Problem
 
 #: Functions under the names that CasADi has for them.
 MATHS = SimpleNamespace(sin=tx.Sin, cos=tx.Cos, tan=tx.Tan, exp=tx.Exp, sqrt=tx.Sqrt, log=tx.Log, tanh=tx.Tanh)
@@ -127,7 +127,6 @@ class Foreign:
         linear: whether controls are linear between nodes, or else held.
         rule: how an interval is integrated; `theirs` says what the source does where that is something else.
         nodes: shares of the final time instead of equal intervals.
-        rates_limits: control -> its largest rate, of linear controls.
     """
 
     name: str
@@ -146,7 +145,6 @@ class Foreign:
     ends: Callable[[Any, Any, Any], Sequence[Any]] | None = None
     free: Mapping[str, Var] = dataclasses.field(default_factory=dict)
     nodes: Any = None
-    rate_limits: Mapping[str, float] = dataclasses.field(default_factory=dict)
     published: float | None = None
     theirs: str = ""
 
@@ -164,8 +162,14 @@ class Foreign:
         """Shares of the final time where the guess of a state or control is read."""
         return self.shares if self.linear or name in self.states else self.shares[:-1]
 
-    def twistax(self) -> Problem:
+    def twistax(self) -> Any:
         """The problem as users of this package state it."""
+        dynamics, objective, options = self.stated()
+        free = {tx.Parameter(name): (_side(var.low), _side(var.high)) for name, var in self.free.items()}
+        return Problem(dynamics, objective, free=free or None, **options)
+
+    def stated(self) -> tuple[Any, Any, dict[str, Any]]:
+        """The compiled system, the objective or None, and what a problem and a phase take besides."""
         states = {name: tx.State(name, min=_side(var.low), max=_side(var.high)) for name, var in self.states.items()}
         controls = {n: tx.Control(n, min=_side(var.low), max=_side(var.high)) for n, var in self.controls.items()}
         free = {name: tx.Parameter(name, value=float(var.guess)) for name, var in self.free.items()}
@@ -177,29 +181,57 @@ class Foreign:
         rates: dict[Any, Any] = dict(zip(states.values(), self.rates(bag, MATHS), strict=True))
         system = tx.System(rates=rates, controls=list(controls.values()), constraints=constraints)
         running, cost = (part and part(bag, MATHS) for part in (self.running, self.cost))
-        objective = (tx.Maximize if self.maximise else tx.Minimize)(cost, running=running)
+        best = tx.Maximize if self.maximise else tx.Minimize
         unknowns = {**self.states, **self.controls}
         final: list[Any] = [{states[name]: var.end for name, var in self.states.items() if var.end is not None}]
         final += [controls[name] == var.end for name, var in self.controls.items() if var.end is not None]
         if self.ends:
             first = SimpleNamespace(**{name: Initial(leaf) for name, leaf in states.items()})
             final += [tx.to_expr(row) == 0.0 for row in self.ends(bag, MATHS, first)]
-        ways = {leaf: Linear(rate=self.rate_limits.get(n)) if self.linear else Held() for n, leaf in controls.items()}
         times: dict[str, Any] = {"final_time": self.final_time}
         if isinstance(self.final_time, tuple):
             times = {"final_time": self.final_time[:2], "final_time_guess": self.final_time[2]}
-        return Problem(
-            tx.compile(system),
-            objective,
-            nodes=self.intervals + 1 if self.nodes is None else list(self.shares),
-            initial={leaves[name]: var.start for name, var in unknowns.items() if var.start is not None},
-            final=final,
-            free={free[name]: (_side(var.low), _side(var.high)) for name, var in self.free.items()} or None,
-            controls=ways,
-            guess={leaves[name]: var.guessed(self.places(name)) for name, var in unknowns.items()},
-            transcription=self.rule.transcription,
-            **times,
-        )
+        options = times | {
+            "nodes": self.intervals + 1 if self.nodes is None else list(self.shares),
+            "initial": {leaves[name]: var.start for name, var in unknowns.items() if var.start is not None},
+            "final": final,
+            "controls": Linear() if self.linear else Held(),
+            "guess": {leaves[name]: var.guessed(self.places(name)) for name, var in unknowns.items()}
+            | {free[name]: float(var.guess) for name, var in self.free.items()},
+            "transcription": self.rule.transcription,
+        }
+        objective = best(cost, running=running) if self.running or self.cost else None
+        return tx.compile(system), objective, options
+
+
+@dataclasses.dataclass(frozen=True)
+class Phased:
+    """A problem of others in phases, one after another.
+
+    A state without a value at the start of a later phase goes on from the phase before. Objectives are added; all of
+    them are minimised, or all maximised. Times are those since the beginning of a phase.
+    """
+
+    name: str
+    source: str
+    phases: Sequence[Foreign]
+    published: float | None = None
+    theirs: str = ""
+
+    @property
+    def maximise(self) -> bool:
+        """Whether more is better."""
+        return any(phase.maximise for phase in self.phases)
+
+    @property
+    def transcription(self) -> str:
+        """In a few words."""
+        return f"{self.phases[0].transcription} in {len(self.phases)} phases"
+
+    def twistax(self) -> Any:
+        """The problem as users of this package state it."""
+        stated = [(phase.name, *phase.stated()) for phase in self.phases]
+        return Problem([Phase(system, best, name=name, **options) for name, system, best, options in stated])
 
 
 def _side(limit: float) -> float | None:

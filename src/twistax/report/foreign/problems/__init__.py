@@ -1,12 +1,13 @@
 """The problems, a file a source or two."""
 
-from ..statement import Foreign
+from ..statement import Foreign, Phased
 from . import (
     acados,
     bocop,
     casadi_examples,
     control_toolbox,
     cops,
+    larger,
     psopt,
     psopt_larger,
     psopt_more,
@@ -17,6 +18,7 @@ from . import (
 _MODULES = (
     casadi_examples,
     cops,
+    larger,
     bocop,
     control_toolbox,
     psopt,
@@ -28,9 +30,9 @@ _MODULES = (
 )
 
 #: By the names that `--only` takes.
-FOREIGN: dict[str, Foreign] = {
+FOREIGN: dict[str, Foreign | Phased] = {
     name.lower(): problem
     for module in _MODULES
     for name, problem in vars(module).items()
-    if isinstance(problem, Foreign)
+    if isinstance(problem, (Foreign, Phased))
 }
