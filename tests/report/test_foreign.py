@@ -179,7 +179,7 @@ def test_a_side_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
             pass
 
     monkeypatch.setattr(Foreign, "twistax", forever)
-    assert run.ours(GATE, 0.05).word == "no answer in 0.05 s"
+    assert run.ours(GATE, 0.05).word == "no answer in 0.05 s of the processor"
 
 
 def test_a_failure_of_ipopt_has_its_word() -> None:

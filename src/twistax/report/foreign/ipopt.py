@@ -18,8 +18,6 @@ from .statement import Foreign, Phased, Points, coefficients
 #: Functions are expanded into scalar expressions, which makes IPOPT several times as fast. Its other defaults stay.
 _PLUGIN = {"expand": True, "print_time": False, "error_on_fail": False}
 _OPTIONS = {"print_level": 0, "sb": "yes"}
-#: Its word for a limit of time.
-OUT_OF_TIME = "Maximum_WallTime_Exceeded"
 
 
 @dataclasses.dataclass
@@ -30,8 +28,8 @@ class Nlp:
     cost: Any
 
     def prepare(self, seconds: float) -> None:
-        """Make the solver, which stops after that many seconds."""
-        self.opti.solver("ipopt", _PLUGIN, {**_OPTIONS, "max_wall_time": seconds})
+        """Make the solver, which stops after that many seconds of the processor."""
+        self.opti.solver("ipopt", _PLUGIN, {**_OPTIONS, "max_cpu_time": seconds})
 
     def solve(self) -> tuple[bool, float, int, str]:
         """Whether it is solved, the objective, iterations, and IPOPT's word."""

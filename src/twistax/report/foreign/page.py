@@ -16,7 +16,7 @@ from ..timing import Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased
 
-#: Seconds that a side has for a problem, and in the quick run.
+#: Seconds of the processor that a side has for a problem, and in the quick run.
 _SECONDS, _QUICK = 60.0, 15.0
 _BY, _BAR = "twistax over IPOPT", "SOLVED at IPOPT's optimum or better"
 #: The part that sums up the others, and what it asks of ratios: their median, and the worst.
