@@ -103,7 +103,7 @@ OBSTACLES = Foreign(
     theirs="Legendre, 60 and 80 nodes",
 )
 
-MOON = Foreign(
+SOFT_LANDING = Foreign(
     name="soft landing on the Moon",
     source=f"Meditch, IEEE Trans. Autom. Control 9 (1964); {_FILE.format('moon')}",
     published=1.4204,
