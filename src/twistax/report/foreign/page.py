@@ -30,7 +30,7 @@ _HEAD = [
 
 
 def _ratios(theirs: Side, mine: Side) -> dict[str, float]:
-    steps = mine.iterations / theirs.iterations if theirs.iterations else math.nan
+    steps = (mine.iterations or math.nan) / (theirs.iterations or math.nan)
     return {"steps": steps, "second solve": mine.second / theirs.second, "first answer": mine.first / theirs.first}
 
 
@@ -128,7 +128,7 @@ class Beside(Report):
             "-" if problem.published is None else f"{problem.published:.7g}",
             *(f"{side.cost:.8g}" if math.isfinite(side.cost) else "-" for side in (theirs, mine)),
             in_words(apart(problem, mine, theirs)),
-            *both("iterations", 1.0),
+            *(shown(float(side.iterations or math.nan)) for side in (theirs, mine)),
             shown(ratios["steps"]),
             *both("first", 1.0),
             shown(ratios["first answer"]),
