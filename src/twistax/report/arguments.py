@@ -18,6 +18,9 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "optimal": "another report: trajectory problems with published optima, beside IPOPT and Fatrop",
     }.items():
         kinds.add_argument(f"--{name}", action="store_true", help=text)
+    parser.add_argument(
+        "--foreign", action="store_true", help="with --optimal: problems of others, stated beside plain IPOPT in CasADi"
+    )
     quick = (
         "minutes rather than an hour: few methods or functions, coarse settings, few repeats, nothing that takes long; "
     )
@@ -26,7 +29,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         ("scene", "..scenes", "SCENES", "only this scene"),
         ("method", ".work_precision.contenders", "CONTENDERS", "only this method"),
         ("case", ".speed.cases", "CASES", "with --speed, only this function"),
-        ("only", ".sections", "EVERY", "with --stability, --figures or --optimal, only this section"),
+        (
+            "only",
+            ".sections",
+            "EVERY",
+            "with --stability, --figures or --optimal, only this section, with --foreign this problem",
+        ),
     ):
         several = f"{text}; may be given again. A name that is not known is answered with those there are"
         known = _one_of("section" if name == "only" else name, module, names)

@@ -21,6 +21,7 @@ from .timing import Tell, quiet, within
 #: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
 #: package with it.
 _REPORTS = {
+    "foreign": (".foreign", "foreign"),
     "report": (".work_precision.page", "WorkPrecision"),
     "speed": (".speed.page", "Speed"),
     "stability": (".sections", "stability"),
@@ -35,13 +36,19 @@ def run(arguments: argparse.Namespace) -> int:
     """Run the report that the options ask for, as `add_options` declares them.
 
     Returns the exit status: 0 done; 1 something disagrees, or a check is not what was asked for; 2 the folder cannot be
-    written, --renew would write partial tables, --only names a section of another report, or jinja2 is missing.
+    written, --renew would write partial tables, --only names a section of another report, or jinja2 or,
+    with --foreign, casadi is missing.
     """
     if importlib.util.find_spec("jinja2") is None:
         return _refuse("the report needs jinja2, which is not installed; fix: pip install 'twistax[report]'")
     partial = [f"--{name}" for name in _PARTIAL if getattr(arguments, name)]
     if arguments.renew and partial:
         return _refuse(f"--renew writes whole tables; leave out {', '.join(partial)}")
+    if getattr(arguments, "foreign", False):
+        if not arguments.optimal:
+            return _refuse("--foreign goes with --optimal")
+        if importlib.util.find_spec("casadi") is None:
+            return _refuse("--foreign needs casadi, which is not installed; fix: pip install 'twistax[casadi]'")
     kind = next((name for name in _REPORTS if getattr(arguments, name, False)), "report")
     module, name = _REPORTS[kind]
     if arguments.only:

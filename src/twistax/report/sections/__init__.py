@@ -3,6 +3,7 @@
 import functools
 
 from ..checks import Checked, Section
+from ..foreign import FOREIGN
 from . import (
     calls,
     costs,
@@ -80,7 +81,8 @@ OPTIMAL: dict[str, Section] = {
     "times": optimal.TIMES,
 }
 
-EVERY = FIGURES | STABILITY | OPTIMAL
+#: Names that `--only` takes.
+EVERY = [*FIGURES, *STABILITY, *OPTIMAL, *FOREIGN]
 stability = functools.partial(Checked, "stability", STABILITY)
 figures = functools.partial(Checked, "figures", FIGURES)
 optimal_control = functools.partial(Checked, "optimal", OPTIMAL)

@@ -1,0 +1,8 @@
+"""Problems of others, as their authors state them, by plain IPOPT in CasADi and by this package."""
+
+import functools
+
+from .page import Beside
+from .problems import FOREIGN
+
+foreign = functools.partial(Beside, FOREIGN)
