@@ -43,7 +43,9 @@ static int32_t qp_warm(twx_qp_work *w) {
 
 static twx_qp_status qp_solve(twx_qp_work *w) {
   if (!qp_is_convex(w)) return TWX_QP_NOT_CONVEX;
-  return qp_warm(w) ? TWX_QP_SOLVED : twx_qp_interior(w);
+  if (qp_warm(w)) return TWX_QP_SOLVED;
+  const twx_qp_status status = twx_qp_interior(w);
+  return status == TWX_QP_SOLVED || status == TWX_QP_NOT_CONVEX ? status : twx_qp_prove(w, status);
 }
 
 int32_t twx_qp_solve(const twx_qp *problem, const twx_qp_options *options, twx_qp_solution *solution,
@@ -52,11 +54,9 @@ int32_t twx_qp_solve(const twx_qp *problem, const twx_qp_options *options, twx_q
   *statistics = (twx_qp_statistics){NAN, NAN, NAN, NAN, NAN, INFINITY, TWX_QP_BAD_PROBLEM, 0, 0, 0};
   if (!twx_qp_workspace_size(problem)) return TWX_QP_BAD_PROBLEM;
   twx_qp_carve(w, problem, workspace);
-  w->problem = problem, w->options = options, w->statistics = statistics;
+  w->problem = problem, w->options = options, w->statistics = statistics, w->proving = 0;
   if (!twx_qp_load(w, solution)) return TWX_QP_BAD_PROBLEM;
   statistics->status = (int32_t)qp_solve(w);
-  if (statistics->status == TWX_QP_INFEASIBLE) memcpy(w->point.z, w->dz, sizeof(double) * (size_t)w->k);
-  else if (statistics->status != TWX_QP_UNBOUNDED) statistics->certificate = INFINITY;
   twx_qp_unload(w, solution);
   return statistics->status;
 }

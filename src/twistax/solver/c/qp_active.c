@@ -21,7 +21,7 @@ static int32_t qp_solve_with_active(twx_qp_work *w) {
   twx_qp_point *const q = &w->trial;
   for (int32_t i = 0; i < w->k; i++) {
     const int32_t active = w->kind[i] == TWX_QP_FIXED || w->active[i];
-    w->weights[i] = active ? 1 / o->softness : 0;
+    w->weights[i] = active ? 1 / twx_qp_softness(w, i) : 0;
     if (!active) q->z[i] = 0;
   }
   if (!twx_qp_factorize(w, o->regularization)) return 0;

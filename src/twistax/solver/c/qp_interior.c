@@ -1,7 +1,7 @@
 /* The interior point: Mehrotra's predictor and corrector with two-sided bounds. Source: [M], [NW] Algorithm 16.4.
  *
- * v follows t and stays strictly inside of its bounds, with slacks sl = v - lower, su = upper - v and multipliers zl, zu
- * of these. A step satisfies  dv = dt + (t - v) - softness dz,  sl dzl + zl dv = -cl,  su dzu - zu dv = -cu.
+ * v follows t and stays strictly inside of its bounds, with slacks sl = v - lower, su = upper - v, which are kept beside
+ * v so that rounding makes none 0, and multipliers zl, zu of these. A step satisfies  dv = dt + (t - v) - softness dz,  sl dzl + zl dv = -cl,  su dzu - zu dv = -cu.
  */
 #include "qp_work.h"
 
@@ -18,26 +18,27 @@ static int32_t qp_start(twx_qp_work *w) {
   memset(q->z, 0, sizeof(double) * (size_t)w->k);
   twx_qp_measure(w, q);
   for (int32_t i = 0; i < w->k; i++) {
-    w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / o->softness : w->kind[i] == TWX_QP_BOUNDED ? 1 : 0;
+    w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / twx_qp_softness(w, i) : w->kind[i] == TWX_QP_BOUNDED ? 1 : 0;
     w->r[i] = q->t[i] - twx_min(twx_max(q->t[i], w->lower[i]), w->upper[i]), w->dz0[i] = 0;
   }
   if (!twx_qp_factorize_regularized(w)) return 0;
   twx_qp_step(w, q);
   for (int32_t j = 0; j < w->n; j++) q->x[j] = twx_min(twx_max(q->x[j] + w->dx[j], w->lower[j]), w->upper[j]);
   twx_qp_measure(w, q);
-  const double X = q->X > 0 ? q->X : twx_max(q->Z, 1e-300), distance = o->start_push * X;
+  const double X = q->X > 0 ? q->X : q->Z > 0 ? q->Z : 1, distance = o->start_push * X;
   for (int32_t j = 0; j < w->n; j++)
     if (w->kind[j] == TWX_QP_BOUNDED) q->x[j] = qp_push(q->x[j], w->lower[j], w->upper[j], distance, o->start_share);
-  twx_qp_measure(w, q);
-  const double product = distance * twx_max(q->Z, 1e-300);
+  const double Z = q->Z > 0 ? q->Z : X;
   for (int32_t i = 0; i < w->k; i++) {
     w->v[i] = w->kind[i] == TWX_QP_BOUNDED ? qp_push(q->t[i], w->lower[i], w->upper[i], distance, o->start_share) : q->t[i];
     w->zl[i] = w->zu[i] = w->dv[i] = w->dzl[i] = w->dzu[i] = 0;
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
-    if (isfinite(w->lower[i])) w->zl[i] = product / (w->v[i] - w->lower[i]);
-    if (isfinite(w->upper[i])) w->zu[i] = product / (w->upper[i] - w->v[i]);
+    w->sl[i] = w->v[i] - w->lower[i], w->su[i] = w->upper[i] - w->v[i];
+    if (isfinite(w->lower[i])) w->zl[i] = Z * twx_min(1, distance / w->sl[i]);
+    if (isfinite(w->upper[i])) w->zu[i] = Z * twx_min(1, distance / w->su[i]);
     q->z[i] = w->zu[i] - w->zl[i];
   }
+  twx_qp_measure(w, q);
   return 1;
 }
 
@@ -47,9 +48,8 @@ static double qp_mean(const twx_qp_work *w, double length) {
   int32_t count = 0;
   for (int32_t i = 0; i < w->k; i++) {
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
-    const double v = w->v[i] + length * w->dv[i];
-    if (isfinite(w->lower[i])) sum += (v - w->lower[i]) * (w->zl[i] + length * w->dzl[i]), count++;
-    if (isfinite(w->upper[i])) sum += (w->upper[i] - v) * (w->zu[i] + length * w->dzu[i]), count++;
+    if (isfinite(w->lower[i])) sum += (w->sl[i] + length * w->dv[i]) * (w->zl[i] + length * w->dzl[i]), count++;
+    if (isfinite(w->upper[i])) sum += (w->su[i] - length * w->dv[i]) * (w->zu[i] + length * w->dzu[i]), count++;
   }
   return count ? sum / count : 0;
 }
@@ -60,11 +60,11 @@ static double qp_longest(const twx_qp_work *w) {
   for (int32_t i = 0; i < w->k; i++) {
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
     if (isfinite(w->lower[i])) {
-      inverse = twx_max(inverse, -w->dv[i] / (w->v[i] - w->lower[i]));
+      inverse = twx_max(inverse, -w->dv[i] / w->sl[i]);
       inverse = twx_max(inverse, -w->dzl[i] / w->zl[i]);
     }
     if (isfinite(w->upper[i])) {
-      inverse = twx_max(inverse, w->dv[i] / (w->upper[i] - w->v[i]));
+      inverse = twx_max(inverse, w->dv[i] / w->su[i]);
       inverse = twx_max(inverse, -w->dzu[i] / w->zu[i]);
     }
   }
@@ -72,34 +72,33 @@ static double qp_longest(const twx_qp_work *w) {
 }
 
 static void qp_weigh(twx_qp_work *w) {
-  const double softness = w->options->softness;
   for (int32_t i = 0; i < w->k; i++) {
+    const double softness = twx_qp_softness(w, i);
     double sigma = 0;
-    if (isfinite(w->lower[i])) sigma += w->zl[i] / (w->v[i] - w->lower[i]);
-    if (isfinite(w->upper[i])) sigma += w->zu[i] / (w->upper[i] - w->v[i]);
+    if (isfinite(w->lower[i])) sigma += w->zl[i] / w->sl[i];
+    if (isfinite(w->upper[i])) sigma += w->zu[i] / w->su[i];
     w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / softness : w->kind[i] == TWX_QP_FREE ? 0 : sigma / (1 + softness * sigma);
   }
 }
 
 /* A step whose products are to become `target`; with products of the step before as second order where `corrected`. */
 static void qp_direction(twx_qp_work *w, double target, int32_t corrected) {
-  const double softness = w->options->softness;
   for (int32_t i = 0; i < w->k; i++) {
     double cl = 0, cu = 0, q = 0;
     w->r[i] = w->kind[i] == TWX_QP_FREE ? 0 : w->point.t[i] - (w->kind[i] == TWX_QP_FIXED ? w->lower[i] : w->v[i]);
     if (w->kind[i] == TWX_QP_BOUNDED) {
-      const double sl = w->v[i] - w->lower[i], su = w->upper[i] - w->v[i];
+      const double sl = w->sl[i], su = w->su[i];
       if (isfinite(sl)) cl = sl * w->zl[i] - target + (corrected ? w->dv[i] * w->dzl[i] : 0), q += cl / sl;
       if (isfinite(su)) cu = su * w->zu[i] - target - (corrected ? w->dv[i] * w->dzu[i] : 0), q -= cu / su;
     }
-    w->q[i] = q, w->dzl[i] = cl, w->dzu[i] = cu;
-    w->dz0[i] = q * (1 - softness * w->weights[i]); /* q / (1 + softness Sigma) */
+    w->dzl[i] = cl, w->dzu[i] = cu;
+    w->dz0[i] = q * (1 - twx_qp_softness(w, i) * w->weights[i]); /* q / (1 + softness Sigma) */
   }
   twx_qp_step(w, &w->point);
   for (int32_t i = 0; i < w->k; i++) {
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
-    const double sl = w->v[i] - w->lower[i], su = w->upper[i] - w->v[i];
-    const double dv = w->dv[i] = w->dt[i] + w->r[i] - softness * w->dz[i];
+    const double sl = w->sl[i], su = w->su[i];
+    const double dv = w->dv[i] = w->dt[i] + w->r[i] - twx_qp_softness(w, i) * w->dz[i];
     w->dzl[i] = isfinite(sl) ? -(w->dzl[i] + w->zl[i] * dv) / sl : 0;
     w->dzu[i] = isfinite(su) ? -(w->dzu[i] - w->zu[i] * dv) / su : 0;
   }
@@ -117,22 +116,22 @@ static double qp_advance(twx_qp_work *w) {
   for (int32_t i = 0; i < w->k; i++) {
     if (w->kind[i] == TWX_QP_FIXED) q->z[i] += length * w->dz[i];
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
-    w->v[i] += length * w->dv[i], w->zl[i] += length * w->dzl[i], w->zu[i] += length * w->dzu[i];
+    w->v[i] += length * w->dv[i], w->sl[i] += length * w->dv[i], w->su[i] -= length * w->dv[i];
+    w->zl[i] += length * w->dzl[i], w->zu[i] += length * w->dzu[i];
     q->z[i] = w->zu[i] - w->zl[i];
   }
   twx_qp_measure(w, q);
   return length;
 }
 
-/* The equations of the bounds that the iterate approaches, once these stay the same. */
+/* The equations of the bounds that the iterate approaches, once these stay the same or the iterate is a solution. */
 static int32_t qp_finish(twx_qp_work *w) {
   twx_qp_guess(w, &w->point, w->v, w->active);
   const size_t size = sizeof(int32_t) * (size_t)w->k;
   const int32_t same = memcmp(w->active, w->tried, size) == 0;
   memcpy(w->tried, w->active, size);
-  if (!same) return 0;
-  memcpy(w->trial.x, w->point.x, sizeof(double) * (size_t)w->n);
-  memcpy(w->trial.z, w->point.z, sizeof(double) * (size_t)w->k);
+  if (!same && w->point.error > w->options->tolerance) return 0;
+  twx_qp_copy(w, &w->trial, &w->point);
   return twx_qp_active_set(w, (int32_t)w->options->finish_changes);
 }
 
@@ -141,12 +140,15 @@ twx_qp_status twx_qp_interior(twx_qp_work *w) {
   twx_qp_statistics *const s = w->statistics;
   if (!qp_start(w)) return TWX_QP_NOT_CONVEX;
   for (int32_t i = 0; i < w->k; i++) w->tried[i] = 2; /* no set of bounds */
-  for (int32_t shorter = 0; s->iterations < (int32_t)o->iterations; s->iterations++) {
-    twx_qp_measure(w, &w->point);
-    if (w->point.error <= o->tolerance) return TWX_QP_SOLVED;
-    if ((s->certificate = twx_qp_infeasible(w, &w->point)) <= o->certificate) return TWX_QP_INFEASIBLE;
-    if ((s->certificate = twx_qp_unbounded(w, &w->point)) <= o->certificate) return TWX_QP_UNBOUNDED;
-    if (qp_finish(w)) return TWX_QP_SOLVED;
+  double best = INFINITY;
+  for (int32_t shorter = 0, end = s->iterations + (int32_t)o->iterations; s->iterations < end; s->iterations++) {
+    if (!w->proving && w->point.error < best) {
+      best = w->point.error;
+      twx_qp_copy(w, &w->best, &w->point);
+    }
+    if (qp_finish(w) || w->point.error <= o->tolerance) return TWX_QP_SOLVED;
+    if (!w->proving && twx_qp_infeasible(w, &w->point) <= o->suspicion) return TWX_QP_INFEASIBLE;
+    if (twx_qp_unbounded(w, &w->point) <= (w->proving ? o->certificate : o->suspicion)) return TWX_QP_UNBOUNDED;
     qp_weigh(w);
     if (!twx_qp_factorize_regularized(w)) return TWX_QP_NOT_CONVEX;
     shorter = qp_advance(w) < o->shortest_step ? shorter + 1 : 0;

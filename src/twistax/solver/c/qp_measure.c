@@ -12,7 +12,7 @@ static double qp_over(double a, double size) { return a > 0 ? a / size : a; } /*
 
 /* What depends on x and z, then errors.
  *
- *   stationarity     max |H x + g + G'z + z| / Z          Z = max(|H x|, |g|, |G'z|, |z|)
+ *   stationarity     max |H x + g + G'z + z| / Z          Z = max(|H x|, |g|, |z|)
  *   violation        max (distance of t from its bounds) / X      X = max(|x|, |G x|), with what equalities want
  *   complementarity  max of min(|z| / Z, (distance of t from the bound of z's sign) / X)
  */
@@ -22,6 +22,7 @@ void twx_qp_measure(const twx_qp_work *w, twx_qp_point *q) {
   memcpy(q->t, q->x, sizeof(double) * (size_t)n);
   memset(q->t + n, 0, sizeof(double) * (size_t)m), memset(q->Hx, 0, sizeof(double) * (size_t)n);
   memset(q->Gz, 0, sizeof(double) * (size_t)n);
+  for (int32_t i = n; w->soft > 0 && i < w->k; i++) q->t[i] = -w->soft * q->z[i];
   twx_add_apply(m, n, w->G, m, q->x, q->t + n);
   twx_add_apply(n, n, w->H, n, q->x, q->Hx);
   twx_add_apply(n, m, w->Gt, n, q->z + n, q->Gz);
@@ -31,7 +32,7 @@ void twx_qp_measure(const twx_qp_work *w, twx_qp_point *q) {
   }
   q->X = qp_largest(w->k, q->t, 0);
   for (int32_t i = 0; i < w->k; i++) if (w->kind[i] == TWX_QP_FIXED) q->X = twx_max(q->X, fabs(w->lower[i]));
-  q->Z = qp_largest(n, q->z, qp_largest(n, q->Gz, qp_largest(n, q->Hx, qp_largest(n, w->g, 0))));
+  q->Z = qp_largest(w->k, q->z, qp_largest(n, q->Hx, qp_largest(n, w->g, 0)));
   const double least = w->options->rounding * qp_largest(n, w->g, 0); /* H is about 1: x without constraints */
   const double X = twx_max(q->X, least), Z = twx_max(q->Z, w->options->rounding * q->X);
   for (int32_t i = 0; i < w->k; i++) {
@@ -46,23 +47,27 @@ void twx_qp_measure(const twx_qp_work *w, twx_qp_point *q) {
   if (!isfinite(stationarity + q->X)) q->error = INFINITY;
 }
 
+void twx_qp_copy(const twx_qp_work *w, twx_qp_point *to, const twx_qp_point *from) {
+  memcpy(to->x, from->x, sizeof(double) * (size_t)w->n), memcpy(to->z, from->z, sizeof(double) * (size_t)w->k);
+}
+
 /* By Farkas: with multipliers z of rows, G'z = v, and bounds of variables that cancel what they can of v, every x has
  *   0 >= gap - sum of left |x|,      gap = -(sum over rows and bounds of z times the bound of its sign).
  * Where gap > 0 no x with max |x| < gap / (sum of left) is feasible. Returned: the size of the point over that radius;
  * infinite where nothing is proved. Multipliers of variables are written, so that they cancel v.
  */
 double twx_qp_infeasible(twx_qp_work *w, const twx_qp_point *q) {
-  double gap = 0, left = 0, size = 0;
+  double gap = 0, left = 0, size = 0, *const z = w->dz;
+  memset(z, 0, sizeof(double) * (size_t)w->n);
+  for (int32_t i = w->n; i < w->k; i++) z[i] = isfinite(q->z[i] > 0 ? w->upper[i] : w->lower[i]) ? q->z[i] : 0;
+  twx_add_apply(w->n, w->m, w->Gt, w->n, z + w->n, z);
   for (int32_t i = 0; i < w->k; i++) {
-    const double z = w->dz[i] = i < w->n ? -q->Gz[i] : q->z[i];
-    if (z == 0) continue;
-    const double bound = z > 0 ? w->upper[i] : w->lower[i];
-    if (isfinite(bound)) gap -= z * bound, size += fabs(z * bound);
-    else if (i < w->n) left += fabs(z), w->dz[i] = 0;
-    else return INFINITY;
+    if (i < w->n) z[i] = -z[i];
+    const double bound = z[i] > 0 ? w->upper[i] : w->lower[i];
+    if (z[i] != 0 && isfinite(bound)) gap -= z[i] * bound, size += fabs(z[i] * bound);
+    else left += fabs(z[i]), z[i] = 0;
   }
-  if (!(gap > w->options->certificate * size)) return INFINITY;
-  return left * q->X / gap;
+  return gap > w->options->cancellation * size ? left * q->X / gap : INFINITY;
 }
 
 /* x as a direction d, max |d| = 1: |H d| and how fast d leaves constraints, over the slope -g'd / |g|. */

@@ -1,4 +1,4 @@
-/* The linear system of a step. With a weight for each constraint, t = (x, G x) and given r, dz0, it is
+/* The linear system of a step. With a weight for each constraint, t = (x, G x) given r and dz0, it is
  *
  *   H dx + G'dz + dz = -residual,     dz = weight (dt + r) + dz0,     (M = H + weights of variables + G' weights G)
  *
@@ -6,6 +6,11 @@
  * second derivative Sigma = z / s, which is infinite at an equality: constraints that depend on each other do no harm.
  */
 #include "qp_work.h"
+
+/* Of a constraint, in the linear system: that of the problem, and enough that rows may depend on each other. */
+double twx_qp_softness(const twx_qp_work *w, int32_t i) {
+  return i < w->n ? w->options->softness : w->options->softness + w->soft;
+}
 
 /* The factor of M + identity I in w->M; 0 where that is not positive definite. */
 int32_t twx_qp_factorize(twx_qp_work *w, double identity) {

@@ -24,13 +24,14 @@ size_t twx_qp_carve(twx_qp_work *w, const twx_qp *p, double *base) {
   w->lower = qp_take(base, &used, k), w->upper = qp_take(base, &used, k), w->weights = qp_take(base, &used, k);
   w->kind = qp_take_integers(base, &used, k), w->active = qp_take_integers(base, &used, k);
   w->tried = qp_take_integers(base, &used, k);
-  twx_qp_point *const points[] = {&w->point, &w->trial};
-  for (int32_t i = 0; i < 2; i++) {
+  twx_qp_point *const points[] = {&w->point, &w->trial, &w->best};
+  for (int32_t i = 0; i < 3; i++) {
     twx_qp_point *const q = points[i];
     q->x = qp_take(base, &used, n), q->z = qp_take(base, &used, k), q->t = qp_take(base, &used, k);
     q->Hx = qp_take(base, &used, n), q->Gz = qp_take(base, &used, n), q->residual = qp_take(base, &used, n);
   }
-  double **const of_constraints[] = {&w->v, &w->zl, &w->zu, &w->dt, &w->dz, &w->dv, &w->dzl, &w->dzu, &w->dz0, &w->r, &w->q};
+  double **const of_constraints[] = {&w->v, &w->sl, &w->su, &w->zl, &w->zu, &w->dt, &w->dz,
+                                    &w->dv, &w->dzl, &w->dzu, &w->dz0, &w->r};
   for (size_t i = 0; i < sizeof of_constraints / sizeof *of_constraints; i++) *of_constraints[i] = qp_take(base, &used, k);
   w->dx = qp_take(base, &used, n), w->scratch = qp_take(base, &used, k);
   return used;
@@ -143,6 +144,18 @@ static void qp_load_warm_start(twx_qp_work *w, const twx_qp_solution *s) {
     w->trial.z[w->n + i] = (i < ne ? s->y[i] : s->z[i - ne]) * w->cost_scale / w->E[i];
 }
 
+/* The problem as stated, by the scales that are known. */
+void twx_qp_reload(twx_qp_work *w) {
+  qp_copy(w), qp_apply_scales(w), qp_scale_cost(w);
+  w->soft = 0;
+  for (int32_t i = 0; i < w->k; i++) {
+    const double l = w->lower[i], u = w->upper[i];
+    const int32_t fixed = isfinite(u - l) && u - l <= w->options->fixed_width * twx_max(fabs(l), fabs(u));
+    w->kind[i] = fixed ? TWX_QP_FIXED : isfinite(l) || isfinite(u) ? TWX_QP_BOUNDED : TWX_QP_FREE;
+    if (fixed) w->lower[i] = w->upper[i] = l + (u - l) / 2;
+  }
+}
+
 /* The problem, and the point of a warm start in `trial`. 0 where the data cannot be. */
 int32_t twx_qp_load(twx_qp_work *w, const twx_qp_solution *s) {
   const int32_t warm = w->options->warm_start > 0;
@@ -152,13 +165,8 @@ int32_t twx_qp_load(twx_qp_work *w, const twx_qp_solution *s) {
     const double scale = warm ? s->scales[i] : 1;
     w->D[i] = scale > 0 && isfinite(scale) ? scale : 1; /* E follows D */
   }
-  qp_equilibrate(w), qp_apply_scales(w), qp_scale_cost(w);
-  for (int32_t i = 0; i < w->k; i++) {
-    const double l = w->lower[i], u = w->upper[i];
-    const int32_t fixed = isfinite(u - l) && u - l <= w->options->fixed_width * twx_max(fabs(l), fabs(u));
-    w->kind[i] = fixed ? TWX_QP_FIXED : isfinite(l) || isfinite(u) ? TWX_QP_BOUNDED : TWX_QP_FREE;
-    if (fixed) w->lower[i] = w->upper[i] = l + (u - l) / 2;
-  }
+  qp_equilibrate(w);
+  twx_qp_reload(w);
   if (warm) qp_load_warm_start(w, s);
   return 1;
 }

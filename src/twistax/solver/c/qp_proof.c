@@ -1,0 +1,49 @@
+/* Where the interior point found no solution: why there is none. Each proof is a quadratic program that has a solution.
+ *
+ *   Infeasible:  minimise |violation of rows|^2 / 2 within the bounds of variables. Its multipliers are the violations;
+ *                where they are not 0 they are a certificate.
+ *   Unbounded:   minimise |d + g|^2 / 2 + d'H d / (2 curvature) over directions d that leave no constraint. Where d is
+ *                not 0 and H d is, the cost falls along d without end: g'd = -|d|^2.
+ *
+ * Source: S. Boyd, L. Vandenberghe, Convex Optimization (2004), section 5.8.
+ */
+#include "qp_work.h"
+
+static int32_t qp_prove_infeasible(twx_qp_work *w) {
+  const size_t n = (size_t)w->n;
+  memset(w->H, 0, sizeof(double) * n * n), memset(w->g, 0, sizeof(double) * n);
+  w->soft = 1;
+  twx_qp_interior(w);
+  w->statistics->certificate = twx_qp_infeasible(w, &w->point);
+  memcpy(w->point.z, w->dz, sizeof(double) * n);
+  return w->statistics->certificate <= w->options->certificate;
+}
+
+static int32_t qp_prove_unbounded(twx_qp_work *w) {
+  for (int32_t i = 0; i < w->n * w->n; i++) w->H[i] /= w->options->curvature;
+  for (int32_t j = 0; j < w->n; j++) w->H[j + j * w->n] += 1;
+  for (int32_t i = 0; i < w->k; i++) {
+    w->lower[i] = isfinite(w->lower[i]) ? 0 : -INFINITY, w->upper[i] = isfinite(w->upper[i]) ? 0 : INFINITY;
+    if (w->lower[i] == w->upper[i]) w->kind[i] = TWX_QP_FIXED;
+  }
+  twx_qp_interior(w);
+  twx_qp_reload(w);
+  twx_qp_measure(w, &w->point);
+  w->statistics->certificate = twx_qp_unbounded(w, &w->point);
+  return w->statistics->certificate <= w->options->certificate;
+}
+
+/* The status, with the point that belongs to it in `point`. */
+twx_qp_status twx_qp_prove(twx_qp_work *w, twx_qp_status status) {
+  w->proving = 1;
+  if (qp_prove_infeasible(w)) status = TWX_QP_INFEASIBLE;
+  else if (twx_qp_reload(w), qp_prove_unbounded(w)) status = TWX_QP_UNBOUNDED;
+  else {
+    if (status == TWX_QP_INFEASIBLE || status == TWX_QP_UNBOUNDED) status = TWX_QP_STALLED;
+    w->statistics->certificate = INFINITY;
+    twx_qp_copy(w, &w->point, &w->best);
+  }
+  twx_qp_reload(w);
+  twx_qp_measure(w, &w->point);
+  return status;
+}
