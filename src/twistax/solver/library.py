@@ -16,7 +16,7 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
 
 _VOID_POINTER = ctypes.c_void_p
 
-_NAMES = ("twx_workspace_size", "twx_solve")
+_NAMES = ("twx_workspace_size", "twx_solve", "twx_qp_workspace_size", "twx_qp_solve")
 
 
 class Library:
@@ -25,13 +25,16 @@ class Library:
     Attributes:
         workspace_size: doubles that a problem needs.
         solve: see core.h.
+        qp_workspace_size, qp_solve: the same of a dense quadratic program, see qp.h.
     """
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve = (code.addresses[name] for name in _NAMES)
+        size, solve, qp_size, qp_solve = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
+        self.qp_workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(qp_size)
+        self.qp_solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 5)(qp_solve)
 
 
 @functools.cache

@@ -15,7 +15,10 @@
  * the optimality conditions, the solve ends. A warm start begins with the bounds that were active, and changes them
  * where the conditions fail; after a few changes it becomes an interior point.
  *
- * Matrices are column-major. The work is bounded: `iterations` steps, each with at most two factorizations.
+ * Where it finds no solution, two other programs with the same matrices prove that there is none: see qp_proof.c.
+ *
+ * Matrices are column-major. The work is bounded: at most `iterations` steps for each of the three programs, and a few
+ * factorizations for each step.
  */
 #ifndef TWX_QP_H
 #define TWX_QP_H
@@ -25,16 +28,17 @@
 typedef enum {
   TWX_QP_SOLVED = 0,         /* the scaled error is at most the tolerance */
   TWX_QP_MAX_ITERATIONS = 1,
-  TWX_QP_INFEASIBLE = 2,     /* y, z, w are a certificate: no x satisfies the constraints */
+  TWX_QP_INFEASIBLE = 2,     /* no x satisfies the constraints; y, z, w prove it, and x violates the rows least */
   TWX_QP_UNBOUNDED = 3,      /* x is a direction along which the cost falls without end */
   TWX_QP_STALLED = 4,        /* steps became too short, by rounding */
   TWX_QP_NOT_CONVEX = 5,     /* H has a negative eigenvalue */
-  TWX_QP_BAD_PROBLEM = 6     /* sizes below 0, data that are not finite, a lower bound above its upper bound */
+  TWX_QP_BAD_PROBLEM = 6     /* sizes that cannot be, data that are not finite, H not symmetric, a lower bound
+                                above its upper one: nothing is written */
 } twx_qp_status;
 
 typedef struct {
   int32_t variables, equalities, inequalities;
-  const double *H, *g;                /* (n, n), of which the lower triangle is read; (n) */
+  const double *H, *g;                /* (n, n), symmetric; (n) */
   const double *A, *b;                /* (equalities, n), (equalities) */
   const double *C, *row_lower, *row_upper; /* (inequalities, n), (inequalities) */
   const double *lower, *upper;        /* (n); NULL where no variable has such a bound */

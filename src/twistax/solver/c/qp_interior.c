@@ -34,8 +34,8 @@ static int32_t qp_start(twx_qp_work *w) {
     w->zl[i] = w->zu[i] = w->dv[i] = w->dzl[i] = w->dzu[i] = 0;
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
     w->sl[i] = w->v[i] - w->lower[i], w->su[i] = w->upper[i] - w->v[i];
-    if (isfinite(w->lower[i])) w->zl[i] = Z * twx_min(1, distance / w->sl[i]);
-    if (isfinite(w->upper[i])) w->zu[i] = Z * twx_min(1, distance / w->su[i]);
+    if (isfinite(w->lower[i])) w->zl[i] = Z * distance / w->sl[i];
+    if (isfinite(w->upper[i])) w->zu[i] = Z * distance / w->su[i];
     q->z[i] = w->zu[i] - w->zl[i];
   }
   twx_qp_measure(w, q);
@@ -127,9 +127,8 @@ static double qp_advance(twx_qp_work *w) {
 /* The equations of the bounds that the iterate approaches, once these stay the same or the iterate is a solution. */
 static int32_t qp_finish(twx_qp_work *w) {
   twx_qp_guess(w, &w->point, w->v, w->active);
-  const size_t size = sizeof(int32_t) * (size_t)w->k;
-  const int32_t same = memcmp(w->active, w->tried, size) == 0;
-  memcpy(w->tried, w->active, size);
+  int32_t same = 1;
+  for (int32_t i = 0; i < w->k; i++) same &= w->active[i] == w->tried[i], w->tried[i] = w->active[i];
   if (!same && w->point.error > w->options->tolerance) return 0;
   twx_qp_copy(w, &w->trial, &w->point);
   return twx_qp_active_set(w, (int32_t)w->options->finish_changes);
@@ -138,7 +137,8 @@ static int32_t qp_finish(twx_qp_work *w) {
 twx_qp_status twx_qp_interior(twx_qp_work *w) {
   const twx_qp_options *o = w->options;
   twx_qp_statistics *const s = w->statistics;
-  if (!qp_start(w)) return TWX_QP_NOT_CONVEX;
+  const twx_qp_status failed = o->convexity > 0 ? TWX_QP_STALLED : TWX_QP_NOT_CONVEX; /* H was tested, or was not */
+  if (!qp_start(w)) return failed;
   for (int32_t i = 0; i < w->k; i++) w->tried[i] = 2; /* no set of bounds */
   double best = INFINITY;
   for (int32_t shorter = 0, end = s->iterations + (int32_t)o->iterations; s->iterations < end; s->iterations++) {
@@ -147,10 +147,13 @@ twx_qp_status twx_qp_interior(twx_qp_work *w) {
       twx_qp_copy(w, &w->best, &w->point);
     }
     if (qp_finish(w) || w->point.error <= o->tolerance) return TWX_QP_SOLVED;
-    if (!w->proving && twx_qp_infeasible(w, &w->point) <= o->suspicion) return TWX_QP_INFEASIBLE;
+    if (!w->proving && twx_qp_infeasible(w, &w->point) <= o->suspicion) {
+      twx_qp_copy(w, &w->best, &w->point);
+      return TWX_QP_INFEASIBLE;
+    }
     if (twx_qp_unbounded(w, &w->point) <= (w->proving ? o->certificate : o->suspicion)) return TWX_QP_UNBOUNDED;
     qp_weigh(w);
-    if (!twx_qp_factorize_regularized(w)) return TWX_QP_NOT_CONVEX;
+    if (!twx_qp_factorize_regularized(w)) return failed;
     shorter = qp_advance(w) < o->shortest_step ? shorter + 1 : 0;
     if (shorter > 2) return TWX_QP_STALLED;
   }

@@ -9,14 +9,18 @@
  */
 #include "qp_work.h"
 
+static int32_t qp_certify_infeasible(twx_qp_work *w) {
+  w->statistics->certificate = twx_qp_infeasible(w, &w->point);
+  memcpy(w->point.z, w->dz, sizeof(double) * (size_t)w->k);
+  return w->statistics->certificate <= w->options->certificate;
+}
+
 static int32_t qp_prove_infeasible(twx_qp_work *w) {
   const size_t n = (size_t)w->n;
   memset(w->H, 0, sizeof(double) * n * n), memset(w->g, 0, sizeof(double) * n);
   w->soft = 1;
   twx_qp_interior(w);
-  w->statistics->certificate = twx_qp_infeasible(w, &w->point);
-  memcpy(w->point.z, w->dz, sizeof(double) * n);
-  return w->statistics->certificate <= w->options->certificate;
+  return qp_certify_infeasible(w);
 }
 
 static int32_t qp_prove_unbounded(twx_qp_work *w) {
@@ -33,17 +37,23 @@ static int32_t qp_prove_unbounded(twx_qp_work *w) {
   return w->statistics->certificate <= w->options->certificate;
 }
 
+/* Neither: the best point, which may be a certificate itself. */
+static twx_qp_status qp_give_up(twx_qp_work *w, twx_qp_status status) {
+  twx_qp_copy(w, &w->point, &w->best);
+  if (status != TWX_QP_INFEASIBLE && status != TWX_QP_UNBOUNDED) return status;
+  twx_qp_measure(w, &w->point);
+  if (status == TWX_QP_INFEASIBLE && qp_certify_infeasible(w)) return status;
+  return TWX_QP_STALLED;
+}
+
 /* The status, with the point that belongs to it in `point`. */
 twx_qp_status twx_qp_prove(twx_qp_work *w, twx_qp_status status) {
   w->proving = 1;
   if (qp_prove_infeasible(w)) status = TWX_QP_INFEASIBLE;
   else if (twx_qp_reload(w), qp_prove_unbounded(w)) status = TWX_QP_UNBOUNDED;
-  else {
-    if (status == TWX_QP_INFEASIBLE || status == TWX_QP_UNBOUNDED) status = TWX_QP_STALLED;
-    w->statistics->certificate = INFINITY;
-    twx_qp_copy(w, &w->point, &w->best);
-  }
+  else status = qp_give_up(w, status);
   twx_qp_reload(w);
   twx_qp_measure(w, &w->point);
+  if (status != TWX_QP_INFEASIBLE && status != TWX_QP_UNBOUNDED) w->statistics->certificate = INFINITY;
   return status;
 }

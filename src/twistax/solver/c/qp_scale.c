@@ -52,14 +52,22 @@ static double qp_power_of_two(double a) {
   return a;
 }
 
-/* 1 where all data are numbers and no lower bound is above its upper one. */
+/* 1 where all data are numbers, H is symmetric up to rounding and no lower bound is above its upper one. */
 static int32_t qp_data_are_possible(const twx_qp_work *w) {
+  const int32_t n = w->n;
+  const double *const H = w->problem->H, rounding = w->options->symmetry * w->options->symmetry;
   double sum = 0;
-  for (int32_t i = 0; i < w->n * w->n; i++) sum += fabs(w->H[i]);
-  for (int32_t i = 0; i < w->n; i++) sum += fabs(w->g[i]);
-  for (int32_t i = 0; i < w->m * w->n; i++) sum += fabs(w->G[i]);
+  for (int32_t i = 0; i < n; i++) sum += fabs(w->g[i]);
+  for (int32_t i = 0; i < w->m * n; i++) sum += fabs(w->G[i]);
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i <= j; i++) {
+      const double above = H[i + j * n], below = H[j + i * n], off = above - below;
+      if (off * off > rounding * fabs(H[i + i * n] * H[j + j * n])) return 0;
+      sum += fabs(above) + fabs(below);
+    }
   for (int32_t i = 0; i < w->k; i++)
     if (!(w->lower[i] <= w->upper[i]) || w->lower[i] == INFINITY || w->upper[i] == -INFINITY) return 0;
+  for (int32_t i = n; i < n + w->problem->equalities; i++) sum += fabs(w->lower[i]);
   return isfinite(sum) ? 1 : 0;
 }
 
@@ -173,10 +181,13 @@ int32_t twx_qp_load(twx_qp_work *w, const twx_qp_solution *s) {
 
 void twx_qp_unload(const twx_qp_work *w, twx_qp_solution *s) {
   const twx_qp *p = w->problem;
+  const int32_t solved = w->statistics->status == TWX_QP_SOLVED;
   double cost = 0;
   for (int32_t j = 0; j < w->n; j++) {
     cost += w->point.x[j] * (w->point.Hx[j] / 2 + w->g[j]) / w->cost_scale;
-    s->x[j] = w->point.x[j] * w->D[j], s->w[j] = w->point.z[j] / (w->D[j] * w->cost_scale), s->scales[j] = w->D[j];
+    const double x = w->point.x[j];
+    const double inside = solved ? twx_min(twx_max(x, w->lower[j]), w->upper[j]) : x;
+    s->x[j] = inside * w->D[j], s->w[j] = w->point.z[j] / (w->D[j] * w->cost_scale), s->scales[j] = w->D[j];
   }
   for (int32_t i = 0; i < w->m; i++) {
     const double multiplier = w->point.z[w->n + i] * w->E[i] / w->cost_scale;
