@@ -60,7 +60,7 @@ typedef struct {
   double cost;
   double error;                       /* largest of the next three, relative, independent of units; see qp_measure.c */
   double stationarity, violation, complementarity;
-  double certificate;                 /* of INFEASIBLE and UNBOUNDED: how far the certificate is from exact; else infinite */
+  double certificate;                 /* of INFEASIBLE, UNBOUNDED: how far from exact it is; else infinite */
   int32_t status;
   int32_t iterations;                 /* of the interior point */
   int32_t changes;                    /* of the set of active bounds, all attempts together */

@@ -24,7 +24,7 @@ static int32_t qp_solve_with_active(twx_qp_work *w) {
     w->weights[i] = active ? 1 / twx_qp_softness(w, i) : 0;
     if (!active) q->z[i] = 0;
   }
-  if (!twx_qp_factorize(w, o->regularization)) return 0;
+  if (!twx_qp_factorize_regularized(w)) return 0;
   double before = INFINITY;
   for (int32_t pass = 0; pass < (int32_t)o->corrections; pass++) {
     twx_qp_measure(w, q);

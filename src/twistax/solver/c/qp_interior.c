@@ -1,7 +1,9 @@
 /* The interior point: Mehrotra's predictor and corrector with two-sided bounds. Source: [M], [NW] Algorithm 16.4.
  *
- * v follows t and stays strictly inside of its bounds, with slacks sl = v - lower, su = upper - v, which are kept beside
- * v so that rounding makes none 0, and multipliers zl, zu of these. A step satisfies  dv = dt + (t - v) - softness dz,  sl dzl + zl dv = -cl,  su dzu - zu dv = -cu.
+ * v follows t and stays strictly inside of its bounds, with slacks sl = v - lower, su = upper - v and their multipliers
+ * zl, zu. Slacks have arrays: computed from v, rounding would make them 0. A step satisfies
+ *
+ *   dv = dt + (t - v) - softness dz,     sl dzl + zl dv = -cl,     su dzu - zu dv = -cu.
  */
 #include "qp_work.h"
 
@@ -25,14 +27,15 @@ static int32_t qp_start(twx_qp_work *w) {
   twx_qp_step(w, q);
   for (int32_t j = 0; j < w->n; j++) q->x[j] = twx_min(twx_max(q->x[j] + w->dx[j], w->lower[j]), w->upper[j]);
   twx_qp_measure(w, q);
-  const double X = q->X > 0 ? q->X : q->Z > 0 ? q->Z : 1, distance = o->start_push * X;
+  const double size = q->X * twx_max(1, q->violation), X = size > 0 ? size : q->Z > 0 ? q->Z : 1;
+  const double distance = o->start_push * X;
   for (int32_t j = 0; j < w->n; j++)
     if (w->kind[j] == TWX_QP_BOUNDED) q->x[j] = qp_push(q->x[j], w->lower[j], w->upper[j], distance, o->start_share);
   const double Z = q->Z > 0 ? q->Z : X;
   for (int32_t i = 0; i < w->k; i++) {
-    w->v[i] = w->kind[i] == TWX_QP_BOUNDED ? qp_push(q->t[i], w->lower[i], w->upper[i], distance, o->start_share) : q->t[i];
-    w->zl[i] = w->zu[i] = w->dv[i] = w->dzl[i] = w->dzu[i] = 0;
+    w->v[i] = q->t[i], w->zl[i] = w->zu[i] = w->dv[i] = w->dzl[i] = w->dzu[i] = 0;
     if (w->kind[i] != TWX_QP_BOUNDED) continue;
+    w->v[i] = qp_push(q->t[i], w->lower[i], w->upper[i], distance, o->start_share);
     w->sl[i] = w->v[i] - w->lower[i], w->su[i] = w->upper[i] - w->v[i];
     if (isfinite(w->lower[i])) w->zl[i] = Z * distance / w->sl[i];
     if (isfinite(w->upper[i])) w->zu[i] = Z * distance / w->su[i];
@@ -75,9 +78,9 @@ static void qp_weigh(twx_qp_work *w) {
   for (int32_t i = 0; i < w->k; i++) {
     const double softness = twx_qp_softness(w, i);
     double sigma = 0;
-    if (isfinite(w->lower[i])) sigma += w->zl[i] / w->sl[i];
-    if (isfinite(w->upper[i])) sigma += w->zu[i] / w->su[i];
-    w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / softness : w->kind[i] == TWX_QP_FREE ? 0 : sigma / (1 + softness * sigma);
+    if (w->kind[i] == TWX_QP_BOUNDED && isfinite(w->lower[i])) sigma += w->zl[i] / w->sl[i];
+    if (w->kind[i] == TWX_QP_BOUNDED && isfinite(w->upper[i])) sigma += w->zu[i] / w->su[i];
+    w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / softness : sigma / (1 + softness * sigma);
   }
 }
 
@@ -109,7 +112,8 @@ static double qp_advance(twx_qp_work *w) {
   qp_direction(w, 0, 0);
   const double affine = twx_min(1, qp_longest(w)), ratio = mean > 0 ? qp_mean(w, affine) / mean : 0;
   if (mean > 0) qp_direction(w, mean * pow(twx_max(ratio, 0), w->options->centering_power), 1);
-  const double fraction = twx_max(w->options->boundary_fraction, 1 - ratio);
+  const twx_qp_options *o = w->options;
+  const double fraction = twx_max(o->boundary_fraction, twx_min(1 - ratio, o->boundary_largest));
   const double length = twx_min(1, fraction * qp_longest(w));
   twx_qp_point *const q = &w->point;
   for (int32_t j = 0; j < w->n; j++) q->x[j] += length * w->dx[j];

@@ -42,7 +42,8 @@ void twx_qp_measure(const twx_qp_work *w, twx_qp_point *q) {
     const double slack = q->z[i] > 0 ? -above : -below;
     complementarity = twx_max(complementarity, twx_min(qp_over(fabs(q->z[i]), Z), qp_over(slack, X)));
   }
-  q->stationarity = qp_over(stationarity, Z), q->violation = qp_over(violation, X), q->complementarity = complementarity;
+  q->stationarity = qp_over(stationarity, Z), q->violation = qp_over(violation, X);
+  q->complementarity = complementarity;
   q->error = twx_max(complementarity, twx_max(q->violation, q->stationarity));
   if (!isfinite(stationarity + q->X)) q->error = INFINITY;
 }

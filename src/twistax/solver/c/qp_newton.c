@@ -31,7 +31,8 @@ int32_t twx_qp_factorize(twx_qp_work *w, double identity) {
 /* With the smallest identity, of a few, that makes it positive definite. */
 int32_t twx_qp_factorize_regularized(twx_qp_work *w) {
   const twx_qp_options *o = w->options;
-  for (double identity = o->regularization; identity <= o->regularization_largest; identity *= o->regularization_increase)
+  double identity = o->regularization;
+  for (; identity <= o->regularization_largest; identity *= o->regularization_increase)
     if (twx_qp_factorize(w, identity)) return 1;
   return 0;
 }

@@ -30,9 +30,9 @@ size_t twx_qp_carve(twx_qp_work *w, const twx_qp *p, double *base) {
     q->x = qp_take(base, &used, n), q->z = qp_take(base, &used, k), q->t = qp_take(base, &used, k);
     q->Hx = qp_take(base, &used, n), q->Gz = qp_take(base, &used, n), q->residual = qp_take(base, &used, n);
   }
-  double **const of_constraints[] = {&w->v, &w->sl, &w->su, &w->zl, &w->zu, &w->dt, &w->dz,
-                                    &w->dv, &w->dzl, &w->dzu, &w->dz0, &w->r};
-  for (size_t i = 0; i < sizeof of_constraints / sizeof *of_constraints; i++) *of_constraints[i] = qp_take(base, &used, k);
+  double **const long_ones[] = {&w->v,  &w->sl, &w->su,  &w->zl,  &w->zu,  &w->dt,
+                                &w->dz, &w->dv, &w->dzl, &w->dzu, &w->dz0, &w->r};
+  for (size_t i = 0; i < sizeof long_ones / sizeof *long_ones; i++) *long_ones[i] = qp_take(base, &used, k);
   w->dx = qp_take(base, &used, n), w->scratch = qp_take(base, &used, k);
   return used;
 }
@@ -43,13 +43,13 @@ size_t twx_qp_workspace_size(const twx_qp *p) {
   return twx_qp_carve(&w, p, NULL);
 }
 
-/* A power of two near a positive number: its exponent alone. */
+/* A power of two near a positive number: its exponent alone. 1 where that is out of range. */
 static double qp_power_of_two(double a) {
   uint64_t bits;
   memcpy(&bits, &a, sizeof bits);
   bits &= 0x7ff0000000000000u;
   memcpy(&a, &bits, sizeof a);
-  return a;
+  return a > 0 && isfinite(a) ? a : 1;
 }
 
 /* 1 where all data are numbers, H is symmetric up to rounding and no lower bound is above its upper one. */
@@ -86,6 +86,12 @@ static void qp_copy(twx_qp_work *w) {
   for (int32_t i = 0; i < ni; i++) w->lower[n + ne + i] = p->row_lower[i], w->upper[n + ne + i] = p->row_upper[i];
 }
 
+/* The size of a variable that is in no row and has no curvature: that of a bound, or the reciprocal of its gradient. */
+static double qp_size_without_rows(const twx_qp_work *w, int32_t j) {
+  const double bound = twx_min(fabs(w->lower[j]), fabs(w->upper[j]));
+  return bound > 0 && isfinite(bound) ? bound : w->g[j] != 0 ? 1 / fabs(w->g[j]) : 1;
+}
+
 /* Square roots of norms divide scales, until all norms are within a range of 1. Cost's unit does not matter: H counts
  * over its largest diagonal entry. */
 static void qp_equilibrate(twx_qp_work *w) {
@@ -112,7 +118,8 @@ static void qp_equilibrate(twx_qp_work *w) {
     for (int32_t j = 0; j < w->n; j++) if (columns[j] > 0) w->D[j] /= sqrt(columns[j]);
     for (int32_t i = 0; i < w->m; i++) if (rows[i] > 0) w->E[i] /= sqrt(rows[i]);
   }
-  for (int32_t j = 0; j < w->n; j++) w->D[j] = qp_power_of_two(w->D[j]);
+  for (int32_t j = 0; j < w->n; j++)
+    w->D[j] = qp_power_of_two(columns[j] > 0 ? w->D[j] : qp_size_without_rows(w, j));
   for (int32_t i = 0; i < w->m; i++) w->E[i] = qp_power_of_two(w->E[i]);
 }
 

@@ -1,8 +1,8 @@
 /* What the files of the quadratic program share.
  *
  * All constraints are one list: the n bounds of variables, then the rows of A and of C, in G. With t = (x, G x), they
- * are lower <= t <= upper; an equality has equal bounds. Where rows are soft, t = G x - soft z: the cost has |t - G x|^2 / (2 soft). Data are in the solver's units: x = D x', rows times E, the
- * cost times `cost_scale`.
+ * are lower <= t <= upper; an equality has equal bounds. Where rows are soft, t = G x - soft z: the cost then has
+ * |t - G x|^2 / (2 soft). Data are in the solver's units: x = D x', rows times E, the cost times `cost_scale`.
  */
 #ifndef TWX_QP_WORK_H
 #define TWX_QP_WORK_H
