@@ -9,7 +9,7 @@
 
 /* Of a constraint, in the linear system: that of the problem, and enough that rows may depend on each other. */
 double twx_qp_softness(const twx_qp_work *w, int32_t i) {
-  return i < w->n ? w->options->softness : w->options->softness + w->soft;
+  return i < w->n ? w->softness : w->softness + w->soft;
 }
 
 /* The factor of M + identity I in w->M; 0 where that is not positive definite. */

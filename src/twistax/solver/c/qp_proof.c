@@ -1,4 +1,5 @@
 /* Where the interior point found no solution: why there is none. Each proof is a quadratic program that has a solution.
+ * Where there is no proof, a last attempt.
  *
  *   Infeasible:  minimise |violation of rows|^2 / 2 within the bounds of variables. Its multipliers are the violations;
  *                where they are not 0 they are a certificate.
@@ -37,6 +38,12 @@ static int32_t qp_prove_unbounded(twx_qp_work *w) {
   return w->statistics->certificate <= w->options->certificate;
 }
 
+/* Once more, with less softness: that of rows which almost depend on each other slows the interior point down. */
+static int32_t qp_solve_stiffer(twx_qp_work *w) {
+  w->softness = w->options->softness_last;
+  return twx_qp_interior(w) == TWX_QP_SOLVED;
+}
+
 /* Neither: the best point, which may be a certificate itself. */
 static twx_qp_status qp_give_up(twx_qp_work *w, twx_qp_status status) {
   twx_qp_copy(w, &w->point, &w->best);
@@ -51,6 +58,7 @@ twx_qp_status twx_qp_prove(twx_qp_work *w, twx_qp_status status) {
   w->proving = 1;
   if (qp_prove_infeasible(w)) status = TWX_QP_INFEASIBLE;
   else if (twx_qp_reload(w), qp_prove_unbounded(w)) status = TWX_QP_UNBOUNDED;
+  else if (twx_qp_reload(w), qp_solve_stiffer(w)) status = TWX_QP_SOLVED;
   else status = qp_give_up(w, status);
   twx_qp_reload(w);
   twx_qp_measure(w, &w->point);
