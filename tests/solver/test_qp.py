@@ -1,4 +1,4 @@
-"""The dense quadratic program: optimality conditions by other arithmetic, solvers of SciPy, and where answers are known."""
+"""The dense quadratic program: optimality conditions by other arithmetic, solvers of SciPy, and known answers."""
 
 import re
 import threading
@@ -86,6 +86,7 @@ def test_bounds_that_are_far_away_are_no_bounds() -> None:
     near = solve_qp(np.eye(2), [-1.0, -2.0], C=[[1.0, 1.0]], row_upper=[2.0])
     far = solve_qp(np.eye(2), [-1.0, -2.0], None, None, [[1.0, 1.0]], [-1e20], [2.0], [-1e12] * 2, [1e15] * 2)
     assert far.status is near.status is QPStatus.SOLVED
+    assert near.iterations <= 4 >= far.iterations
     np.testing.assert_allclose(far.x, near.x, atol=1e-13)
 
 
@@ -93,6 +94,13 @@ def test_a_face_of_solutions_of_a_linear_program() -> None:
     solution = solve_qp(np.zeros((2, 2)), [-1.0, -1.0], C=[[1.0, 1.0]], row_upper=[1.0], lower=[0.0, 0.0])
     assert solution.status is QPStatus.SOLVED
     assert solution.cost == pytest.approx(-1.0, abs=1e-13)
+
+
+def test_bounds_alone_in_any_units() -> None:
+    lower = np.array([-1e-7, -3e4, 2e9, -1.0])
+    solution = solve_qp(np.zeros((4, 4)), [2e5, 1e-3, 1e-9, 1.0], lower=lower)
+    assert solution.status is QPStatus.SOLVED
+    np.testing.assert_array_equal(solution.x, lower)
 
 
 def test_a_feasible_set_without_interior() -> None:
@@ -208,7 +216,8 @@ def test_sources_allocate_nothing_and_options_have_sources() -> None:
 
 # ---- bad input -------------------------------------------------------------------------------------------------------
 
-GOOD = QP(np.eye(2), np.ones(2), np.ones((1, 2)), np.ones(1), np.eye(2), -np.ones(2), np.ones(2), -np.ones(2), np.ones(2))
+ONES = np.ones(2)
+GOOD = QP(np.eye(2), ONES, ONES[None], ONES[:1], np.eye(2), -ONES, ONES, -ONES, ONES)
 
 
 @pytest.mark.parametrize(

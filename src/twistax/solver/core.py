@@ -189,7 +189,7 @@ def solve(
     v: Array | None = None,
     *,
     size: Array | None = None,
-    options: Options | None = None,  # type: ignore[valid-type]
+    options: Options | None = None,
     warm: Solution | None = None,
 ) -> Solution:
     """Solve from a point.

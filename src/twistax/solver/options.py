@@ -31,7 +31,10 @@ def _options_class(name: str, file: str, counts: set[str]) -> tuple[Any, dict[st
     made = dataclasses.make_dataclass(
         name,
         [(option, float, dataclasses.field(default=default)) for option, default, _ in listed],
-        namespace={"as_structure": as_structure, "__doc__": f"The options of `{file}`, all floats, with their sources."},
+        namespace={
+            "as_structure": as_structure,
+            "__doc__": f"The options of `{file}`, all floats.",
+        },
         frozen=True,
         kw_only=True,
     )

@@ -147,20 +147,20 @@ def solve_qp(
     n = len(g) if g.ndim == 1 else 0
     if n == 0:
         raise InputError(f"solve_qp: g expects shape (n,) with n of 1 or more, got {g.shape}")
-    rows = [0 if M is None else len(np.atleast_2d(np.asarray(M))) for M in (A, C)]
+    equalities, inequalities = (0 if M is None else len(np.atleast_2d(np.asarray(M))) for M in (A, C))
     data = {
         "H": _shaped("H", H, (n, n)),
         "g": g,
-        "A": _matrix("A", A, rows[0], n),
-        "b": _vector("b", b, rows[0], None if rows[0] else 0.0),
-        "C": _matrix("C", C, rows[1], n),
-        "row_lower": _vector("row_lower", row_lower, rows[1], -np.inf),
-        "row_upper": _vector("row_upper", row_upper, rows[1], np.inf),
+        "A": _matrix("A", A, equalities, n),
+        "b": _vector("b", b, equalities, None if equalities else 0.0),
+        "C": _matrix("C", C, inequalities, n),
+        "row_lower": _vector("row_lower", row_lower, inequalities, -np.inf),
+        "row_upper": _vector("row_upper", row_upper, inequalities, np.inf),
         "lower": _vector("lower", lower, n, -np.inf),
         "upper": _vector("upper", upper, n, np.inf),
     }
-    problem = _Problem(n, *rows, *(a.ctypes.data for a in data.values()))
-    first = _first(n, *rows, warm)
+    problem = _Problem(n, equalities, inequalities, *(a.ctypes.data for a in data.values()))
+    first = _first(n, equalities, inequalities, warm)
     arrays = _Arrays(*(a.ctypes.data for a in first.values()))
     chosen = (options or _DEFAULTS).as_structure()
     chosen.warm_start = float(warm is not None)
@@ -170,8 +170,8 @@ def solve_qp(
     status = QPStatus(core.qp_solve(*by_reference, workspace.ctypes.data, ctypes.byref(statistics)))
     if status is QPStatus._BAD_PROBLEM:
         _refuse(data)
-    numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return QPSolution(status=status, **first, **numbers)
+    fields: dict[str, Any] = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
+    return QPSolution(status=status, **(fields | first))
 
 
 def _first(n: int, equalities: int, inequalities: int, warm: QPSolution | None) -> dict[str, Array]:

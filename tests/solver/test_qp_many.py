@@ -1,0 +1,51 @@
+"""Hundreds of random quadratic programs of each kind: none may end without its solution or with a wrong one."""
+
+import numpy as np
+import pytest
+from qp_problems import FAMILIES, solvable
+
+from twistax.solver import QPSolution, QPStatus
+
+
+@pytest.mark.parametrize("family", FAMILIES)
+def test_random_problems_are_solved(family: str) -> None:
+    solutions: list[QPSolution] = []
+    for seed in range(1000, 1400):
+        qp = solvable(seed, **FAMILIES[family])
+        solutions.append(qp.solve())
+        assert solutions[-1].status is QPStatus.SOLVED, seed
+        assert max(qp.errors(solutions[-1]).values()) < 1e-9
+    iterations = np.array([s.iterations for s in solutions])
+    assert np.median(iterations) <= 9
+    assert iterations.max() <= 30
+
+
+@pytest.mark.parametrize("decades", [0, 6, 9, 12])
+def test_badly_conditioned_costs_are_solved(decades: int) -> None:
+    """Eigenvalues of H over many decades."""
+    for seed in range(200):
+        qp, rng = solvable(seed), np.random.default_rng(seed)
+        Q, _ = np.linalg.qr(rng.normal(size=qp.H.shape))
+        H = (Q * 10.0 ** -np.linspace(0, decades, len(Q))) @ Q.T
+        qp = type(qp)(**(vars(qp) | {"H": (H + H.T) / 2}))
+        solution = qp.solve()
+        assert solution.status is QPStatus.SOLVED, seed
+        assert max(qp.errors(solution).values()) < 1e-8
+
+
+def test_equalities_that_almost_depend_on_each_other() -> None:
+    """A third row is the first but for 1e-4, as at a singular pose of an arm."""
+    for seed in range(100):
+        qp, rng = solvable(seed), np.random.default_rng(seed)
+        n = len(qp.g)
+        if n < 5:
+            continue
+        A, x = rng.normal(size=(3, n)), rng.uniform(-1, 1, n)
+        A[2] = A[0] + 1e-4 * rng.normal(size=n)
+        t = qp.C @ x
+        rows = {"row_lower": t - rng.exponential(size=len(t)), "row_upper": t + rng.exponential(size=len(t))}
+        bounds = {"lower": np.full(n, -20.0), "upper": np.full(n, 20.0)}
+        qp = type(qp)(**(vars(qp) | {"A": A, "b": A @ x} | rows | bounds))
+        solution = qp.solve()
+        assert solution.status is QPStatus.SOLVED, seed
+        assert max(qp.errors(solution).values()) < 1e-9
