@@ -7,10 +7,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import scipy.optimize
-from qp_problems import FAMILIES, QP, contact_forces, solvable
+from qp_problems import FAMILIES, QP, contact_forces, solvable, with_row
 
 import twistax as tx
-from twistax.solver import QP_SOURCES, QPOptions, QPStatus, solve_qp
+from twistax.solver import QP_SOURCES, QPOptions, QPSolution, QPStatus, solve_qp
 from twistax.solver.sources import amalgamation
 
 
@@ -196,6 +196,20 @@ def test_threads_solve_side_by_side() -> None:
     for index, expected in enumerate(alone):
         for x in together[index]:
             np.testing.assert_array_equal(x, expected)
+
+
+@pytest.mark.parametrize("leftover", [np.nan, 1e300, -1.0])
+def test_what_the_memory_held_before_changes_nothing(leftover: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    problems = [solvable(seed, **options) for seed in range(6) for options in FAMILIES.values()]
+    problems.append(with_row(contact_forces(0.3), np.tile([0.0, 0.0, 1.0], 4), 1000.0, np.inf))
+    usual = [qp.solve() for qp in problems]
+    monkeypatch.setattr("twistax.solver.qp.np.empty", lambda size: np.full(size, leftover))
+    for qp, expected in zip(problems, usual, strict=True):
+        np.testing.assert_array_equal(values_of(qp.solve()), values_of(expected))
+
+
+def values_of(solution: QPSolution) -> np.ndarray:
+    return np.concatenate([solution.x, solution.y, solution.z, solution.w])
 
 
 def test_the_count_of_iterations_is_limited() -> None:

@@ -43,7 +43,11 @@ static int32_t qp_warm(twx_qp_work *w) {
 
 static twx_qp_status qp_solve(twx_qp_work *w) {
   memset(w->point.x, 0, sizeof(double) * (size_t)w->n), memset(w->point.z, 0, sizeof(double) * (size_t)w->k);
-  if (!qp_is_convex(w)) return twx_qp_measure(w, &w->point), TWX_QP_NOT_CONVEX;
+  twx_qp_copy(w, &w->best, &w->point);
+  if (!qp_is_convex(w)) {
+    twx_qp_measure(w, &w->point);
+    return TWX_QP_NOT_CONVEX;
+  }
   if (qp_warm(w)) return TWX_QP_SOLVED;
   const twx_qp_status status = twx_qp_interior(w);
   return status == TWX_QP_SOLVED || status == TWX_QP_NOT_CONVEX ? status : twx_qp_prove(w, status);

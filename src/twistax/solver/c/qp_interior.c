@@ -161,5 +161,5 @@ twx_qp_status twx_qp_interior(twx_qp_work *w) {
     shorter = qp_advance(w) < o->shortest_step ? shorter + 1 : 0;
     if (shorter > 2) return TWX_QP_STALLED;
   }
-  return TWX_QP_MAX_ITERATIONS;
+  return w->point.error <= o->tolerance ? TWX_QP_SOLVED : TWX_QP_MAX_ITERATIONS;
 }
