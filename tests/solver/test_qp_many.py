@@ -33,19 +33,23 @@ def test_badly_conditioned_costs_are_solved(decades: int) -> None:
         assert max(qp.errors(solution).values()) < 1e-8
 
 
-def test_equalities_that_almost_depend_on_each_other() -> None:
-    """A third row is the first but for 1e-4, as at a singular pose of an arm."""
-    for seed in range(100):
+@pytest.mark.parametrize(("off", "solved"), [(1e-3, 1.0), (1e-4, 1.0), (1e-5, 0.9)])
+def test_equalities_that_almost_depend_on_each_other(off: float, solved: float) -> None:
+    """A third row is nearly the first, as at a singular pose of an arm. What is not solved says so."""
+    statuses = []
+    for seed in range(150):
         qp, rng = solvable(seed), np.random.default_rng(seed)
         n = len(qp.g)
         if n < 5:
             continue
         A, x = rng.normal(size=(3, n)), rng.uniform(-1, 1, n)
-        A[2] = A[0] + 1e-4 * rng.normal(size=n)
+        A[2] = A[0] + off * rng.normal(size=n)
         t = qp.C @ x
         rows = {"row_lower": t - rng.exponential(size=len(t)), "row_upper": t + rng.exponential(size=len(t))}
         bounds = {"lower": np.full(n, -20.0), "upper": np.full(n, 20.0)}
         qp = type(qp)(**(vars(qp) | {"A": A, "b": A @ x} | rows | bounds))
         solution = qp.solve()
-        assert solution.status is QPStatus.SOLVED, seed
-        assert max(qp.errors(solution).values()) < 1e-9
+        statuses.append(solution.status)
+        assert solution.status not in (QPStatus.INFEASIBLE, QPStatus.UNBOUNDED)
+        assert solution.status is not QPStatus.SOLVED or max(qp.errors(solution).values()) < 1e-8
+    assert np.mean([status is QPStatus.SOLVED for status in statuses]) >= solved
