@@ -60,7 +60,7 @@ int32_t twx_qp_solve(const twx_qp *problem, const twx_qp_options *options, twx_q
   if (!twx_qp_workspace_size(problem)) return TWX_QP_BAD_PROBLEM;
   twx_qp_carve(w, problem, workspace);
   w->problem = problem, w->options = options, w->statistics = statistics, w->proving = 0;
-  w->softness = options->softness;
+  w->softness = options->softness, w->first_gradient = 0;
   if (!twx_qp_load(w, solution)) return TWX_QP_BAD_PROBLEM;
   statistics->status = (int32_t)qp_solve(w);
   twx_qp_unload(w, solution);

@@ -17,7 +17,7 @@ static int32_t qp_start(twx_qp_work *w) {
   const twx_qp_options *o = w->options;
   twx_qp_point *const q = &w->point;
   for (int32_t j = 0; j < w->n; j++) q->x[j] = twx_min(twx_max(0, w->lower[j]), w->upper[j]);
-  memset(q->z, 0, sizeof(double) * (size_t)w->k);
+  memset(q->z, 0, sizeof(double) * (size_t)w->k), w->first_gradient = 0;
   twx_qp_measure(w, q);
   for (int32_t i = 0; i < w->k; i++) {
     w->weights[i] = w->kind[i] == TWX_QP_FIXED ? 1 / twx_qp_softness(w, i) : w->kind[i] == TWX_QP_BOUNDED ? 1 : 0;
@@ -27,6 +27,7 @@ static int32_t qp_start(twx_qp_work *w) {
   twx_qp_step(w, q);
   for (int32_t j = 0; j < w->n; j++) q->x[j] = twx_min(twx_max(q->x[j] + w->dx[j], w->lower[j]), w->upper[j]);
   twx_qp_measure(w, q);
+  for (int32_t j = 0; j < w->n; j++) w->first_gradient = twx_max(w->first_gradient, fabs(q->Hx[j]));
   const double size = q->X * twx_max(1, q->violation), X = size > 0 ? size : q->Z > 0 ? q->Z : 1;
   const double distance = o->start_push * X;
   for (int32_t j = 0; j < w->n; j++)

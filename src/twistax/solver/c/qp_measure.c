@@ -12,7 +12,7 @@ static double qp_over(double a, double size) { return a > 0 ? a / size : a; } /*
 
 /* What depends on x and z, then errors.
  *
- *   stationarity     max |H x + g + G'z + z| / Z          Z = max(|H x|, |g|, |z|)
+ *   stationarity     max |H x + g + G'z + z| / Z          Z = max(|H x|, |g|, |z|, |H x| at the start)
  *   violation        max (distance of t from its bounds) / X      X = max(|x|, |G x|), with what equalities want
  *   complementarity  max of min(|z| / Z, (distance of t from the bound of z's sign) / X)
  */
@@ -32,7 +32,7 @@ void twx_qp_measure(const twx_qp_work *w, twx_qp_point *q) {
   }
   q->X = qp_largest(w->k, q->t, 0);
   for (int32_t i = 0; i < w->k; i++) if (w->kind[i] == TWX_QP_FIXED) q->X = twx_max(q->X, fabs(w->lower[i]));
-  q->Z = qp_largest(w->k, q->z, qp_largest(n, q->Hx, qp_largest(n, w->g, 0)));
+  q->Z = qp_largest(w->k, q->z, qp_largest(n, q->Hx, qp_largest(n, w->g, w->first_gradient)));
   const double least = w->options->rounding * qp_largest(n, w->g, 0); /* H is about 1: x without constraints */
   const double X = twx_max(q->X, least), Z = twx_max(q->Z, w->options->rounding * q->X);
   for (int32_t i = 0; i < w->k; i++) {

@@ -28,6 +28,7 @@ typedef struct {
   double *H, *g, *G, *Gt; /* (n, n), (n), (m, n), (n, m) */
   double *lower, *upper;  /* (constraints) */
   int32_t *kind, *active, *tried; /* (constraints): twx_qp_kind; -1, 0, 1: at the lower bound, between, at the upper */
+  double first_gradient;  /* |H x| at the start of an interior point: at a solution of cost 0 all else vanishes */
   double softness;        /* of constraints in the linear system, see qp_newton.c */
   int32_t proving;        /* no longer the problem as stated, but one whose solution shows why that has none */
   double soft;            /* of rows: 0, or 1 in the search for the least violation */
