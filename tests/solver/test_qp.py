@@ -103,6 +103,17 @@ def test_bounds_alone_in_any_units() -> None:
     np.testing.assert_array_equal(solution.x, lower)
 
 
+def test_a_cost_that_vanishes_at_the_solution() -> None:
+    """All that errors of the gradient could be compared with is 0 there."""
+    n = 12
+    H, A = np.diag(np.arange(n) % 3.0), np.random.default_rng(1).normal(size=(3, n))
+    x = np.where(np.arange(n) % 3 == 0, np.linspace(-1, 1, n), 0.0)
+    solution = solve_qp(H, np.zeros(n), A, A @ x, lower=np.full(n, -2.0), upper=np.full(n, 1.5))
+    assert solution.status is QPStatus.SOLVED
+    assert solution.iterations <= 12
+    assert solution.cost == pytest.approx(0.0, abs=1e-15)
+
+
 def test_a_feasible_set_without_interior() -> None:
     """Two rows leave one value of x_0 + x_1, and bounds one of x_0."""
     C = [[1.0, 1.0, 0.0], [-1.0, -1.0, 0.0], [1.0, 0.0, 0.0], [-2.0, 0.0, 0.0]]

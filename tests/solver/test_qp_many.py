@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from qp_problems import FAMILIES, solvable
 
-from twistax.solver import QPSolution, QPStatus
+from twistax.solver import QPSolution, QPStatus, solve_qp
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -33,6 +33,22 @@ def test_badly_conditioned_costs_are_solved(decades: int, solved: float) -> None
         statuses.append(solution.status)
         assert solution.status not in (QPStatus.INFEASIBLE, QPStatus.UNBOUNDED)
         assert solution.status is not QPStatus.SOLVED or max(qp.errors(solution).values()) < 1e-8
+    assert np.mean([status is QPStatus.SOLVED for status in statuses]) >= solved
+
+
+@pytest.mark.parametrize(("decades", "solved"), [(2, 1.0), (3, 0.9)])
+def test_costs_that_vanish_are_solved(decades: int, solved: float) -> None:
+    """At the solution the gradient and all multipliers are 0; curvatures over twice as many decades lead there."""
+    statuses = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        B = rng.normal(size=(8, 20)) * 10.0 ** -np.linspace(0, decades, 8)[:, None]
+        x = np.linalg.svd(B)[2][8:].T @ rng.normal(size=12)
+        A, C, nothing = rng.normal(size=(3, 20)), rng.normal(size=(30, 20)), np.full(30, -np.inf)
+        high = C @ x + rng.exponential(size=30) * (rng.random(30) < 0.7)
+        solution = solve_qp(B.T @ B, np.zeros(20), A, A @ x, C, nothing, high)
+        statuses.append(solution.status)
+        assert solution.status is not QPStatus.SOLVED or np.abs(B @ solution.x).max() < 1e-4
     assert np.mean([status is QPStatus.SOLVED for status in statuses]) >= solved
 
 

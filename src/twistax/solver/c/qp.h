@@ -15,10 +15,10 @@
  * the optimality conditions, the solve ends. A warm start begins with the bounds that were active, and changes them
  * where the conditions fail; after a few changes it becomes an interior point.
  *
- * Where it finds no solution, two other programs with the same matrices may prove that there is none, and there is a
- * last attempt: see qp_proof.c.
+ * Where it finds no solution, two other programs with the same matrices may prove that there is none, and there are
+ * two last attempts: see qp_proof.c.
  *
- * Matrices are column-major. The work is bounded: at most `iterations` steps for each of these four programs, and a few
+ * Matrices are column-major. The work is bounded: at most `iterations` steps for each of these five programs, and a few
  * factorizations for each step.
  */
 #ifndef TWX_QP_H

@@ -1,5 +1,5 @@
 /* Where the interior point found no solution: why there is none. Each proof is a quadratic program that has a solution.
- * Where there is no proof, a last attempt.
+ * Where there is no proof, there are two last attempts.
  *
  *   Infeasible:  minimise |violation of rows|^2 / 2 within the bounds of variables. Its multipliers are the violations;
  *                where they are not 0 they are a certificate.
@@ -38,10 +38,15 @@ static int32_t qp_prove_unbounded(twx_qp_work *w) {
   return w->statistics->certificate <= w->options->certificate;
 }
 
-/* Once more, with less softness: that of rows which almost depend on each other slows the interior point down. */
-static int32_t qp_solve_stiffer(twx_qp_work *w) {
-  w->softness = w->options->softness_last;
-  return twx_qp_interior(w) == TWX_QP_SOLVED;
+/* Once more with other softness. Much of it keeps rounding errors of rows out of directions of small curvature; with
+ * little of it multipliers of rows that almost depend on each other are found in fewer steps. */
+static int32_t qp_solve_otherwise(twx_qp_work *w) {
+  const double attempts[] = {w->options->softness_largest, w->options->softness_smallest};
+  for (int32_t i = 0; i < 2; i++) {
+    w->softness = attempts[i];
+    if (twx_qp_interior(w) == TWX_QP_SOLVED) return 1;
+  }
+  return 0;
 }
 
 /* Neither: the best point, which may be a certificate itself. */
@@ -58,7 +63,7 @@ twx_qp_status twx_qp_prove(twx_qp_work *w, twx_qp_status status) {
   w->proving = 1;
   if (qp_prove_infeasible(w)) status = TWX_QP_INFEASIBLE;
   else if (twx_qp_reload(w), qp_prove_unbounded(w)) status = TWX_QP_UNBOUNDED;
-  else if (twx_qp_reload(w), qp_solve_stiffer(w)) status = TWX_QP_SOLVED;
+  else if (twx_qp_reload(w), qp_solve_otherwise(w)) status = TWX_QP_SOLVED;
   else status = qp_give_up(w, status);
   twx_qp_reload(w);
   twx_qp_measure(w, &w->point);
