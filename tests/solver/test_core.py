@@ -194,6 +194,8 @@ def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:
         *("twx_count", "twx_defaults", "twx_option_name", "twx_option_source", "twx_options_count"),
         *("twx_solve", "twx_workspace_size", "twx_phase_work", "twx_phase_states"),
         *(f"twx_transcribed_{name}" for name in ("values", "jacobians", "hessians", "retract")),
+        *("twx_qp_defaults", "twx_qp_option_name", "twx_qp_option_source", "twx_qp_options_count"),
+        *("twx_qp_solve", "twx_qp_workspace_size"),
     }
     assert {name for name in external if not name.startswith("twx_")} <= {
         *("log", "log10", "memcpy", "memset", "pow", "sqrt", "__stack_chk_fail", "_GLOBAL_OFFSET_TABLE_"),

@@ -1,5 +1,7 @@
-"""An interior-point solver for problems in stages: its core in C, and the core from Python. It knows no bodies."""
+"""An interior-point solver for problems in stages and a dense quadratic program, in C, and both from Python. They know
+no bodies."""
 
 from .core import Solution, StageFunctions, Stages, Status, Units, solve
-from .options import SOURCES, Options
+from .options import QP_SOURCES, SOURCES, Options, QPOptions
 from .python_functions import PythonFunctions
+from .qp import QPSolution, QPStatus, solve_qp

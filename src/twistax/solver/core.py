@@ -215,7 +215,7 @@ def solve(
     *,
     units: Units | None = None,
     largest_step: Array | None = None,
-    options: Options | None = None,  # type: ignore[valid-type]
+    options: Options | None = None,
     warm: Solution | None = None,
     watch: Watch | None = None,
 ) -> Solution:

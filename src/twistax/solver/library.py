@@ -16,7 +16,7 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
 
 _VOID_POINTER = ctypes.c_void_p
 
-_NAMES = ("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states")
+_NAMES = ("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states", "twx_qp_workspace_size", "twx_qp_solve")
 
 #: Functions of a transcribed problem, by what `StageFunctions` calls them.
 _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
@@ -31,16 +31,19 @@ class Library:
         phase_work: doubles that a phase needs.
         phase_states: where a substep ends in the last integration.
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
+        qp_workspace_size, qp_solve: the same of a dense quadratic program, see qp.h.
     """
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve, work, states = (code.addresses[name] for name in _NAMES)
+        size, solve, work, states, qp_size, qp_solve = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
         self.transcribed = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
+        self.qp_workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(qp_size)
+        self.qp_solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 5)(qp_solve)
 
 
 @functools.cache

@@ -1,4 +1,4 @@
-"""Options of the core, read from the list that its C sources are made of."""
+"""Options of the solvers, read from the lists that their C sources are made of."""
 
 from __future__ import annotations
 
@@ -9,39 +9,48 @@ from typing import Any
 from ..errors import TrajectoryError
 from .sources import options
 
-_OPTIONS = options()
 
-#: Where each option comes from: an equation of the paper, or the option of IPOPT with the same meaning.
-SOURCES: dict[str, str] = {name: source for name, _, source in _OPTIONS}
+def _options_class(name: str, file: str, counts: set[str]) -> tuple[Any, dict[str, str]]:
+    """A frozen dataclass of floats with the defaults of a `.def` file, and the source of each.
+
+    Args:
+        counts: options that are whole numbers in C.
+    """
+    listed = options(file)
+
+    class OptionsStructure(ctypes.Structure):
+        _fields_ = [(option, ctypes.c_double) for option, _, _ in listed]
+
+    def as_structure(self: Any) -> OptionsStructure:
+        values = [float(value) for value in vars(self).values()]
+        for (option, _, _), value in zip(listed, values, strict=True):
+            if not value >= 0.0 or (option in counts and not value < 2.0**31):
+                raise TrajectoryError(f"{name}: {option} expects a number of 0 or more, counts below 2^31, got {value}")
+        return OptionsStructure(*values)
+
+    made = dataclasses.make_dataclass(
+        name,
+        [(option, float, dataclasses.field(default=default)) for option, default, _ in listed],
+        namespace={
+            "as_structure": as_structure,
+            "__doc__": f"The options of `{file}`, all floats.",
+        },
+        frozen=True,
+        kw_only=True,
+    )
+    return made, {option: source for option, _, source in listed}
 
 
-#: Those that are whole numbers in C.
-_COUNTS = {"iterations", "corrections", "watchdog_trigger", "watchdog_steps", "filter_resets", "filter_reset_trigger"}
-_COUNTS |= {"refinements", "restoration_iterations"}
-
-
-class OptionsStructure(ctypes.Structure):
-    """`twx_options` of core.h."""
-
-    _fields_ = [(name, ctypes.c_double) for name, _, _ in _OPTIONS]
-
-
-def _as_structure(self: Any) -> OptionsStructure:
-    values = [float(value) for value in dataclasses.astuple(self)]
-    for (name, _, _), value in zip(_OPTIONS, values, strict=True):
-        if not value >= 0.0 or (name in _COUNTS and not value < 2.0**31):
-            raise TrajectoryError(f"Options: {name} expects a number of 0 or more, counts below 2^31, got {value}")
-    return OptionsStructure(*values)
-
-
-#: Options of the interior point, all floats; see `SOURCES`. `Options(tolerance=1e-6)` changes one.
-Options = dataclasses.make_dataclass(
+#: Options of the interior point for problems in stages. `Options(tolerance=1e-6)` changes one. `SOURCES`: where each
+#: comes from, an equation of the paper, or the option of IPOPT with the same meaning.
+Options, SOURCES = _options_class(
     "Options",
-    [(name, float, dataclasses.field(default=default)) for name, default, _ in _OPTIONS],
-    namespace={
-        "as_structure": _as_structure,
-        "__doc__": "Options of the interior point; `SOURCES` names their sources.",
-    },
-    frozen=True,
-    kw_only=True,
+    "options.def",
+    {"iterations", "corrections", "watchdog_trigger", "watchdog_steps", "filter_resets", "filter_reset_trigger"}
+    | {"refinements", "restoration_iterations"},
+)
+
+#: Options of the dense quadratic program, and where each comes from.
+QPOptions, QP_SOURCES = _options_class(
+    "QPOptions", "qp.def", {"iterations", "scaling_passes", "finish_changes", "warm_changes", "corrections"}
 )

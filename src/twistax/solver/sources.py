@@ -8,7 +8,7 @@ from pathlib import Path
 
 _FOLDER = Path(__file__).parent / "c"
 
-#: In the order in which they are joined; each needs those before it only through `work.h`.
+#: In the order in which they are joined; each needs those before it only through `work.h` and `qp_work.h`.
 _FILES = (
     "options",
     "dense",
@@ -27,6 +27,13 @@ _FILES = (
     "integrate",
     "nodes",
     "transcription",
+    "qp_scale",
+    "qp_measure",
+    "qp_newton",
+    "qp_active",
+    "qp_interior",
+    "qp_proof",
+    "qp",
 )
 
 _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
@@ -34,14 +41,16 @@ _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
-    return _expanded(_read("core.h")) + _expanded(_read("transcription.h"), drop=("core.h",))
+    own = [_expanded(_read(name), drop=("core.h",)) for name in ("transcription.h", "qp.h")]
+    return "".join([_expanded(_read("core.h")), *own])
 
 
 def amalgamation() -> str:
     """All of the core as one C99 file; only the functions of the header have external linkage."""
     parts = ["#define TWX_INTERNAL static\n", header()]
-    parts += [_INCLUDE.sub("", _read(name)) for name in ("work.h", "phase.h")]
-    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "work.h", "phase.h")) for name in _FILES]
+    inner = ("work.h", "phase.h", "qp_work.h")
+    parts += [_INCLUDE.sub("", _read(name)) for name in inner]
+    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", *inner)) for name in _FILES]
     return "\n".join(parts)
 
 
@@ -50,10 +59,10 @@ def fingerprint() -> str:
     return hashlib.sha256(amalgamation().encode()).hexdigest()
 
 
-def options() -> list[tuple[str, float, str]]:
-    """Name, default and source of every option, in the order of the C structure."""
+def options(file: str) -> list[tuple[str, float, str]]:
+    """Name, default and source of every option of a `.def` file, in the order of the C structure."""
     entry = re.compile(r'^OPTION\((?P<name>\w+), (?P<value>[^,]+), "(?P<source>[^"]+)"\)$', re.MULTILINE)
-    return [(m["name"], float(m["value"]), m["source"]) for m in entry.finditer(_read("options.def"))]
+    return [(m["name"], float(m["value"]), m["source"]) for m in entry.finditer(_read(file))]
 
 
 def _read(name: str) -> str:
