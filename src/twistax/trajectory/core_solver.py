@@ -158,9 +158,9 @@ class CoreSolver:
         warm: Solution | None = None,
         watch: Watch | None = None,
     ) -> Solution:
-        """One call of the core."""
+        """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
         staged = self.staged
-        return solve(
+        result = solve(
             staged.transcription.stages,
             staged.transcription.functions,
             *staged.limits(point, given),
@@ -172,6 +172,9 @@ class CoreSolver:
             warm=warm,
             watch=watch,
         )
+        if result.status is CoreStatus.MAX_ITERATIONS and result.statistics["iterations"] < options["iterations"]:
+            result.status = CoreStatus.STALLED
+        return result
 
     def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
@@ -238,7 +241,7 @@ class CoreSolver:
             numbers["stationarity"] * _COST,
             numbers["violation"],
             numbers["complementarity"] * _COST,
-            gap / units.cost,
+            float(gap / units.cost),
         )
         return Outcome(
             point=point,

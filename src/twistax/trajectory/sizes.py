@@ -52,12 +52,13 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
-    unknown = np.isnan(u)
+    unknown, between = np.isnan(u), _between_ends(shooting, point)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
     for number in range(_ROUNDS):
+        sure = d if number > 0 else np.where(between > 0.0, between, np.nan)  # at first others may be noise
         with np.errstate(all="ignore"):
-            needed = np.nanmin(np.where(through > 0.0, d[:, None] / through, np.inf), axis=0, initial=np.inf)
-        wide = (box >= _WIDE * needed) & (number > 0)  # at first sizes of states may be noise
+            needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
+        wide = (box >= _WIDE * needed) & np.isfinite(needed)
         usual = np.where(np.isnan(box) | wide, np.where(np.isfinite(needed), needed, box), box)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
@@ -66,7 +67,20 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         others = pushed[:, : n + m].max(axis=1)
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
         d = _drifting(d, drift, among)
+    values = np.abs(point.us).max(axis=0, initial=0.0)
+    u = np.where(np.isnan(u) & (values > 0.0), values, u)
     return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)))
+
+
+def _between_ends(shooting: Shooting, point: Point) -> Array:
+    """Half of how far fixed ends of flat states are apart; zero where one is free."""
+    found = np.zeros(shooting.n)
+    for name, part in shooting.dynamics.group.slices.items():
+        if shooting.dynamics.group.factors[name].flat:
+            values = np.reshape(point.xs[name], (shooting.nodes, -1))
+            found[part] = 0.5 * np.abs(values[-1] - values[0])
+    fixed = np.isin(np.arange(shooting.n), shooting.layout.fixed) & ~shooting.free.d[0]
+    return np.where(fixed, found, 0.0)
 
 
 def _drifting(d: Array, drift: Array, among: Array) -> Array:

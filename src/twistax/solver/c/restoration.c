@@ -10,6 +10,7 @@
 #define BARRIER_LEAST 1e-9    /* of the phase; there its stationary point is one of the violation */
 #define BARRIER_DECREASE 0.1
 #define LENGTH_LEAST 1e-12
+#define PENALTY_LEAST 1.0     /* multipliers that vanish would leave the defects free */
 #define SLOPE_LEAST 1e-8      /* relative to the squares and the defects: less is a stationary point */
 
 typedef struct {
@@ -84,7 +85,7 @@ static void accept_restoring(twx_work *w) {
 static twx_status reduce_violation(twx_work *w) {
   const twx_options *o = w->options;
   const double before = twx_violation(w, &w->here, 0);
-  phase f = {twx_max(w->barrier, twx_violation(w, &w->here, 1)), 0, 0, 0, 0};
+  phase f = {.barrier = twx_max(w->barrier, twx_violation(w, &w->here, 1)), .penalty = PENALTY_LEAST};
   for (int32_t n = 0; n < (int32_t)o->restoration_iterations; n++) {
     restoring_right_side(w, f.barrier);
     if (!factorize_restoring(w)) return TWX_UNBOUNDED_CURVATURE;
@@ -103,7 +104,7 @@ static twx_status reduce_violation(twx_work *w) {
       f.barrier *= BARRIER_DECREASE;
     }
   }
-  return TWX_STALLED;
+  return TWX_MAX_ITERATIONS;
 }
 
 /* Multipliers of bounds that grew too large start anew. */
