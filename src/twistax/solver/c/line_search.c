@@ -63,7 +63,7 @@ static void start_watchdog(twx_work *w, twx_search *search, const twx_reference 
 /* Full steps are taken unseen for a while; the first that the watched point accepts is kept, else the search goes back. */
 static twx_outcome watch(twx_work *w, twx_search *search, double length) {
   twx_reference *from = &search->watched;
-  const int32_t bad = twx_move(w, &w->step, length);
+  const int32_t bad = twx_move(w, &w->step, length) || twx_violation(w, &w->trial, 0) > w->violation_large;
   search->length = length;
   if (!bad && twx_accepts(w, from, from->length)) {
     const double barrier = twx_barrier(w, &w->trial);

@@ -88,6 +88,10 @@ static twx_status iterate(twx_work *w) {
     if (p->stop && p->stop(p->user, w->statistics->iterations)) return TWX_STOPPED;
     status = update_barrier(w, &search);
     if (status == TWX_SOLVED) status = find_direction(w);
+    if (status != TWX_SOLVED && search.watching) { /* steps that were taken unseen led nowhere */
+      search.watching = search.shortened = 0, status = go_back(w);
+      continue;
+    }
     reset_filter(w, &search);
     if (status == TWX_SOLVED) status = take_step(w, &search, &m);
     if (status != TWX_SOLVED) {
