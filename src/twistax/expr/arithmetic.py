@@ -156,6 +156,12 @@ class Div(Entrywise):
     precedence = 20
     by_operators = True
 
+    def evaluate(self, *values: Numbers) -> Numbers:
+        # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
+        apart = [isinstance(a, Div) and isinstance(v, jax.Array) for a, v in zip((self.left, self.right), values)]
+        own = [jax.lax.optimization_barrier(v) if inner else v for v, inner in zip(values, apart)]
+        return super().evaluate(*own)
+
     def simplify(self) -> Expr:
         """x / 1 is x; 0 / x is 0, where x is not known to be zero or NaN."""
         if is_constant(self.right, 1.0) and self.left.shape == self.shape:
@@ -209,6 +215,8 @@ class Power(Entrywise):
             if number.is_integer() and abs(number) <= 64:
                 base = base if number >= 0.0 else quotient(jnp.ones_like(base), base)
                 return jax.lax.integer_pow(base, abs(int(number)))
+        if isinstance(self.exponent, Constant) and (self.exponent.value <= -1.0).all():
+            return jnp.power(quotient(jnp.ones((), base.dtype), base), -exponent)
         if isinstance(self.exponent, Constant) and (self.exponent.value < 0.0).all():
             return quotient(jnp.ones((), base.dtype), jnp.power(base, -exponent))
         return jnp.power(base, exponent)

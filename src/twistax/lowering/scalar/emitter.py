@@ -14,11 +14,14 @@ from jax import lax
 from ...jax_inside import jaxpr_as_fun
 from .entry import flat
 from .graph import Call, Graph
+from .operations import OPERATIONS
 from .program import ScalarProgram, emitted_form
 
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
 _PIECE = 100
+
+_DIV = OPERATIONS["div"]
 
 
 @dataclasses.dataclass(eq=False)
@@ -44,7 +47,12 @@ class _Piece:
             for a in g.arguments(i):
                 if a not in values:
                     values[a] = jnp.asarray(g.numbers[a], g.dtypes[a])
-            values[i] = operation.array(*(values[a] for a in g.arguments(i)))
+            own = [values[a] for a in g.arguments(i)]
+            if operation is _DIV:
+                # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
+                inner = [g.operation(a) is _DIV for a in g.arguments(i)]
+                own = [lax.optimization_barrier(v) if apart else v for v, apart in zip(own, inner, strict=True)]
+            values[i] = operation.array(*own)
         return [values[i] for i in self.gives]
 
 

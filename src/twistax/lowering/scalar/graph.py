@@ -20,7 +20,7 @@ from ...jax_inside import ClosedJaxpr
 from ...walk import walk
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
-from .powers import WholePower
+from .powers import WholePower, whole_power
 
 _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _SELECT, _NOT = (
     OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "pow", "select", "not")
@@ -222,12 +222,38 @@ class Graph:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
         for x, y in ((a, b), (b, a)):
-            operation = self.nodes[y][0]
-            if isinstance(operation, WholePower) and operation.exponent == -2:
-                # In range where x and the product are, as x / y is between them; y^-2 need not be.
-                inverse = self.div(self.one, self.nodes[y][1])
-                return self.mul(self.mul(x, inverse), inverse)
+            if self.numbers[x] is None and (parts := self._in_range(x, y)) is not None:
+                return self.mul(*parts)
         return self._signed(self.mul, _MUL, a, b)
+
+    def _in_range(self, a: int, b: int) -> tuple[int, int] | None:
+        """Two factors of a b that are in range where a and the product are, for b = c y^-n; None: a and b themselves.
+
+        a y^-2 is (a / y) / y, and a y^-n is (a / y) y^(1-n) where y^(1-n) is known: each lies between a and the
+        product. (a d) y^-2 is (a / y) (d / y) where a / y is known. The first is what JAX makes of the derivative of a
+        power, the other of that of a quotient.
+        """
+        c, power = self.one, b
+        if self.nodes[b][0] is _MUL:
+            c, power = sorted(self.nodes[b][1:], key=lambda k: self.numbers[k] is None)
+        operation, *given = self.nodes[power]
+        y = given[0] if given else None
+        if isinstance(operation, WholePower) and operation.exponent == -2:
+            inverse = self.div(self.one, y)
+            factors = self.nodes[self.nodes[a][1] if self.nodes[a][0] is _NEG else a]
+            if factors[0] is _MUL:
+                for f, other in (factors[1:], factors[:0:-1]):
+                    if (quotient := self._known.get((_DIV, f, y))) is not None:
+                        other = self.neg(other) if self.nodes[a][0] is _NEG else other
+                        return self.mul(c, quotient), self.div(other, y)
+            return self.mul(self.mul(a, c), inverse), inverse
+        if isinstance(operation, WholePower) and operation.exponent < 0:
+            above = self._known.get((whole_power(operation.exponent + 1), y))
+        elif operation is _POW and (n := self.numbers[given[1]]) is not None and n < -1.0:
+            above = self._known.get((_POW, y, self.constant(n + 1.0)))
+        else:
+            return None
+        return None if above is None else (self.mul(c, above), self.div(a, y))
 
     def div(self, a: int, b: int) -> int:
         if self.dtypes[a] != self.dtype:
@@ -285,6 +311,11 @@ class Graph:
                 self.zero if b == self.zero else self.scaled(factor, b),
             )
         return self.mul(factor, cotangent)
+
+    def may_be_cut(self, cotangent: int) -> bool:
+        """Whether a branch that was not taken makes a cotangent zero."""
+        entry = self.nodes[cotangent]
+        return entry[0] is _SELECT and self.zero in entry[2:]
 
     def joined(self, a: int, b: int) -> int:
         """a + b of two cotangents; what the same branch makes zero stays together."""
