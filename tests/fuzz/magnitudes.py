@@ -270,13 +270,18 @@ class Grower:
 # ---- the paths -------------------------------------------------------------------------------------------------------
 
 
+def rate_of(z: tx.Expr, parts: Sequence[Part]) -> tx.Expr:
+    """The expressions as the rate of the state."""
+    return tx.Concat(*(part.make((z, Nodes)) for part in parts), np.zeros(SIZE - len(parts)))
+
+
 def paths(parts: Sequence[Part], by: str) -> Iterator[tuple[str, int, Callable[[jax.Array], jax.Array]]]:
     """The paths by a backend: the name, of which order the derivative is, and a function of the state that gives it.
 
     The order is negative in modes that pass derivatives by all parts of an expression.
     """
     z = tx.State("z", shape=(SIZE,))
-    rate = tx.Concat(*(part.make((z, Nodes)) for part in parts), np.zeros(SIZE - COUNT))
+    rate = rate_of(z, parts)
     lowered = tx.lower(rate)
     plain = lambda z: jnp.stack([part.make((z, Arithmetic)) for part in parts])  # noqa: E731
     dynamics = tx.compile(tx.System({z: rate}), backend=BACKENDS[by])
@@ -302,15 +307,20 @@ def wrong(state: np.ndarray, parts: Sequence[Part], by: str) -> str:
     every = list(paths(parts, by))
     together = jax.jit(lambda z: [function(z) for _, _, function in every], compiler_options=quick_compile(0))
     results = together(jnp.asarray(state))
-    eps, said = float(np.finfo(np.float32).eps), []
-    for (name, order, _), result in zip(every, results, strict=True):
-        for k, part in enumerate(parts):
-            number = part.number
-            if order < 0 and not all(adjoints_hold(each, -order) for each in (number, part.canonical)):
-                continue
-            right = (number.value, number.slope, number.curvature)[abs(order)]
-            off = np.abs(np.asarray(result[k], float) - right)
-            if not np.all(off <= BAR * eps * number.sums[abs(order)] + LEAST / 10):
-                said.append(f"{name}: {part.text}: {np.asarray(result[k]).tolist()} for {np.asarray(right).tolist()}")
-                break
-    return "\n".join(said)
+    said = [off(name, order, np.asarray(r), parts) for (name, order, _), r in zip(every, results, strict=True)]
+    return "\n".join(filter(None, said))
+
+
+def off(name: str, order: int, result: np.ndarray, parts: Sequence[Part]) -> str:
+    """What is wrong on a path with the derivatives of an order, in a line; nothing if nothing is."""
+    eps = float(np.finfo(result.dtype).eps)
+    for k, part in enumerate(parts):
+        number = part.number
+        if order < 0 and not all(adjoints_hold(each, -order) for each in (number, part.canonical)):
+            continue
+        right = (number.value, number.slope, number.curvature)[abs(order)]
+        error = np.abs(result[k].astype(float) - right)
+        # The oracle itself has the eps of double precision.
+        if not np.all(error <= BAR * eps * number.sums[abs(order)] + LEAST / 10):
+            return f"{name}: {part.text}: {result[k].tolist()} for {np.asarray(right).tolist()}"
+    return ""

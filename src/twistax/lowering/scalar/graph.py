@@ -234,8 +234,10 @@ class Graph:
         power, the other of that of a quotient.
         """
         c, power = self.one, b
-        if self.nodes[b][0] is _MUL:
+        if self.nodes[b][0] is _MUL:  # with a number, which stands behind or before the rest
             c, power = sorted(self.nodes[b][1:], key=lambda k: self.numbers[k] is None)
+            if self.numbers[c] is None:
+                return None
         operation, *given = self.nodes[power]
         y = given[0] if given else None
         if isinstance(operation, WholePower) and operation.exponent == -2:
@@ -349,8 +351,10 @@ class Graph:
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
 
     def reciprocal_of(self, node: int) -> int | None:
-        """b where a node is 1 / b."""
+        """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
         entry = self.nodes[node]
+        if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
+            return self._known.get((_POW, entry[1], self.constant(-n)))
         return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:
