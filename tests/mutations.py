@@ -630,7 +630,6 @@ MUTATIONS: list[Mutation] = [
             "return None",
             "lowering/test_range.py::test_negative_powers_that_are_not_whole_have_reverse_derivatives",
         ),
-        ),
         (
             "a choice by not c",
             "return self.select(self.nodes[c][1], b, a)",
