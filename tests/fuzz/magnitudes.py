@@ -164,7 +164,9 @@ class Part:
     def holds(self) -> bool:
         """Whether single precision holds it, either way."""
         prefixes = [functools.reduce(mul, self.factors[:k]) for k in range(1, len(self.factors))]
-        return all(number.holds() for number in (self.number, self.canonical, *prefixes))
+        # On arrays XLA may multiply by the number last.
+        moving = [functools.reduce(mul, self.factors[k:]) for k in range(1, min(2, len(self.factors)))]
+        return all(number.holds() for number in (self.number, self.canonical, *prefixes, *moving))
 
 
 def made(rule: Callable[..., Number], make: Callable[[Any], Any], text: str, *of: Part) -> Part:

@@ -1,4 +1,4 @@
-"""Expressions at physical magnitudes where they leave JAX's transformations: C code, CasADi, integrations, linearize."""
+"""Expressions at physical magnitudes outside of transformations of JAX: C code, CasADi, integrations, `linearize`."""
 
 from __future__ import annotations
 
