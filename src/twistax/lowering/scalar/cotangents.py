@@ -99,6 +99,7 @@ def _joined(g: Graph, node: int, terms: Sequence[Cotangent]) -> Cotangent:
     own = g.div(g.one, node)
     rate = own if any(term.rate == own for term in terms) else terms[0].rate
     divisor = g.reciprocal_of(rate)
+    assert divisor is not None
     weights = (
         term.weight if term.rate == rate else g.scaled(g.over(divisor, term.rate), term.weight) for term in terms
     )

@@ -20,7 +20,7 @@ from ...jax_inside import ClosedJaxpr
 from ...walk import walk
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
-from .powers import WholePower, whole_power
+from .powers import factors_in_range
 
 _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _SELECT, _NOT = (
     OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "pow", "select", "not")
@@ -222,40 +222,9 @@ class Graph:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
         for x, y in ((a, b), (b, a)):
-            if self.numbers[x] is None and (parts := self._in_range(x, y)) is not None:
+            if self.numbers[x] is None and (parts := factors_in_range(self, x, y)) is not None:
                 return self.mul(*parts)
         return self._signed(self.mul, _MUL, a, b)
-
-    def _in_range(self, a: int, b: int) -> tuple[int, int] | None:
-        """Two factors of a b that are in range where a and the product are, for b = c y^-n; None: a and b themselves.
-
-        a y^-2 is (a / y) / y, and a y^-n is (a / y) y^(1-n) where y^(1-n) is known: each lies between a and the
-        product. (a d) y^-2 is (a / y) (d / y) where a / y is known. The first is what JAX makes of the derivative of a
-        power, the other of that of a quotient.
-        """
-        c, power = self.one, b
-        if self.nodes[b][0] is _MUL:  # with a number, which stands behind or before the rest
-            c, power = sorted(self.nodes[b][1:], key=lambda k: self.numbers[k] is None)
-            if self.numbers[c] is None:
-                return None
-        operation, *given = self.nodes[power]
-        y = given[0] if given else None
-        if isinstance(operation, WholePower) and operation.exponent == -2:
-            inverse = self.div(self.one, y)
-            factors = self.nodes[self.nodes[a][1] if self.nodes[a][0] is _NEG else a]
-            if factors[0] is _MUL:
-                for f, other in (factors[1:], factors[:0:-1]):
-                    if (quotient := self._known.get((_DIV, f, y))) is not None:
-                        other = self.neg(other) if self.nodes[a][0] is _NEG else other
-                        return self.mul(c, quotient), self.div(other, y)
-            return self.mul(self.mul(a, c), inverse), inverse
-        if isinstance(operation, WholePower) and operation.exponent < 0:
-            above = self._known.get((whole_power(operation.exponent + 1), y))
-        elif operation is _POW and (n := self.numbers[given[1]]) is not None and n < -1.0:
-            above = self._known.get((_POW, y, self.constant(n + 1.0)))
-        else:
-            return None
-        return None if above is None else (self.mul(c, above), self.div(a, y))
 
     def div(self, a: int, b: int) -> int:
         if self.dtypes[a] != self.dtype:
@@ -345,6 +314,10 @@ class Graph:
         entry = self.nodes[node]
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
+    def known(self, operation: Operation, *arguments: int) -> int | None:
+        """The node of an operation on other nodes, where there is one."""
+        return self._known.get((operation, *arguments))
+
     def input_of(self, node: int) -> tuple[int, int] | None:
         """The argument and the place in it that a node is."""
         entry = self.nodes[node]
@@ -354,7 +327,7 @@ class Graph:
         """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
         entry = self.nodes[node]
         if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
-            return self._known.get((_POW, entry[1], self.constant(-n)))
+            return self.known(_POW, entry[1], self.constant(-n))
         return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:
