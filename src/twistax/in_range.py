@@ -69,6 +69,21 @@ batching.primitive_batchers[quotient_p] = _quotient_batched
 _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 
 
+# ---- products --------------------------------------------------------------------------------------------------------
+
+
+def apart(x: jax.Array) -> jax.Array:
+    """x, of which XLA takes no part into products with others: those may be out of range."""
+    found: jax.Array = apart_p.bind(x)
+    return found
+
+
+apart_p = _defined("apart", lambda x: jax.lax.optimization_barrier(x), lambda x: x.update(weak_type=False))
+ad.deflinear2(apart_p, lambda cotangent, _: [cotangent])
+batching.defvectorized(apart_p)
+_taylor_rules[apart_p] = lambda primals, series, **_: (primals[0], series[0])
+
+
 # ---- norms -----------------------------------------------------------------------------------------------------------
 
 

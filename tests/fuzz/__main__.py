@@ -17,6 +17,7 @@ import warnings
 
 import jax
 import magnitudes
+import outside
 from check import check
 from grow import drawn
 from paths import BACKENDS
@@ -70,12 +71,13 @@ def main() -> int:
 
 
 def at_magnitudes(seed: int, number: int, end: float) -> int:
-    """Each case by one backend, in turn."""
+    """Each case by one backend or way out of JAX, in turn."""
     first, found = number, 0
     while time.process_time() < end:
         state, parts = magnitudes.drawn(seed, number)
-        by = list(BACKENDS)[number % len(BACKENDS)]
-        if said := magnitudes.wrong(state, parts, by):
+        turns = [*BACKENDS, *outside.WAYS]
+        by = turns[number % len(turns)]
+        if said := (magnitudes if by in BACKENDS else outside).wrong(state, parts, by):
             found += 1
             print(f"\n# case {number} of seed {seed}, z = {state.tolist()}\n{said}", flush=True)
         number += 1

@@ -39,20 +39,20 @@ class Number:
     """A number with its first two derivatives, and for each the sum of absolute values of its terms.
 
     Attributes:
-        parts: the numbers that it is made of, with its slopes by them.
+        parts: the numbers that it is made of, with its slopes by them, and how these change with the state.
     """
 
     value: float
     slope: np.ndarray
     curvature: np.ndarray
     sums: tuple[float, np.ndarray, np.ndarray]
-    parts: tuple[tuple[Number, float], ...] = ()
+    parts: tuple[tuple[Number, float, np.ndarray], ...] = ()
 
     def holds(self) -> bool:
         """Whether single precision holds it, its derivatives, and the terms of these."""
-        entries = np.concatenate([np.ravel(a) for a in (self.value, self.slope, self.curvature, *self.sums)])
-        sizes = np.abs(entries[entries != 0.0])
-        return bool(np.all(np.isfinite(entries)) and np.all(sizes > LEAST) and np.all(sizes < LARGEST))
+        return representable(
+            np.concatenate([np.ravel(a) for a in (self.value, self.slope, self.curvature, *self.sums)])
+        )
 
 
 def leaf(value: float, place: int) -> Number:
@@ -69,7 +69,7 @@ def add(a: Number, b: Number) -> Number:
     value, slope = a.value + b.value, a.slope + b.slope
     sums = (abs(a.value) + abs(b.value), np.abs(a.slope) + np.abs(b.slope), np.abs(a.curvature) + np.abs(b.curvature))
     whole = tuple(x + y + z for x, y, z in zip(a.sums, b.sums, sums, strict=True))
-    return Number(value, slope, a.curvature + b.curvature, whole, ((a, 1.0), (b, 1.0)))
+    return Number(value, slope, a.curvature + b.curvature, whole, ((a, 1.0, np.zeros(SIZE)), (b, 1.0, np.zeros(SIZE))))
 
 
 def mul(a: Number, b: Number) -> Number:
@@ -83,7 +83,7 @@ def mul(a: Number, b: Number) -> Number:
     large = [tuple(map(np.abs, n)) for n in exact]
     parts = (of(*large), of(a.sums, large[1]), of(large[0], b.sums))
     sums = tuple(sum(each) for each in zip(*parts, strict=True))
-    return Number(*of(*exact), sums, ((a, b.value), (b, a.value)))
+    return Number(*of(*exact), sums, ((a, b.value, b.slope), (b, a.value, a.slope)))
 
 
 def applied(derivatives: Sequence[float], a: Number) -> Number:
@@ -100,7 +100,7 @@ def applied(derivatives: Sequence[float], a: Number) -> Number:
         + first * H
         + size[1] * off_curvature,
     )
-    return Number(f[0], f[1] * g, f[2] * np.outer(g, g) + f[1] * h, sums, ((a, f[1]),))
+    return Number(f[0], f[1] * g, f[2] * np.outer(g, g) + f[1] * h, sums, ((a, f[1], f[2] * g),))
 
 
 def power(a: Number, n: float, holds: bool = True) -> Number:
@@ -109,28 +109,38 @@ def power(a: Number, n: float, holds: bool = True) -> Number:
     return applied([x**n, n * x ** (n - 1), n * (n - 1) * x ** (n - 2), n * (n - 1) * (n - 2) * x ** (n - 3)], a)
 
 
-def adjoints_hold(root: Number, leaves: np.ndarray, order: int) -> bool:
-    """Whether single precision holds the derivatives of a number by all of its parts, as reverse modes pass them.
+def adjoints_hold(root: Number, order: int) -> bool:
+    """Whether single precision holds the terms of the derivatives of a number by all of its parts.
 
-    For second derivatives also how these, and the slopes of the parts, change with an entry of the state.
+    Reverse modes pass these from the number to the state. Second derivatives take how they change with the state too.
     """
     parts: dict[int, Number] = {}
 
     def visit(number: Number) -> None:
         if id(number) not in parts:
-            for part, _ in number.parts:
+            for part, *_ in number.parts:
                 visit(part)
             parts[id(number)] = number
 
     visit(root)
-    found = {id(root): 1.0}
+    found = {id(root): (1.0, np.zeros(SIZE))}
     for number in reversed(list(parts.values())):
-        for part, slope in number.parts:
-            found[id(part)] = found.get(id(part), 0.0) + found[id(number)] * slope
-    slopes = [slope for number in parts.values() for _, slope in number.parts] if order == 2 else []
-    sizes = np.abs([c for c in (*found.values(), *slopes) if c != 0.0])
-    per = np.append(1.0, 1.0 / np.abs(leaves)) if order == 2 else np.ones(1)
-    return bool(sizes.min() * per.min() > LEAST and sizes.max() * per.max() < LARGEST)
+        size, change = found[id(number)]
+        for part, slope, bend in number.parts:
+            terms = [np.ravel(size * slope)] + ([change * slope, size * bend] if order == 2 else [])
+            if not representable(np.concatenate(terms)):
+                return False
+            before = found.get(id(part), (0.0, np.zeros(SIZE)))
+            found[id(part)] = (before[0] + size * slope, before[1] + change * slope + size * bend)
+    return all(
+        representable(np.append(change, size) if order == 2 else np.array(size)) for size, change in found.values()
+    )
+
+
+def representable(entries: np.ndarray) -> bool:
+    """Whether single precision holds numbers and sums of a few of them."""
+    sizes = np.abs(entries[entries != 0.0])
+    return bool(np.all(np.isfinite(entries)) and np.all(sizes > LEAST) and np.all(sizes < LARGEST))
 
 
 # ---- expressions -----------------------------------------------------------------------------------------------------
@@ -138,11 +148,39 @@ def adjoints_hold(root: Number, leaves: np.ndarray, order: int) -> bool:
 
 @dataclass(frozen=True, eq=False)
 class Part:
-    """One expression: the number, and a function that makes it of the leaves by any arithmetic."""
+    """One expression: its number, and a function that makes it of the leaves by any arithmetic.
+
+    Attributes:
+        canonical: the number by way of the parts of the canonical expression, where products of products are one.
+        factors: of a product in the order in which the canonical one is formed, the constant first.
+    """
 
     number: Number
+    canonical: Number
     make: Callable[[Any], Any]
     text: str
+    factors: tuple[Number, ...] = ()
+
+    def holds(self) -> bool:
+        """Whether single precision holds it, either way."""
+        prefixes = [functools.reduce(mul, self.factors[:k]) for k in range(1, len(self.factors))]
+        # On arrays XLA may multiply by the number last.
+        moving = [functools.reduce(mul, self.factors[k:]) for k in range(1, min(2, len(self.factors)))]
+        return all(number.holds() for number in (self.number, self.canonical, *prefixes, *moving))
+
+
+def made(rule: Callable[..., Number], make: Callable[[Any], Any], text: str, *of: Part) -> Part:
+    """The part of an operation on others."""
+    return Part(rule(*(a.number for a in of)), rule(*(a.canonical for a in of)), make, text)
+
+
+def product(a: Part, b: Part, make: Callable[[Any], Any], text: str) -> Part:
+    """That of a product."""
+    every = [n for part in (a, b) for n in part.factors or (part.canonical,)]
+    fixed = [n for n in every if not np.any(n.slope)]
+    factors = [functools.reduce(mul, fixed)] if fixed else []
+    factors += [n for n in every if np.any(n.slope)]
+    return Part(mul(a.number, b.number), functools.reduce(mul, factors), make, text, tuple(factors))
 
 
 class Arithmetic:
@@ -168,7 +206,7 @@ def drawn(seed: int, number: int) -> tuple[np.ndarray, list[Part]]:
     parts: list[Part] = []
     while len(parts) < COUNT:
         part = grower.scalar(source.randint(1, 4))
-        if part.number.holds() and np.any(part.number.slope):
+        if part.holds() and np.any(part.number.slope):
             parts.append(part)
     return state, parts
 
@@ -179,7 +217,7 @@ class Grower:
         self.leaves = [leaf(value, k) for k, value in enumerate(state.tolist())]
 
     def entry(self, k: int) -> Part:
-        return Part(self.leaves[k], lambda c, k=k: c[0][k], f"z[{k}]")
+        return made(lambda: self.leaves[k], lambda c, k=k: c[0][k], f"z[{k}]")
 
     def size(self) -> Part:
         """A distance, or its square."""
@@ -187,47 +225,56 @@ class Grower:
         own, text = slice(first, first + 3), f"z[{first}:{first + 3}]"
         square = functools.reduce(add, (mul(n, n) for n in self.leaves[own]))
         if self.source.random() < 0.4:
-            return Part(square, lambda c, own=own: c[1].dot(c[0][own], c[0][own]), f"dot({text}, {text})")
-        return Part(power(square, 0.5, square.holds()), lambda c, own=own: c[1].norm(c[0][own]), f"norm({text})")
+            return made(lambda: square, lambda c, own=own: c[1].dot(c[0][own], c[0][own]), f"dot({text}, {text})")
+        root = power(square, 0.5, square.holds())
+        return made(lambda: root, lambda c, own=own: c[1].norm(c[0][own]), f"norm({text})")
 
     def scalar(self, depth: int) -> Part:
         source = self.source
         while True:
-            made = (
-                self.made(depth) if depth else source.choice((self.size, lambda: self.entry(source.randrange(SIZE))))()
+            part = (
+                self.grown(depth) if depth else source.choice((self.size, lambda: self.entry(source.randrange(SIZE))))()
             )
-            if made.number.holds():
-                return made
+            if part.holds():
+                return part
             depth = max(depth - 1, 0)
 
-    def made(self, depth: int) -> Part:
+    def grown(self, depth: int) -> Part:
         source, kind = self.source, self.source.randrange(7)
         a = self.scalar(depth - 1)
         if kind == 0:
             n = source.choice((-6, -4, -3, -3, -2, -2, -1, 2, 3, 5))
-            return Part(power(a.number, n), lambda c: a.make(c) ** n, f"({a.text}) ** {n}")
+            return made(lambda a: power(a, n), lambda c: a.make(c) ** n, f"({a.text}) ** {n}", a)
         if kind == 1:
             n = source.choice((-1.5, -0.5, 1.5, 2.5))
             square = self.size()
-            return Part(power(square.number, n), lambda c: square.make(c) ** n, f"({square.text}) ** {n}")
+            return made(lambda a: power(a, n), lambda c: square.make(c) ** n, f"({square.text}) ** {n}", square)
         if kind == 2:
             factor = source.choice(GM)
-            return Part(mul(constant(factor), a.number), lambda c: factor * a.make(c), f"{factor} * ({a.text})")
+            fixed = made(lambda: constant(factor), lambda c: factor, f"{factor}")
+            return product(fixed, a, lambda c: factor * a.make(c), f"{factor} * ({a.text})")
         if kind == 3:
-            square = mul(a.number, a.number)
-            return Part(
-                power(square, 0.5, square.holds()), lambda c: c[1].sqrt(a.make(c) * a.make(c)), f"sqrt(({a.text})^2)"
+            square = product(a, a, lambda c: a.make(c) * a.make(c), f"({a.text})^2")
+            holds = square.holds()
+            return made(
+                lambda n: power(n, 0.5, holds), lambda c: c[1].sqrt(square.make(c)), f"sqrt({square.text})", square
             )
         b = self.scalar(depth - 1)
         if kind == 4:
-            return Part(mul(a.number, b.number), lambda c: a.make(c) * b.make(c), f"({a.text}) * ({b.text})")
+            return product(a, b, lambda c: a.make(c) * b.make(c), f"({a.text}) * ({b.text})")
         if kind == 5:
-            over = mul(a.number, power(b.number, -1))
-            return Part(over, lambda c: a.make(c) / b.make(c), f"({a.text}) / ({b.text})")
-        return Part(add(a.number, b.number), lambda c: a.make(c) + b.make(c), f"({a.text}) + ({b.text})")
+            return made(
+                lambda a, b: mul(a, power(b, -1)), lambda c: a.make(c) / b.make(c), f"({a.text}) / ({b.text})", a, b
+            )
+        return made(add, lambda c: a.make(c) + b.make(c), f"({a.text}) + ({b.text})", a, b)
 
 
 # ---- the paths -------------------------------------------------------------------------------------------------------
+
+
+def rate_of(z: tx.Expr, parts: Sequence[Part]) -> tx.Expr:
+    """The expressions as the rate of the state."""
+    return tx.Concat(*(part.make((z, Nodes)) for part in parts), np.zeros(SIZE - len(parts)))
 
 
 def paths(parts: Sequence[Part], by: str) -> Iterator[tuple[str, int, Callable[[jax.Array], jax.Array]]]:
@@ -236,7 +283,7 @@ def paths(parts: Sequence[Part], by: str) -> Iterator[tuple[str, int, Callable[[
     The order is negative in modes that pass derivatives by all parts of an expression.
     """
     z = tx.State("z", shape=(SIZE,))
-    rate = tx.Concat(*(part.make((z, Nodes)) for part in parts), np.zeros(SIZE - COUNT))
+    rate = rate_of(z, parts)
     lowered = tx.lower(rate)
     plain = lambda z: jnp.stack([part.make((z, Arithmetic)) for part in parts])  # noqa: E731
     dynamics = tx.compile(tx.System({z: rate}), backend=BACKENDS[by])
@@ -253,7 +300,7 @@ def paths(parts: Sequence[Part], by: str) -> Iterator[tuple[str, int, Callable[[
         yield name, 0, function
         yield f"{name}, jacfwd", 1, jax.jacfwd(function)
         yield f"{name}, jacrev", -1, jax.jacrev(function)
-        yield f"{name}, jacfwd of jacfwd", -2, jax.jacfwd(jax.jacfwd(function))
+        yield f"{name}, jacfwd of jacfwd", 2, jax.jacfwd(jax.jacfwd(function))
         yield f"{name}, hessian of JAX", -2, jax.hessian(function)
 
 
@@ -262,15 +309,20 @@ def wrong(state: np.ndarray, parts: Sequence[Part], by: str) -> str:
     every = list(paths(parts, by))
     together = jax.jit(lambda z: [function(z) for _, _, function in every], compiler_options=quick_compile(0))
     results = together(jnp.asarray(state))
-    eps, said = float(np.finfo(np.float32).eps), []
-    for (name, order, _), result in zip(every, results, strict=True):
-        for k, part in enumerate(parts):
-            number = part.number
-            if order < 0 and not adjoints_hold(number, state.astype(float), -order):
-                continue
-            right = (number.value, number.slope, number.curvature)[abs(order)]
-            off = np.abs(np.asarray(result[k], float) - right)
-            if not np.all(off <= BAR * eps * number.sums[abs(order)] + LEAST / 10):
-                said.append(f"{name}: {part.text}: {np.asarray(result[k]).tolist()} for {np.asarray(right).tolist()}")
-                break
-    return "\n".join(said)
+    said = [off(name, order, np.asarray(r), parts) for (name, order, _), r in zip(every, results, strict=True)]
+    return "\n".join(filter(None, said))
+
+
+def off(name: str, order: int, result: np.ndarray, parts: Sequence[Part]) -> str:
+    """What is wrong on a path with the derivatives of an order, in a line; nothing if nothing is."""
+    eps = float(np.finfo(result.dtype).eps)
+    for k, part in enumerate(parts):
+        number = part.number
+        if order < 0 and not all(adjoints_hold(each, -order) for each in (number, part.canonical)):
+            continue
+        right = (number.value, number.slope, number.curvature)[abs(order)]
+        error = np.abs(result[k].astype(float) - right)
+        # The oracle itself has the eps of double precision.
+        if not np.all(error <= BAR * eps * number.sums[abs(order)] + LEAST / 10):
+            return f"{name}: {part.text}: {result[k].tolist()} for {np.asarray(right).tolist()}"
+    return ""

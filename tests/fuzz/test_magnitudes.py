@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import magnitudes
 import numpy as np
+import outside
 import pytest
 from paths import BACKENDS
 
@@ -16,6 +17,12 @@ import twistax as tx
 def test_single_precision_gives_values_and_derivatives(number: int, by: str) -> None:
     state, parts = magnitudes.drawn(0, number)
     assert magnitudes.wrong(state, parts, by) == ""
+
+
+@pytest.mark.parametrize("way", outside.WAYS)
+def test_ways_outside_of_transformations_give_them_too(way: str) -> None:
+    state, parts = magnitudes.drawn(0, 4)
+    assert outside.wrong(state, parts, way) == ""
 
 
 def test_the_oracle_is_that_of_double_precision() -> None:

@@ -9,7 +9,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from twistax.in_range import norm, quotient
+from twistax.in_range import apart, norm, quotient
 from twistax.lowering.native.backend import Native
 from twistax.lowering.scalar.primitive import Derived, call_program
 from twistax.lowering.scalar.program import scalarize
@@ -71,6 +71,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "table_load": (lambda i: load(Table([4.0, 5.0, 6.0, 7.0]), i, np.float64, 1), PLACES),
     "quotient": (quotient, REAL, REAL + 2.0),
     "norm": (jax.vmap(norm), MATRIX),
+    "apart": (apart, REAL),
     "optimization_barrier": (lax.optimization_barrier, REAL),
     "round": (lax.round, REAL),
     # ---- movement

@@ -198,3 +198,64 @@ def test_differences_in_derivatives_are_one() -> None:
         function = lambda x, y: (x - y) ** 3 * jnp.sin(x * y)  # noqa: E731
         found = jax.hessian(tx.fast(function, backend=BACKENDS[1]))(x, y)
         assert float(found) == pytest.approx(float(jax.hessian(function)(x, y)), rel=1e-12)
+
+
+def test_each_reader_of_a_distance_gives_its_second_derivative() -> None:
+    """However many read it: the sum of what they give r^2, as a number, changes out of range."""
+    p = POSITION
+    many = lambda p, norm: [norm(p) ** -3, norm(p), norm(p) ** 2.5, (p @ p) * 1e-9, norm(p) ** -1.5, p[0] / norm(p)]  # noqa: E731
+    lowered = many(P, tx.linalg.Norm)
+    r = np.linalg.norm(p.astype(float))
+    right = (15.0 * np.outer(p, p) / r**2 - 3.0 * np.eye(3)) / r**5
+    for backend in BACKENDS[1:]:
+        fast = tx.fast(lambda p: jnp.stack(many(p, jnp.linalg.norm)), backend=backend)
+        near(jax.hessian(fast)(p)[0], right)
+        dynamics = tx.compile(tx.System({P: 0.0 * P}, outputs={"y": tx.Concat(*lowered)}), backend=backend)
+        weights = {"y": np.eye(6, dtype=np.float32)[0]}
+        near(dynamics.hessian(0.0, {"p": p}, None, None, weights), right)
+
+
+@pytest.mark.parametrize("size", [10.0, 100.0])
+def test_formulas_of_jax_are_put_in_range(size: float) -> None:
+    """Of p / r^3 JAX's own is (p dr^3) / (r^3)^2, of a power n x^(n-1)."""
+    p = POSITION * np.float32(size)
+    for way in ("quotient", "reciprocal", "power", "root"):
+        for backend in BACKENDS[1:]:
+            plain = lambda p, way=way: WAYS[way](p, jnp.linalg.norm)  # noqa: E731
+            near(tx.fast(jax.jacfwd(plain), backend=backend)(p), slope(p))
+    x = np.float32(3e12)
+    for backend in BACKENDS[1:]:
+        found = tx.fast(jax.jacfwd(lambda x: 1e20 * x**-2), backend=backend)(x)
+        assert float(found) == pytest.approx(-2e20 / 3e12**3, rel=1e-6)
+
+
+def test_quotients_of_quotients_and_powers_of_products_are_computed_as_written() -> None:
+    """XLA makes a / (b / c) (a c) / b, (a / b) / c a / (b c), and (k x)^n k^n x^n."""
+    a, b, c = map(np.float32, (1e30, 1e20, 1e15))
+    forms: list[tuple[Callable[..., Any], float]] = [
+        (lambda a, b, c: a / (b / c), 1e25),
+        (lambda a, b, c: (a / b) / (b * 1e5), 1e-15),
+        (lambda a, b, c: (1e-11 * b) ** 4 / c, 1e21),
+        (lambda a, b, c: (1e-11 * b) ** -4 * a, 1e-6),
+    ]
+    A, B, C = map(tx.State, "abc")
+    for form, right in forms:
+        lowered = tx.lower(form(A, B, C))
+        functions = [lambda a, b, c, f=lowered: f(0.0, {"a": a, "b": b, "c": c})]
+        functions += [tx.fast(form, backend=backend) for backend in BACKENDS[1:]]
+        for function in functions:
+            assert float(jax.jit(function)(a, b, c)) == pytest.approx(right, rel=1e-5)
+            slopes = jax.vmap(jax.grad(function))(a[None], b[None], c[None])
+            assert float(slopes[0]) in (0.0, pytest.approx(right / a, rel=1e-5))
+
+
+def test_negative_powers_that_are_not_whole_have_reverse_derivatives() -> None:
+    """Of s^-1.5 by s at 7e13 that of s^1.5 would take s^-3."""
+    lowered, p = tx.lower((P @ P) ** -1.5), POSITION.astype(float)
+    found = jax.jit(jax.jacrev(lambda p: jnp.stack([lowered(0.0, {"p": p})])))(POSITION)
+    near(found[0], -3.0 * p / np.linalg.norm(p) ** 5)
+    assert float(tx.lower(tx.State("s") ** -1.5)(0.0, {"s": np.float32(4.0)})) == 0.125
+    fast = tx.fast(lambda m, p: 1e20 * m / (p @ p) ** 1.5, backend=BACKENDS[1])
+    q = POSITION * np.float32(2000.0)
+    mixed = jax.jacfwd(jax.jacfwd(fast), argnums=1)(np.float32(2.0), q)
+    near(mixed, -3e20 * q.astype(float) / np.linalg.norm(q.astype(float)) ** 5)

@@ -378,3 +378,17 @@ def test_the_fastest_move_of_an_arm_of_two_links() -> None:
     start = {"q": rest, "qd": rest}
     flown = tx.integrate(dynamics, start, t1=result.final_time, rtol=1e-10, atol=1e-10, u=result.controls)
     np.testing.assert_allclose(flown.xs["q"][-1], end, atol=1e-3)
+
+
+def test_second_derivatives_of_closed_loops() -> None:
+    """Those on the graph of scalars, against differences of the gradient by JAX."""
+    dynamics, x, weights = moving(), start(), np.array([0.3, -1.2, 0.7])
+    z = np.concatenate([x["q"], x["qd"]])
+    gradient = jax.jit(jax.grad(lambda z: weights @ dynamics(0.0, {"q": z[:3], "qd": z[3:]})["qd"]))
+
+    def differences(h: float) -> np.ndarray:
+        return np.stack([(gradient(z + h * e) - gradient(z - h * e)) / (2.0 * h) for e in np.eye(6)])
+
+    right = (4.0 * differences(5e-4) - differences(1e-3)) / 3.0
+    found = dynamics.hessian(0.0, x, None, None, {"qd": weights}, wrt=("x",))
+    np.testing.assert_allclose(found, right, rtol=0.0, atol=1e-8 * np.abs(right).max())

@@ -90,6 +90,21 @@ def test_the_change_of_the_objective_is_that_of_a_finer_method() -> None:
     assert abs(fine.accuracy.change) < 1e-5
 
 
+def test_what_a_mesh_misses_is_worth_its_multipliers() -> None:
+    """The integral of held controls is exact on any mesh: all of the change is what it takes to close the gaps."""
+    x, u = tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: -5.0 * x + u}))
+
+    def solved(substeps: int) -> Any:
+        asked = {"nodes": 9, "final_time": 1.0, "initial": {x: 0.0}, "final": {x: 1.0}, "substeps": substeps}
+        return Problem(dynamics, tx.Minimize(running=u**2), **asked).solve()
+
+    rough, fine = solved(1), solved(8)
+    assert rough.accuracy is not None
+    assert abs(fine.cost / rough.cost - 1.0) > 1e-4
+    assert rough.accuracy.change == pytest.approx(fine.cost - rough.cost, rel=0.05)
+
+
 def test_the_change_of_a_maximum_has_its_sign() -> None:
     x, u = lag().states[0], lag().controls[0]
     asked: dict[str, Any] = {"nodes": 41, "final_time": 2.0, "initial": {"x": 1.0, "z": 0.0}, "substeps": 2}

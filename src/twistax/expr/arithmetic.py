@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import functools
 import operator
+from collections.abc import Sequence
 from typing import Any
 
 import jax
@@ -28,6 +29,13 @@ def quotient(a: Numbers, b: Numbers) -> Numbers:
     from ..in_range import quotient as divided  # not at import: it loads much of JAX that `import jax` does not
 
     return divided(a, b)
+
+
+def _apart(x: jax.Array) -> jax.Array:
+    """x, of which XLA takes no part into products with others."""
+    from ..in_range import apart  # not at import, as above
+
+    return apart(x)
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -156,6 +164,13 @@ class Div(Entrywise):
     precedence = 20
     by_operators = True
 
+    def evaluate(self, *values: Numbers) -> Numbers:
+        # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
+        single = [isinstance(v, jax.Array) and v.dtype.itemsize < 8 for v in values]
+        apart = [isinstance(a, Div) and s for a, s in zip((self.left, self.right), single)]
+        own = [_apart(v) if inner else v for v, inner in zip(values, apart)]
+        return super().evaluate(*own)
+
     def simplify(self) -> Expr:
         """x / 1 is x; 0 / x is 0, where x is not known to be zero or NaN."""
         if is_constant(self.right, 1.0) and self.left.shape == self.shape:
@@ -207,8 +222,12 @@ class Power(Entrywise):
         if isinstance(self.exponent, Constant) and self.exponent.value.ndim == 0:
             number = float(self.exponent.value)
             if number.is_integer() and abs(number) <= 64:
+                if isinstance(self.base, Mul) and _leaves_range(self.base.factors, number, base.dtype):
+                    base = _apart(base)  # XLA would take the power of the number alone
                 base = base if number >= 0.0 else quotient(jnp.ones_like(base), base)
                 return jax.lax.integer_pow(base, abs(int(number)))
+        if isinstance(self.exponent, Constant) and (self.exponent.value <= -1.0).all():
+            return jnp.power(quotient(jnp.ones((), base.dtype), base), -exponent)
         if isinstance(self.exponent, Constant) and (self.exponent.value < 0.0).all():
             return quotient(jnp.ones((), base.dtype), jnp.power(base, -exponent))
         return jnp.power(base, exponent)
@@ -218,6 +237,14 @@ class Power(Entrywise):
         if is_constant(self.exponent, 1.0) and self.base.shape == self.shape:
             return self.base
         return Constant(np.ones(self.shape)) if is_constant(self.exponent, 0.0) else self
+
+
+def _leaves_range(factors: Sequence[Expr], exponent: float, dtype: Any) -> bool:
+    """Whether the power of a number among the factors does, and products of it would."""
+    info = jnp.finfo(dtype)
+    with np.errstate(all="ignore"):
+        powers = [np.abs(np.asarray(f.value, float)) ** abs(exponent) for f in factors if isinstance(f, Constant)]
+    return any(bool(((p != 0.0) & ((p < info.tiny**0.5) | (p > info.max**0.5))).any()) for p in powers)
 
 
 #: Up to so many scalar multiplications a matrix product is written as a sum of products, which XLA fuses.

@@ -138,6 +138,10 @@ def fast(
     Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
     unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
+    In single precision intermediate derivatives may leave the range of numbers. `jax.jacfwd(fast(f))` and
+    `jax.grad(fast(f))` differentiate the program in a form that keeps them in range. `fast(jax.jacfwd(f))` and
+    `fast(jax.grad(f))` compile the formulas of JAX, of which only those of quotients and powers are put into that form.
+
     Args:
         function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.
         static_argnums, static_argnames: arguments that are no arrays, as in `jax.jit`; another value compiles anew.

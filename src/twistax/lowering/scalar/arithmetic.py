@@ -90,6 +90,7 @@ ELEMENTWISE = [
     Entry("convert_element_type", _converted, "new_dtype weak_type sharding", any_type=True, inside=SMALL, moves=True),
     Entry("reduce_precision", _reduced, "exponent_bits mantissa_bits", inside=SMALL),
     Entry("copy", _same, any_type=True, inside=SMALL, moves=True),
+    Entry("apart", _same, inside=SMALL, moves=True),
     Entry("optimization_barrier", _same, any_type=True, inside=ALWAYS, moves=True),
     Entry("round", None, "rounding_method", inside=SMALL),
 ]

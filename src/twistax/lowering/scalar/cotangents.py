@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 if TYPE_CHECKING:
@@ -67,9 +67,15 @@ class Cotangents(Mapping[int, int]):
         for rate, weight in weights.items():
             rates[weight] = g.add(rates[weight], rate) if weight in rates else rate
         terms = [Cotangent(weight, rate) for weight, rate in rates.items()]
-        if len(terms) == 1 or (len(terms) <= _APART and all(term.rate != g.one for term in terms)):
+        wide = g.dtype.itemsize > 4 and any(term.rate == g.one for term in terms)
+        if len(terms) == 1 or (len(terms) <= _APART and not wide):
             return terms
-        return [Cotangent(_sum(g, terms), g.one)]
+        if wide:
+            return [Cotangent(_sum(g, terms), g.one)]
+        relative = [term for term in terms if g.reciprocal_of(term.rate) is not None and not g.may_be_cut(term.weight)]
+        rest = [term for term in terms if term not in relative]
+        found = [_joined(g, node, relative)] if relative else []
+        return [*found, Cotangent(_sum(g, rest), g.one)] if rest else found
 
     def __getitem__(self, node: int) -> int:
         return _sum(self._graph, self.of(node))
@@ -82,6 +88,22 @@ class Cotangents(Mapping[int, int]):
 
     def __len__(self) -> int:
         return len(self._terms)
+
+
+def _joined(g: Graph, node: int, terms: Sequence[Cotangent]) -> Cotangent:
+    """Terms whose rates are reciprocals as one of which the rate is: each weight becomes w (d rate) for a rate 1 / d.
+
+    Their sum as a number may have a derivative out of range, as that of r^-5 by r^2 at r = 7e6, where its product with
+    the derivative of r^2 is not. The weights, changes of the result with relative ones of d, have the result's size.
+    """
+    own = g.div(g.one, node)
+    rate = own if any(term.rate == own for term in terms) else terms[0].rate
+    divisor = g.reciprocal_of(rate)
+    assert divisor is not None
+    weights = (
+        term.weight if term.rate == rate else g.scaled(g.over(divisor, term.rate), term.weight) for term in terms
+    )
+    return Cotangent(functools.reduce(g.joined, weights), rate)
 
 
 def _sum(g: Graph, terms: Iterable[Cotangent]) -> int:

@@ -9,16 +9,20 @@ from typing import Any
 
 import jax
 import jax.numpy as jnp
+import numpy as np
 from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
 from .entry import flat
 from .graph import Call, Graph
+from .operations import OPERATIONS
 from .program import ScalarProgram, emitted_form
 
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
 _PIECE = 100
+
+_MUL, _DIV = OPERATIONS["mul"], OPERATIONS["div"]
 
 
 @dataclasses.dataclass(eq=False)
@@ -39,13 +43,31 @@ class _Piece:
     def __call__(self, *needed: jax.Array) -> list[jax.Array]:
         g = self.graph
         values = dict(zip(self.needs, needed, strict=True))
+        #: The number that XLA would make of those in a product, from factor to factor.
+        joined: dict[int, float] = {}
         for i in self.nodes:
             operation: Any = g.operation(i)
-            for a in g.arguments(i):
+            arguments = g.arguments(i)
+            for a in arguments:
                 if a not in values:
                     values[a] = jnp.asarray(g.numbers[a], g.dtypes[a])
-            values[i] = operation.array(*(values[a] for a in g.arguments(i)))
+            apart = [False] * len(arguments)
+            if operation is _DIV:
+                # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
+                apart = [g.operation(a) is _DIV for a in arguments]
+            elif operation is _MUL and g.dtypes[i] == g.dtype:
+                numbers = [joined.get(a, 1.0) if g.numbers[a] is None else abs(g.numbers[a]) for a in arguments]
+                joined[i] = numbers[0] * numbers[1]
+                if not self.least < joined[i] < 1.0 / self.least:
+                    apart, joined[i] = [a in joined for a in arguments], 1.0
+            own = (lax.optimization_barrier(values[a]) if alone else values[a] for a, alone in zip(arguments, apart))
+            values[i] = operation.array(*own)
         return [values[i] for i in self.gives]
+
+    @functools.cached_property
+    def least(self) -> float:
+        """Numbers above it, and below its inverse, can be multiplied with one another."""
+        return float(np.sqrt(np.finfo(self.graph.dtype).tiny))
 
 
 def as_function(

@@ -20,7 +20,7 @@ from ...jax_inside import ClosedJaxpr
 from ...walk import walk
 from .entry import Nodes, Operation, flat, nodes
 from .operations import OPERATIONS
-from .powers import WholePower
+from .powers import factors_in_range
 
 _ADD, _SUB, _MUL, _DIV, _NEG, _POW, _SELECT, _NOT = (
     OPERATIONS[name] for name in ("add", "sub", "mul", "div", "neg", "pow", "select", "not")
@@ -222,11 +222,8 @@ class Graph:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
         for x, y in ((a, b), (b, a)):
-            operation = self.nodes[y][0]
-            if isinstance(operation, WholePower) and operation.exponent == -2:
-                # In range where x and the product are, as x / y is between them; y^-2 need not be.
-                inverse = self.div(self.one, self.nodes[y][1])
-                return self.mul(self.mul(x, inverse), inverse)
+            if self.numbers[x] is None and (parts := factors_in_range(self, x, y)) is not None:
+                return self.mul(*parts)
         return self._signed(self.mul, _MUL, a, b)
 
     def div(self, a: int, b: int) -> int:
@@ -286,6 +283,11 @@ class Graph:
             )
         return self.mul(factor, cotangent)
 
+    def may_be_cut(self, cotangent: int) -> bool:
+        """Whether a branch that was not taken makes a cotangent zero."""
+        entry = self.nodes[cotangent]
+        return entry[0] is _SELECT and self.zero in entry[2:]
+
     def joined(self, a: int, b: int) -> int:
         """a + b of two cotangents; what the same branch makes zero stays together."""
         first, second = self.nodes[a], self.nodes[b]
@@ -312,14 +314,20 @@ class Graph:
         entry = self.nodes[node]
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
+    def known(self, operation: Operation, *arguments: int) -> int | None:
+        """The node of an operation on other nodes, where there is one."""
+        return self._known.get((operation, *arguments))
+
     def input_of(self, node: int) -> tuple[int, int] | None:
         """The argument and the place in it that a node is."""
         entry = self.nodes[node]
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
 
     def reciprocal_of(self, node: int) -> int | None:
-        """b where a node is 1 / b."""
+        """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
         entry = self.nodes[node]
+        if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
+            return self.known(_POW, entry[1], self.constant(-n))
         return int(entry[2]) if entry[0] is _DIV and entry[1] == self.one else None
 
     def operation(self, node: int) -> Operation | None:

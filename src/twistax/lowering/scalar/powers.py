@@ -9,11 +9,14 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, TypeVar
 
 from .entry import Operation, Slope
+from .operations import OPERATIONS
 
 if TYPE_CHECKING:
     from .graph import Graph
 
 Number = TypeVar("Number")
+
+_MUL, _DIV, _NEG, _POW = (OPERATIONS[name] for name in ("mul", "div", "neg", "pow"))
 
 
 def by_squaring(multiply: Callable[[Number, Number], Number], x: Number, n: int) -> Number:
@@ -80,3 +83,39 @@ def power(g: Graph, x: int, n: int) -> int:
     if n in (-1, 2):
         return g.mul(x, x) if n > 0 else g.div(g.one, x)
     return g.node(whole_power(n), x)
+
+
+def factors_in_range(g: Graph, a: int, b: int) -> tuple[int, int] | None:
+    """Two factors of a b that are in range where a and the product are, for b = c y^-n; None: a and b themselves.
+
+    a y^-2 is (a / y) / y, and a y^-n is (a / y) y^(1-n) where y^(1-n) is known: each lies between a and the product.
+    (a d) y^-2 is (a / y) (d / y) where a / y is known. The first is what JAX makes of the derivative of a power, the
+    other of that of a quotient.
+    """
+    c, base = g.one, b
+    if g.nodes[b][0] is _MUL:  # with a number, before or behind the rest
+        c, base = sorted(g.nodes[b][1:], key=lambda k: g.numbers[k] is None)
+        if g.numbers[c] is None:
+            return None
+    operation, *given = g.nodes[base]
+    if isinstance(operation, WholePower) and operation.exponent == -2:
+        return _over_square(g, a, c, given[0])
+    if isinstance(operation, WholePower) and operation.exponent < 0:
+        above = g.known(whole_power(operation.exponent + 1), given[0])
+    elif operation is _POW and (n := g.numbers[given[1]]) is not None and n < -1.0:
+        above = g.known(_POW, given[0], g.constant(n + 1.0))
+    else:
+        return None
+    return None if above is None else (g.mul(c, above), g.div(a, given[0]))
+
+
+def _over_square(g: Graph, a: int, c: int, y: int) -> tuple[int, int]:
+    """Two factors of c a y^-2."""
+    negative = g.nodes[a][0] is _NEG
+    product = g.nodes[g.nodes[a][1] if negative else a]
+    if product[0] is _MUL:
+        for factor, other in (product[1:], product[:0:-1]):
+            if (quotient := g.known(_DIV, factor, y)) is not None:
+                return g.mul(c, quotient), g.div(g.neg(other) if negative else other, y)
+    inverse = g.div(g.one, y)
+    return g.mul(g.mul(a, c), inverse), inverse
