@@ -29,6 +29,7 @@ class Sizes(NamedTuple):
     d: Array  # (n,)
     u: Array  # (m,)
     border: Array  # (g,)
+    steers: Array  # (m,) whether controls move states
 
 
 def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) -> Sizes:
@@ -52,6 +53,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
+    rounding = _ROUNDING * _largest(shooting, point)
     unknown, between = np.isnan(u), _between_ends(shooting, point)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
     for number in range(_ROUNDS):
@@ -67,9 +69,19 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         others = pushed[:, : n + m].max(axis=1)
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
         d = _drifting(d, drift, among)
+        d = np.where(d < rounding, rounding, d)
     values = np.abs(point.us).max(axis=0, initial=0.0)
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
-    return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)))
+    return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)), (through > 0.0).any(axis=0))
+
+
+def _largest(shooting: Shooting, point: Point) -> Array:
+    """The largest value of each flat state, zero of others."""
+    found = np.zeros(shooting.n)
+    for name, part in shooting.dynamics.group.slices.items():
+        if shooting.dynamics.group.factors[name].flat:
+            found[part] = np.abs(np.reshape(point.xs[name], (shooting.nodes, -1))).max(axis=0)
+    return found
 
 
 def _between_ends(shooting: Shooting, point: Point) -> Array:

@@ -89,8 +89,11 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
     """Whether states or controls count in units that are nothing beside those that they have at a result, or far above."""
     known = solver.scales(fresh)
-    ratios = np.concatenate([np.ravel(known.d / used.d), np.ravel(known.u / used.u)])
-    return bool((np.abs(np.log(ratios)) > np.log(_FAR)).any())
+    ratios = [np.ravel(known.d / used.d)]
+    for part, sizes in zip(solver.transcribed.segments, fresh.parts):
+        columns = np.flatnonzero(sizes.steers)
+        ratios.append(np.ravel((known.u / used.u)[part.stages][:, columns]))
+    return bool((np.abs(np.log(np.concatenate(ratios))) > np.log(_FAR)).any())
 
 
 def with_fixed_durations(
