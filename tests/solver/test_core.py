@@ -176,9 +176,8 @@ def test_the_text_is_made_of_these_sources() -> None:
 
 def test_every_option_has_a_source() -> None:
     assert list(SOURCES) == list(Options.__dataclass_fields__)
-    assert all(
-        re.search(r"\[WB\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding", source) for source in SOURCES.values()
-    )
+    words = r"\[WB\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding"
+    assert all(re.search(words, source) for source in SOURCES.values())
 
 
 def test_the_sources_are_strict_c99_without_allocation(tmp_path: Path) -> None:

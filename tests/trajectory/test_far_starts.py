@@ -11,8 +11,6 @@ import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
 from twistax.trajectory.border import Border
-from twistax.trajectory.solver import Solver
-from twistax.trajectory.stride import Reached, ordered
 from twistax.trajectory.transcribed import Given, Point
 
 x, u = tx.State("x"), tx.Control("u")
@@ -118,8 +116,6 @@ def test_no_fixed_duration_helps_where_nothing_does(monkeypatch: pytest.MonkeyPa
     result = stopping().solve(initial={"p": 1.0, "v": 0.7}, final_time=(0.1, 1.5))
     assert result.status is Status.INFEASIBLE
     assert tried == pytest.approx([1.36, 0.8])
-    monkeypatch.setattr(durations, "fixed", lambda *_: [])
-    assert stopping().solve(initial={"p": 1.0, "v": 0.7}).status is Status.INFEASIBLE
 
 
 def test_units_of_time_do_not_matter_for_durations_that_are_fixed() -> None:
@@ -133,49 +129,6 @@ def test_units_of_time_do_not_matter_for_durations_that_are_fixed() -> None:
         np.testing.assert_allclose(limits, [[8.91, 9.09], [2.0, 2.0]])
     fixed = Border(("only",), np.array([[2.0, 2.0]]))
     assert not list(durations.fixed(fixed, Point({}, np.zeros((1, 0)), np.array([2.0])), Given({}, {}, fixed.limits)))
-
-
-def test_a_run_that_creeps_after_a_fixed_duration_goes_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    run, crept = Solver._run, list[bool]()
-
-    def creeping(own: Any, start: Any, given: Any, most: int, callback: Any, reached: Any = None) -> Any:
-        found = run(own, start, given, most, callback, reached)
-        if len(crept) == 2 and reached is None:  # the first free run after the one of a fixed duration
-            steps, opening = own.steps, own.steps.opened(start, given)
-            orders = ordered(look=True, decide=True, most=1)
-            last = steps.steps(opening.state, steps.no_slopes, given, orders, opening.memory)
-            found = found._replace(crept=Reached(last, 1))
-        crept.append(reached is not None)
-        return found
-
-    monkeypatch.setattr(Solver, "_run", creeping)
-    result = stopping().solve()
-    assert any(crept)
-    assert result.solved
-
-
-def test_what_a_fixed_duration_makes_feasible_is_not_infeasible(monkeypatch: pytest.MonkeyPatch) -> None:
-    to_minimum = Solver.to_minimum
-
-    def astray(*args: Any) -> Any:
-        return to_minimum(*args)._replace(status=Status.INFEASIBLE)
-
-    monkeypatch.setattr(Solver, "to_minimum", astray)
-    result = stopping().solve()
-    assert result.status is Status.STALLED
-    assert result.violation <= 1e-6
-    assert result.optimality.gap > 1e-2  # it could be shorter
-    assert "Every constraint holds" in result.message
-
-    def at_rest(*args: Any) -> Any:
-        """What meets every constraint is at rest, with free durations too."""
-        found = to_minimum(*args)
-        return found._replace(status=Status.STALLED if found.violation <= 1e-6 else Status.INFEASIBLE)
-
-    monkeypatch.setattr(Solver, "to_minimum", at_rest)
-    better = stopping().solve()
-    assert better.status is Status.STALLED
-    assert better.final_time < result.final_time - 0.05
 
 
 @pytest.mark.parametrize("constant", [0.0, 3.0])

@@ -9,7 +9,7 @@ from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, decisions, solver, stride, watch
+from twistax.trajectory import Problem, Status, watch
 
 #: Acceleration, distance and the least time from rest to rest.
 PUSH, FAR = 10.0, 1000.0
@@ -62,41 +62,6 @@ def test_declared_sizes_are_kept() -> None:
     scales = problem.solve(max_iterations=1).warm.scales
     np.testing.assert_array_equal(scales.d[:, 1], 1e-3)
     np.testing.assert_array_equal(scales.u[:, 0], 1e-4)
-
-
-def test_a_run_whose_multipliers_have_run_away_begins_anew(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every run is taken for one: it begins anew as often as it may, each time elsewhere, then ends as it would."""
-    plain, starts = fastest().solve(), []
-    step_away = solver.Solver._step_away
-
-    def noted(own: Any, state: Any, *args: Any, **options: Any) -> Any:
-        starts.append(step_away(own, state, *args, **options))
-        return starts[-1]
-
-    monkeypatch.setattr(solver.Solver, "_step_away", noted)
-    monkeypatch.setattr(decisions, "AWAY", 0.0)
-    result = fastest.__wrapped__().solve()
-    assert result.solved
-    assert result.final_time == pytest.approx(LEAST, rel=1e-6)
-    assert result.iterations <= 2 * plain.iterations
-    moved = [np.asarray(start.us) for start in starts]
-    assert len({us.tobytes() for us in moved}) == len(moved) == 4
-
-
-def test_a_run_that_began_in_worthless_scales_begins_anew_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Any renewal of the first steps counts: the run goes back to its start in the new scales, once."""
-    starts, times = [], fastest().solve().ts
-    monkeypatch.setattr(stride, "WORTHLESS", 0.0)
-    monkeypatch.setattr(stride, "RENEW", 1.0)
-    problem = fastest.__wrapped__()
-    problem.solve(max_iterations=1)
-    (own,) = problem._solvers.values()
-    start = own.steps.start
-    monkeypatch.setattr(own.steps, "start", lambda *args: starts.append(args) or start(*args))
-    result = problem.solve()
-    assert result.solved
-    np.testing.assert_allclose(result.ts, times, rtol=1e-6)
-    assert len(starts) == 2  # one looks whether limits bind its controls
 
 
 def test_the_delta_iii_is_solved_from_its_guess() -> None:

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.trajectory import Problem, stride
+from twistax.trajectory import Problem
 
 
 @functools.cache
@@ -39,16 +39,6 @@ def test_a_thrust_straight_ahead_is_found(least_time: bool) -> None:
     """The way is push time^2 / 2, and sqrt(2) time takes push time^2."""
     best = np.sqrt(2.0) if least_time else 0.5e-6
     check(ahead("cosine", least_time, 1e-6, 1.0, 1e6), best, 1e6, "cosine")
-
-
-def test_a_run_that_begins_anew_has_multipliers_again(monkeypatch: pytest.MonkeyPatch) -> None:
-    """In other scales as in the first: without them it takes ten times the steps, as nothing else bends the angle."""
-    monkeypatch.setattr(stride, "WORTHLESS", 0.0)  # every run whose first scales were off
-    problem = ahead("cosine", False, 1e-6, 1.0, 1e6)
-    for angle in (0.5, -0.1, 0.9):
-        result = problem.solve(guess={"angle": angle * 1e6})
-        assert result.solved
-        assert result.iterations < 20, angle
 
 
 @pytest.mark.parametrize("least_time", [False, True])

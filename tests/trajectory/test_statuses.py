@@ -54,15 +54,6 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     assert not result.solved
 
 
-def test_a_violation_with_a_slope_is_no_certificate(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Where every slope counts as one, and every step as none: nothing says that there is no trajectory."""
-    monkeypatch.setattr(restoration, "_FLAT", -1.0)
-    monkeypatch.setattr(restoration, "_MOST_DAMPING", 0.0)
-    result = stated().solve(final_time=1.0)
-    assert result.status is Status.STALLED
-    assert "Worst: " in result.message
-
-
 @pytest.fixture
 def begun(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
     """Where runs begin anew, though not for multipliers that run away: controls there."""
@@ -77,25 +68,6 @@ def begun(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
 
     monkeypatch.setattr(solver.Solver, "_anew", seen)
     return found
-
-
-def test_a_run_that_gets_nowhere_begins_anew_beside_its_start(
-    monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
-) -> None:
-    """Twice, from other points; where there is a certificate, as in the tests above, not at all."""
-    monkeypatch.setattr(restoration, "_FLAT", -1.0)
-    monkeypatch.setattr(restoration, "_MOST_DAMPING", 0.0)
-    assert stated().solve(final_time=1.0).status is Status.STALLED
-    assert len(begun) == len(set(begun)) == 2
-
-
-def test_a_search_that_creeps_is_left_while_there_are_other_starts(
-    monkeypatch: pytest.MonkeyPatch, begun: list[bytes]
-) -> None:
-    """Where every search counts as one that creeps, the third goes on to its certificate."""
-    monkeypatch.setattr(restoration, "_CREEPING", (1, -1.0))
-    assert stated().solve(final_time=1.0).status is Status.INFEASIBLE
-    assert len(begun) == 2
 
 
 def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:

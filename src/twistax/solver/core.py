@@ -226,7 +226,8 @@ def solve(
         z: the start.
         v: its coordinates, in which bounds count; z itself where no state lies on a manifold.
         units: by which steps and errors are measured; 1 where None.
-        largest_step: of v, how far a step may move an entry, negative: a share of what it is then; any distance where None.
+        largest_step: of v, how far a step may move an entry, negative: a share of what it is then; any distance where
+            None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
         watch: called before each iteration; violations are in the core's units.

@@ -179,8 +179,8 @@ def _bends(closed: ClosedJaxpr) -> ScalarProgram:
 
 
 def _second(function: Callable[..., Any], z: Any, *others: Any) -> Any:
-    *others, weights = others
-    return hessian_in_arrays(lambda z: weights @ function(z, *others), z)
+    *fixed, weights = others
+    return hessian_in_arrays(lambda z: weights @ function(z, *fixed), z)
 
 
 def _is_zero(program: ScalarProgram) -> bool:

@@ -16,7 +16,10 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
 
 _VOID_POINTER = ctypes.c_void_p
 
-_NAMES = ("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states", "twx_qp_workspace_size", "twx_qp_solve")
+_NAMES = (
+    *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states"),
+    *("twx_qp_workspace_size", "twx_qp_solve"),
+)
 
 #: Functions of a transcribed problem, by what `StageFunctions` calls them.
 _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")

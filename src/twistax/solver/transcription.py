@@ -211,7 +211,8 @@ class Transcription:
         self.stages = Stages(
             [phase.n for phase in phases for _ in phase.controls],
             [count for phase in phases for count in phase.controls],
-            *(own.tolist() for own in counts),
+            counts[0].tolist(),
+            counts[1].tolist(),
             parameters,
             [phase.point for phase in phases for _ in phase.controls],
         )
@@ -221,7 +222,8 @@ class Transcription:
         self._offsets = self._placed(counts)
         places = [[phase.numbered(kind) for kind in (INEQUALITY, EQUALITY)] for phase in phases]
         found = [self._among_all(*own) for own in zip(phases, self.first, places)]
-        self.path_places, self.node_places = ([own[k] for own in found] for k in range(2))
+        self.path_places: list[Array] = [path for path, _ in found]
+        self.node_places: list[list[Array]] = [nodes for _, nodes in found]
         self._structures = (_Phase * len(phases))(*self._described(places, data))
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))

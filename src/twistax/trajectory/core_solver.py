@@ -13,12 +13,12 @@ from numpy import ndarray as Array
 from ..solver.core import Solution, Units, Watch, solve
 from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
+from . import strategies
 from .accuracy import Judge
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
 from .outcome import Callback, Outcome
-from . import strategies
 from .staged import Staged
 from .start_units import StartUnits
 from .transcribed import Given, Point, Step, Values
@@ -83,7 +83,9 @@ class CoreSolver:
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
 
-    def run(self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None) -> Outcome:
+    def run(
+        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
+    ) -> Outcome:
         """Solve from a start, with the strategies."""
         return strategies.solved(self, start, given, max_iterations, callback)
 
@@ -129,11 +131,11 @@ class CoreSolver:
         **options: float,
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
-        staged = self.staged
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         units = self.units(point, given)
         units.cost = max(units.cost, cost_floor)
         chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0}
+        chosen["bound_relaxation"] = min(1e-8, _CLOSER * self.tolerance)
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
         if not np.isfinite(violated):

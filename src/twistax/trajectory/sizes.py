@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
 from numpy import ndarray as Array
@@ -45,15 +45,16 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     n, m = shooting.n, shooting.m
     d, u, box = np.full(n, np.nan), np.full(m, np.nan), np.full(m, np.nan)
     for name, part in shooting.dynamics.group.slices.items():
-        d[part] = _of_state(shooting.leaves[name], point.xs[name])
+        d[part] = _of_state(cast(State, shooting.leaves[name]), point.xs[name])
     for name, part in shooting.local.controls.slices.items():
-        u[part], box[part] = _of_control(shooting.leaves[name], point.us[:, part])
+        u[part], box[part] = _of_control(cast(Control, shooting.leaves[name]), point.us[:, part])
     b, free = np.abs(point.border), slice(shooting.border.phases, None)
     low, high = shooting.border.limits.T
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
-    rounding = _ROUNDING * _largest(shooting, point)
+    largest = _largest(shooting, point)
+    rounding = _ROUNDING * largest
     unknown, between = np.isnan(u), _between_ends(shooting, point)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
     for number in range(_ROUNDS):
@@ -70,9 +71,11 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
         d = _drifting(d, drift, among)
         d = np.where(d < rounding, rounding, d)
+    d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
     values = np.abs(point.us).max(axis=0, initial=0.0)
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
-    return Sizes(*(np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b)), (through > 0.0).any(axis=0))
+    d, u, b = (np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b))
+    return Sizes(d, u, b, (through > 0.0).any(axis=0))
 
 
 def _largest(shooting: Shooting, point: Point) -> Array:
@@ -96,7 +99,7 @@ def _between_ends(shooting: Shooting, point: Point) -> Array:
 
 
 def _drifting(d: Array, drift: Array, among: Array) -> Array:
-    """Sizes with those of states that only the guess itself moves; states that others of unknown size move come later."""
+    """Sizes with those of states that only the guess itself moves; what states of unknown size move comes later."""
     unknown = np.isnan(d) & (drift > 0.0)
     first = unknown & ~(among & np.isnan(d)).any(axis=1)
     found = np.where(first if first.any() else unknown, drift, d)

@@ -225,12 +225,13 @@ class Solvable(ABC, Generic[One, Many]):
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None:
+                if solver is None or others is None:
                     return core.run(start, given, max_iterations, report)
-                accepted = core.run(start, given, 0) if isinstance(start, WarmStart) else None
+                accepted = core.run_once(start, given, 0) if isinstance(start, WarmStart) else None
                 if accepted is not None and accepted.status is Status.SOLVED:
                     return accepted
-                found: Outcome = solver.run(others, *jax.device_put((start, given)), max_iterations, report)
+                begin = start if isinstance(start, WarmStart) else jax.device_put(start)
+                found: Outcome = solver.run(others, begin, jax.device_put(given), max_iterations, report)
                 return found
 
             for attempt in range(guesses):

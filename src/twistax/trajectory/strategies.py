@@ -67,7 +67,8 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     result = solve(start, given, most=_PATIENCE)
     if result.status is Status.MAX_ITERATIONS and result.iterations < _PATIENCE:
         return result
-    if result.status is Status.MAX_ITERATIONS and not _are_far(solver, solver.units(result.point, given), result.scales):
+    fits = not _are_far(solver, solver.units(result.point, given), result.scales)
+    if result.status is Status.MAX_ITERATIONS and fits:
         result = solve(start, given)  # it was on its way
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
@@ -87,7 +88,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
-    """Whether states or controls count in units that are nothing beside those that they have at a result, or far above."""
+    """Whether units of states or controls are nothing beside those at a result, or far above."""
     known = solver.scales(fresh)
     ratios = [np.ravel(known.d / used.d)]
     for part, sizes in zip(solver.transcribed.segments, fresh.parts):
