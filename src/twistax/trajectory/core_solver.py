@@ -32,7 +32,7 @@ _CLOSER = 0.1
 _COST = 0.1
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
-_TURN, _CHANGE = 1.5, 0.3
+_TURN, _CHANGE = 1.5, 0.2
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.

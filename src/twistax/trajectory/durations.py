@@ -26,7 +26,8 @@ def fixed(border: Border, start: Point, given: Given) -> Iterator[tuple[Point, G
     free = border.free & (np.arange(border.size) < border.phases) & (low < high)
     before = [begun]
     for factor in _FACTORS if free.any() else ():
-        times = np.where(free, np.clip(factor * begun, low, low + _MOST * (high - low)), begun)
+        with np.errstate(invalid="ignore"):  # parameters may have no limits
+            times = np.where(free, np.clip(factor * begun, low, low + _MOST * (high - low)), begun)
         if factor != 1.0 and any(np.allclose(times[free], other[free], rtol=0.1, atol=0.0) for other in before):
             continue
         before.append(times)
