@@ -342,18 +342,6 @@ def test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end() -> No
     assert not result.saddle
 
 
-def test_a_run_that_may_creep_may_where_it_begins_anew() -> None:
-    with in_double():
-        point, given, *_ = fastest(1.0).started()
-        own = fastest(1.0)._solver(1e-6, point, given)
-        opening = own.steps.opened(point, given)
-        for creeping, later in ((-(2**62), -(2**62)), (7, 0)):
-            way = solver._Way(point, opening.state, opening.memory._replace(creeping=creeping))
-            another = own._anew(way, point, given, Watch(1e-6, 10))
-            assert another is not None
-            assert another.memory.creeping == later
-
-
 def test_a_run_creeps_and_jams_only_as_is_said() -> None:
     with in_double():
         point, given, *_ = fastest(1.0).started()

@@ -25,14 +25,19 @@ from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
-#: The core's tolerance over that of a solve: limits that are squares of small numbers need it.
-_CLOSER = 0.1
+#: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
+#: smaller where there are more inequalities than so many.
+_CLOSER, _FEW = 0.1, 2
+#: A warm start asks for so many times that: it begins near, and is one of many.
+_NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
 #: begins at 0.1 of that unit.
-_COST = 0.1
+_COST = 0.5
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
+#: The largest change of a free parameter in its size: nothing is linear beyond it.
+_GROWTH = 0.5
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
@@ -73,6 +78,9 @@ class CoreSolver:
         self._largest_step = np.where(staged.turning, _TURN, np.inf)
         durations = stages.variables - stages.parameters + np.arange(border.phases)
         self._largest_step[durations] = -_CHANGE
+        exists = self.transcribed.exists & ~self.transcribed.equality
+        self._inequalities = max(1, int(exists.sum()))
+        self._parameters = np.arange(stages.variables) > durations[-1]
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -134,8 +142,9 @@ class CoreSolver:
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         units = self.units(point, given)
         units.cost = max(units.cost, cost_floor)
-        chosen = {"tolerance": _CLOSER * self.tolerance, "iterations": max_iterations, "row_relaxation": 0.0}
-        chosen["bound_relaxation"] = min(1e-8, _CLOSER * self.tolerance)
+        closer = _CLOSER * self.tolerance * min(1.0, _FEW / self._inequalities)
+        chosen = {"tolerance": closer, "iterations": max_iterations, "row_relaxation": 0.0}
+        chosen["bound_relaxation"] = min(1e-8, closer)
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
         if not np.isfinite(violated):
@@ -147,9 +156,12 @@ class CoreSolver:
             return self._outcome(call({**chosen, **options}, None, watch), units, given)
         warm = self._warm(start, point, units, given)
         kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        if kept.status is not CoreStatus.SOLVED:
-            kept = call({**chosen, **self._near(warm, units), **options}, warm, watch)
-        return self._outcome(kept, units, given, warm=True)
+        outcome = self._outcome(kept, units, given, warm=True)
+        if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
+            return outcome
+        near = {"tolerance": min(_CLOSER * self.tolerance, _NEAR * closer), **self._near(warm, units)}
+        kept = call({**chosen, **near, **options}, warm, watch)
+        return self._outcome(kept, units, given)
 
     def _call(
         self,
@@ -169,7 +181,7 @@ class CoreSolver:
             staged.flat(point),
             staged.coordinates(point),
             units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
-            largest_step=self._largest_step,
+            largest_step=np.where(self._parameters, _GROWTH * units.v, self._largest_step),
             options=Options(**options),
             warm=warm,
             watch=watch,

@@ -21,13 +21,20 @@ if TYPE_CHECKING:
     from .iterate import Scales
     from .start_units import StartUnits
 
-#: The objective's unit was worth nothing where it is so many times that of the result; rounds in better units; no unit
-#: is a smaller share of the largest.
-_WORTHLESS, _ROUNDS, _SMALL = 100.0, 10, 1e-6
+#: A result whose errors are so many tolerances in units that fit it is left as it is.
+_CLOSE = 10.0
+#: Rounds in better units; no unit of the objective is a smaller share of the one before.
+_ROUNDS, _SMALL = 10, 1e-6
+#: So many tolerances of the objective are the error of a result.
+_NOISE = 100.0
+#: Where the unit of the objective was so many times too large, multipliers are worth nothing, too.
+_USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
 #: Iterations after which units are measured anew.
 _PATIENCE = 80
+#: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
+_ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
 _AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
@@ -53,6 +60,12 @@ def solved(
         return at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), first)
 
     result = near(start, given)
+    for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
+        if result.status is not Status.STALLED or not isinstance(start, Point) or count >= max_iterations:
+            break
+        other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
+        if other.status in AT_OPTIMUM:
+            result = other
     if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
         result = with_fixed_durations(solver, near, result, start, given, lambda: count < max_iterations)
     return result._replace(iterations=count)
@@ -75,16 +88,25 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
             break
         fresh, used = solver.units(result.point, given), result.scales
         floor = _SMALL * float(used.cost)
-        if float(used.cost) <= _WORTHLESS * max(fresh.cost, floor) and not _are_far(solver, fresh, used):
+        ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
+        error = max(result.errors.stationarity, result.errors.gap)
+        if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
             break
-        again = solve(result.point, given, floor)
-        if again.status not in AT_OPTIMUM:
+        # Multipliers are worth something where the units were.
+        near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
+        again = solve(_warm(result, given) if near else result.point, given, floor)
+        if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
         result = again
         if settled:
             break
     return result
+
+
+def _warm(result: Outcome, given: Given) -> WarmStart:
+    """A start at a result."""
+    return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, given.params)
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
@@ -127,7 +149,7 @@ def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: 
     while result.saddle and result.status is Status.SOLVED:
         better = None
         for size in _AWAY:
-            other = solve(_beside(solver, result, size, seed))
+            other = solve(_beside(solver, result.point, result.scales, size, seed, alone=True))
             seed += 1
             lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
             if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):
@@ -139,11 +161,11 @@ def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: 
     return result
 
 
-def _beside(solver: CoreSolver, result: Outcome, size: float, seed: int) -> Point:
-    """The point after a random step of the controls; of the states where there are none."""
+def _beside(solver: CoreSolver, point: Point, scales: Scales, size: float, seed: int, alone: bool = False) -> Point:
+    """The point after a random step, of controls alone if it is to be so and where there are some."""
     rng, own = np.random.default_rng(seed), solver.transcribed
-    u = np.where(own.free.u, size * rng.normal(size=own.free.u.shape) * result.scales.u, 0.0)
-    d = np.where(own.stirred, size * rng.normal(size=own.free.d.shape) * result.scales.d, 0.0)
-    if own.free.u.any():
+    u = np.where(own.free.u, size * rng.normal(size=own.free.u.shape) * scales.u, 0.0)
+    d = np.where(own.stirred, size * rng.normal(size=own.free.d.shape) * scales.d, 0.0)
+    if alone and own.free.u.any():
         d = np.zeros_like(d)
-    return solver.moved(result.point, Step(d, u, np.zeros(own.border.size)))
+    return solver.moved(point, Step(d, u, np.zeros(own.border.size)))

@@ -37,7 +37,7 @@ class WarmStart:
         as_solved: its point before ends were put in, where the first node, times and parameters stay; else None.
     """
 
-    problem: Solvable[Any, Any]
+    problem: Solvable[Any, Any] | None
     point: Point
     dynamics: Array  # (intervals, n)
     rows: Array  # (rows,)

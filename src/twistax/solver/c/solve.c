@@ -83,7 +83,7 @@ static twx_status iterate(twx_work *w) {
     const twx_measures m = twx_measure(w, 0);
     report(w, &m);
     if (m.error <= o->tolerance) return TWX_SOLVED;
-    if (w->here.cost < -o->cost_largest && m.violation <= o->tolerance * largest_variable(w)) return TWX_UNBOUNDED;
+    if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations)) return TWX_STOPPED;
     status = update_barrier(w, &search);
