@@ -13,7 +13,6 @@ import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Problem, Status, TrajectoryResult, strategies
 from twistax.trajectory.scaling import levelled, unit_scales
-from twistax.trajectory.watch import Watch
 
 
 @functools.cache

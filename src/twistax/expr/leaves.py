@@ -143,6 +143,8 @@ class Variable(Bounded, Leaf):
         scale: typical size of a change, positive, of the tangent's shape (for a pose: (6,) or a number).
     """
 
+    min: np.ndarray | None
+    max: np.ndarray | None
     guess: np.ndarray | None
     scale: np.ndarray | None
     abstract = True
