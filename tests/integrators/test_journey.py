@@ -59,7 +59,7 @@ def journey(backend: Any, **steps: Any) -> list[str]:
         pytest.param(tx.JAX(), {"dt": 0.01}, 36, id="fixed"),
         pytest.param(tx.JAX(), {"rtol": 1e-4}, 40, id="adaptive"),
         # The default without llvmlite: what makes scalars of the rates comes on top.
-        pytest.param(tx.XLA(), {"dt": 0.01}, 41, id="fixed, as scalars"),
+        pytest.param(tx.XLA(), {"dt": 0.01}, 42, id="fixed, as scalars"),
     ],
 )
 def test_the_files_that_a_first_integration_enters(backend: Any, steps: dict[str, Any], bar: int) -> None:
