@@ -2033,7 +2033,7 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "a multiplier that may run away",
-            "_RUN_AWAY = 1e6",
+            "_RUN_AWAY = 1e8",
             "_RUN_AWAY = np.inf",
             "trajectory/test_accuracy.py",
         ),

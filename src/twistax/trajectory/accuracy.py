@@ -30,7 +30,7 @@ from .watch import AT_OPTIMUM, Status
 #: The error of a mesh that SOLVED allows, unless another is asked for.
 MESH = 1e-2
 #: Multipliers beyond this, in scales of moves, are of rows without slope.
-_RUN_AWAY = 1e6
+_RUN_AWAY = 1e8
 
 
 @dataclasses.dataclass(frozen=True)

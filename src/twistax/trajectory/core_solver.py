@@ -136,12 +136,15 @@ class CoreSolver:
         callback: Callback | None = None,
         max_seconds: float | None = None,
         cost_floor: float = 0.0,
+        as_stated: bool = False,
         **options: float,
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         units = self.units(point, given)
         units.cost = max(units.cost, cost_floor)
+        if as_stated:
+            units.become_one()
         closer = _CLOSER * self.tolerance * min(1.0, _FEW / self._inequalities)
         chosen = {"tolerance": closer, "iterations": max_iterations, "row_relaxation": 0.0}
         chosen["bound_relaxation"] = min(1e-8, closer)

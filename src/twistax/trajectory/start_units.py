@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .evaluated import Evaluated
+from .evaluated import Evaluated, moved
 from .sizes import Sizes, measured_sizes
 from .staged import Staged
 from .transcribed import Point
@@ -41,7 +41,18 @@ class StartUnits:
         self.rows, self.equalities = staged.levelled_rows(*changes)
         bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
         moves = np.abs(at.gradient) @ self.v + 0.5 * bends
+        if not moves > 0.0:  # no slope and no curvature there: what a whole move changes
+            step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
+            there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
+            moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+
+    def become_one(self) -> None:
+        """Count everything in the units of its statement."""
+        ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
+        self.border, self.v, self.rows, self.equalities = ones
+        self.parts = [own._replace(d=np.ones_like(own.d), u=np.ones_like(own.u)) for own in self.parts]
+        self.cost = 1.0
 
     @staticmethod
     def _measured(staged: Staged, point: Point, blocks: list[Array], gaps: Array) -> list[Sizes]:

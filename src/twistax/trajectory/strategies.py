@@ -33,6 +33,8 @@ _USELESS = 1e3
 _FAR = 1e3
 #: Iterations after which units are measured anew.
 _PATIENCE = 80
+#: So many times that may a run take that is on its way.
+_LONG = 3
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -47,11 +49,13 @@ def solved(
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
     count = 0
 
-    def once(begin: Any, given: Given, floor: float = 0.0, most: int = max_iterations) -> Outcome:
+    def once(
+        begin: Any, given: Given, floor: float = 0.0, most: int = max_iterations, as_stated: bool = False
+    ) -> Outcome:
         nonlocal count
         before, most = count, min(most, max(max_iterations - count, 0))
         later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
-        found = solver.run_once(begin, given, most, later, cost_floor=floor)
+        found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
         count += found.iterations
         return found
 
@@ -60,8 +64,14 @@ def solved(
         return at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), first)
 
     result = near(start, given)
+    if result.status is Status.INFEASIBLE and result.iterations <= 1:  # before the first step
+        return result
+    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
+        stated = once(start, given, as_stated=True)  # the units of a statement are often well chosen
+        if stated.status in AT_OPTIMUM:
+            result = at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), stated)
     for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
-        if result.status is not Status.STALLED or not isinstance(start, Point) or count >= max_iterations:
+        if result.status not in _AT_REST or not isinstance(start, Point) or count >= max_iterations:
             break
         other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
         if other.status in AT_OPTIMUM:
@@ -82,7 +92,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         return result
     fits = not _are_far(solver, solver.units(result.point, given), result.scales)
     if result.status is Status.MAX_ITERATIONS and fits:
-        result = solve(start, given)  # it was on its way
+        result = solve(start, given, most=_LONG * _PATIENCE)  # it was on its way
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
