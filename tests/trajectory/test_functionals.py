@@ -400,7 +400,7 @@ def test_the_smallest_peak_of_a_rate() -> None:
         final_time=TIME,
         controls=Linear(),
         initial={p: 0.0, v: 0.0, u: 0.0},
-        final=[{u: 1.0}, Integral(Rate(u) ** 2) <= 0.5],
+        final=[{u: 1.0}, Integral(Rate(u) ** 2) <= 0.5000001],  # a straight line takes 0.5
     )
     result = problem.solve()
     assert result.solved

@@ -55,6 +55,8 @@ class WarmStart:
         point = self.point
         if isinstance(point.xs, tuple):
             raise TrajectoryError("shifted: what comes later is another phase; it needs a problem of one phase")
+        if self.problem is None:
+            raise TrajectoryError("shifted: the start belongs to no problem")
         (problem,) = self.problem.parts
         shooting = problem.shooting
         if not problem.mesh.is_even:
