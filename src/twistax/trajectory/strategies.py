@@ -34,7 +34,7 @@ _FAR = 1e3
 #: Iterations after which units are measured anew.
 _PATIENCE = 80
 #: So many times that may a run take that is on its way.
-_LONG = 3
+_LONG = 6
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
