@@ -270,18 +270,18 @@ class CoreSolver:
             slack=slack,
             violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
-            status=status or self._status(result, float(violated.max(initial=0.0))),
+            status=status or self._status(result, float(violated.max(initial=0.0)), errors),
             iterations=max(int(numbers["iterations"]), int(not warm)),
             saddle=result.status is CoreStatus.SOLVED and not numbers["minimum"],
         )
 
-    def _status(self, result: Solution, violated: float) -> Status:
+    def _status(self, result: Solution, violated: float, errors: Errors) -> Status:
         """The core's status in the words of this package."""
         numbers = result.statistics
         if result.status is CoreStatus.SOLVED:
             return Status.SOLVED
         holds = numbers["violation"] <= self.tolerance and violated <= self.tolerance
-        if holds and numbers["error"] <= self.tolerance:
+        if holds and max(errors.stationarity, errors.complementarity, errors.gap) <= self.tolerance:
             return Status.SOLVED
         if result.status in _STATUS:
             return _STATUS[result.status]

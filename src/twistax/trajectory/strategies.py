@@ -34,7 +34,7 @@ _FAR = 1e3
 #: Iterations after which units are measured anew.
 _PATIENCE = 80
 #: So many times that may a run take that is on its way.
-_LONG = 6
+_LONG = 3
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -93,6 +93,9 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     fits = not _are_far(solver, solver.units(result.point, given), result.scales)
     if result.status is Status.MAX_ITERATIONS and fits:
         result = solve(start, given, most=_LONG * _PATIENCE)  # it was on its way
+        if result.status is Status.MAX_ITERATIONS and _is_close(result, solver.tolerance):
+            again = solve(_warm(result, given), given)
+            result = again if again.status in AT_OPTIMUM else result
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
@@ -112,6 +115,11 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         if settled:
             break
     return result
+
+
+def _is_close(result: Outcome, tolerance: float) -> bool:
+    """Whether the conditions of an optimum hold within some tolerances."""
+    return result.violation <= tolerance and result.errors.stationarity <= _CLOSE * tolerance
 
 
 def _warm(result: Outcome, given: Given) -> WarmStart:
