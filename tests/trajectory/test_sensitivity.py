@@ -137,6 +137,7 @@ def test_with_the_settings_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
     slope = jax.grad(lambda end: own(final={"x": end}).cost)
     assert float(slope(1.5)) == pytest.approx(3.0, abs=1e-6)
     assert jax.jit(slope).lower(1.5)
+    assert float(jax.jit(jax.jacfwd(lambda end: own(final={"x": end}).cost))(1.5)) == pytest.approx(3.0, abs=1e-6)
 
 
 def test_poses_a_fixed_time_and_a_free_parameter() -> None:
@@ -219,6 +220,8 @@ def test_without_a_strict_minimum_there_is_no_derivative() -> None:
         jax.block_until_ready(jax.jit(along)(1.0))
     with pytest.raises(InputError, match=r"final\['x'\] expects real numbers, got 'a'"):
         thrust("a")
+    with pytest.raises(InputError, match=r"params names 'mass'; the problem has none"):
+        jax.jit(lambda mass: optimum(params={"mass": mass}).cost)(1.0)
 
 
 def test_a_problem_of_a_traced_function() -> None:

@@ -17,7 +17,7 @@ _C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
 _VOID_POINTER = ctypes.c_void_p
 
 _NAMES = (
-    *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states"),
+    *("twx_workspace_size", "twx_solve", "twx_linearised", "twx_phase_work", "twx_phase_states"),
     *("twx_qp_workspace_size", "twx_qp_solve"),
 )
 
@@ -30,7 +30,7 @@ class Library:
 
     Attributes:
         workspace_size: doubles that a problem needs.
-        solve: see core.h.
+        solve, linearised: see core.h.
         phase_work: doubles that a phase needs.
         phase_states: where a substep ends in the last integration.
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
@@ -39,12 +39,14 @@ class Library:
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve, work, states, qp_size, qp_solve = (code.addresses[name] for name in _NAMES)
+        size, solve, linearised, work, states, qp_size, qp_solve = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
         self.transcribed = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
+        count, pointer = ctypes.c_int32, _VOID_POINTER
+        self.linearised = ctypes.CFUNCTYPE(count, *[pointer] * 3, count, count, *[pointer] * 2)(linearised)
         self.qp_workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(qp_size)
         self.qp_solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 5)(qp_solve)
 

@@ -23,6 +23,7 @@ _FILES = (
     "line_search",
     "restoration",
     "solve",
+    "linearised",
     "kernels",
     "integrate",
     "nodes",

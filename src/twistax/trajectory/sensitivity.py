@@ -1,18 +1,8 @@
-"""Derivatives of an optimum by what it was solved for, through the implicit function theorem.
-
-At an optimum with displacement z = 0 of the unknowns, multipliers y of the dynamics, w of the rows, and slacks s, the
-conditions grad_z L = 0, F = 0, c = 0, g + s = 0, s w = mu hold for all arguments theta. So along a change of theta
-
-    K (dz, dy, dw) = -(d/dtheta)(grad_z L, F, c, g) . dtheta,
-
-with K the matrix of the last Newton step, which the Riccati recursion factors. On groups K is exact but for the error
-of the mesh, as an interval is differentiated in coordinates about a node that stays; refinement with the derivative of
-the conditions themselves takes that out.
-Source: Fiacco, Introduction to sensitivity and stability analysis in nonlinear programming (1983), theorem 3.2.1.
-"""
+"""Derivatives of an optimum by what it was solved for, through the implicit function theorem; see `optimum.py`."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,24 +10,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import real_array, reals, short
+from ..checks import listed, real_array, reals, short
 from ..errors import InputError, TrajectoryError
 from ..jax_inside import is_in_last_thread, is_traced
 from ..precision import in_double
 from ..system import name_of
 from .accuracy import MESH
-from .interior_point import InteriorPoint, in_units
-from .iterate import Scales, State
-from .riccati import Factors, Rows, Stages, factorize, refined
-from .transcribed import Given, Point, Step, jitted
+from .optimum import Asked, Move, Optimum
+from .transcribed import jitted
 
 if TYPE_CHECKING:
     from .problem import Problem
-
-#: How often the change of an optimum is refined.
-_REFINEMENTS = 6
-#: The least second derivative of a strict minimum, scaled.
-_LEAST_CURVED = 1e-9
 
 
 class Solution(NamedTuple):
@@ -57,33 +40,6 @@ class _Theta(NamedTuple):
     initial: dict[str, Any]
     final: dict[str, Any]
     final_time: dict[str, Any]  # {} or {"final_time": number}
-
-
-class _Optimum(NamedTuple):
-    """Where the solver ended; multipliers and slacks in the problem's units."""
-
-    point: Point
-    cost: Any
-    dynamics: Any
-    rows: Any
-    slack: Any
-    scales: Scales
-
-
-class _Moved(NamedTuple):
-    """How unknowns and multipliers change, scaled."""
-
-    step: Step
-    dynamics: Any
-    rows: Rows
-
-
-class _Residuals(NamedTuple):
-    """What the conditions leave: the Lagrangian's gradient, defects and rows, scaled."""
-
-    gradient: Step
-    defects: Any
-    rows: Any
 
 
 def solution(
@@ -127,15 +83,8 @@ class _Differentiable:
     """See `solution`."""
 
     def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
-        self._problem, self._options, self._tolerance = problem, options, tolerance
-        with in_double():
-            self._own = jax.device_put(problem.given(problem.ends, problem.params, problem.border.limits))
-        # Options of the compiler belong to the outermost program alone: within another one these have none.
-        self._alone = jitted(self._factors), jitted(self._tangent)
-        self._within = jax.jit(self._factors), jax.jit(self._tangent)
-        optimum = jax.custom_jvp(self._optimum)
-        optimum.defjvp(self._jvp)
-        self._found: Callable[[_Theta], _Optimum] = optimum
+        self._problem, self._options, self._tolerance = problem, options, float(tolerance)
+        self._of: dict[tuple[tuple[str, ...], ...], _Named] = {}
 
     def __call__(
         self,
@@ -149,39 +98,65 @@ class _Differentiable:
         theta = _Theta(_named("params", params), _named("initial", initial), _named("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
-        found = self._found(theta)
-        held = self._problem.shooting.local.controls.split(found.point.us)
+        names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
+        if names not in self._of:
+            # Kernels for these names are made with the first solve, which refuses those that are not there.
+            self._of[names] = _Named(self._problem, self._options, self._tolerance, names)
+        return self._of[names](theta)
+
+
+class _Named:
+    """The same for parameters and final states of these names."""
+
+    def __init__(
+        self, problem: Problem, options: dict[str, Any], tolerance: float, names: tuple[tuple[str, ...], ...]
+    ) -> None:
+        self._problem, self._options, self._tolerance, self._names = problem, options, tolerance, names
+        # Options of the compiler belong to the outermost program alone: within another one these have none.
+        self._alone, self._within = jitted(self._tangent), jax.jit(self._tangent)
+        self._shown = jax.jit(self._solution)
+        optimum = jax.custom_jvp(self._optimum)
+        optimum.defjvp(self._jvp)
+        self._found: Callable[[_Theta], Optimum] = optimum
+
+    def __call__(self, theta: _Theta) -> Solution:
+        return self._shown(self._found(theta))
+
+    def _solution(self, found: Optimum) -> Solution:
+        problem, point = self._problem, self._asked.point(found.z)
+        held = problem.shooting.local.controls.split(point.us)
         return Solution(
-            self._problem.objective.sign * found.cost,
-            {s.name: found.point.xs[s.name] for s in self._problem.reduced.states},
-            self._problem.restated.us(found.point.xs, held),
-            found.point.border[0],
-            self._problem.border.params(found.point.border),
+            problem.objective.sign * found.cost,
+            {s.name: point.xs[s.name] for s in problem.reduced.states},
+            problem.restated.us(point.xs, held),
+            point.border[0],
+            problem.border.params(point.border),
         )
+
+    @functools.cached_property
+    def _asked(self) -> Asked:
+        """The problem with these names among its unknowns; its kernels compile once."""
+        params, final = self._names
+        for what, names, known in (
+            ("params", params, self._problem.params),
+            ("final", final, [state.name for state in self._problem.dynamics.states]),
+        ):
+            for name in names:
+                if name not in known:
+                    raise InputError(f"solution: {what} names {name!r}; the problem has {listed(known, name)}")
+        with in_double():
+            started = self._problem.started()
+            core = self._problem._core(self._tolerance, started.point, started.given)
+            return Asked(self._problem, core, started.given, {"params": params, "final": final})
 
     # ---- the solve ----------------------------------------------------------------------------------------------
 
-    def _optimum(self, theta: _Theta) -> _Optimum:
+    def _optimum(self, theta: _Theta) -> Optimum:
         if not is_traced(theta):
             return jax.tree.map(jnp.asarray, self._solved(theta))
-        shooting, border = self._problem.shooting, self._problem.border
-        array = lambda *shape: jax.ShapeDtypeStruct(shape, np.dtype(float))  # noqa: E731
-        rows, free = len(shooting.exists), shooting.free
-        shapes = _Optimum(
-            Point(
-                {s.name: array(shooting.nodes, *s.shape) for s in self._problem.dynamics.states},
-                array(shooting.intervals, shooting.m),
-                array(border.size),
-            ),
-            array(),
-            array(shooting.intervals, shooting.n),
-            array(rows),
-            array(rows),
-            Scales(array(*free.d.shape), array(*free.u.shape), array(border.size), array(rows), array()),
-        )
-        return jax.pure_callback(self._solved_within, shapes, theta, vmap_method="sequential")
+        return jax.pure_callback(self._solved_within, self._asked.shapes, theta, vmap_method="sequential")
 
-    def _solved_within(self, theta: _Theta) -> _Optimum:
+    def _solved_within(self, theta: _Theta) -> Optimum:
         """The same, called back."""
         if is_in_last_thread():
             raise TrajectoryError(
@@ -191,135 +166,55 @@ class _Differentiable:
             )
         return self._solved(theta)
 
-    def _solved(self, theta: _Theta) -> _Optimum:
+    def _solved(self, theta: _Theta) -> Optimum:
         """The solve itself, of numbers."""
         own: _Theta = jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
         result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)
         if not result.solved:
             raise TrajectoryError(f"solution: the problem was not solved. {result.message}")
-        warm = result.warm
-        found = _Optimum(
-            warm.point,
-            np.asarray(self._problem.objective.sign * result.cost),
-            warm.dynamics,
-            warm.rows,
-            result.slacks,
-            warm.scales,
-        )
-        return jax.tree.map(np.asarray, found)
+        with in_double():
+            given = self._problem.started(**asked, **own.final_time).given
+            found = self._asked.optimum(result, given, self._problem.objective.sign)
+        return jax.tree.map(lambda a: np.asarray(a, float), found)
 
     # ---- its derivatives ----------------------------------------------------------------------------------------
 
-    def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[_Optimum, _Optimum]:
+    def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[Optimum, Optimum]:
         (theta,), (along,) = primals, tangents
         found = self._found(theta)
-        factored, _ = self._within if is_traced(theta) else self._alone
-        _, changed = self._within if is_traced((theta, along)) else self._alone
-        stages, factors = factored(found, theta)
-        tangent = changed(theta, along, found, stages, factors)
-        if not is_traced(factors.exist):
-            _strict(np.asarray(factors.exist))
-            return found, tangent
-        # What is raised within a compiled function ends it; its result is used, or JAX would leave it out.
-        exist = jax.lax.stop_gradient(jnp.asarray(factors.exist, float))
-        one = jax.pure_callback(_strict, jax.ShapeDtypeStruct((), np.dtype(float)), exist, vmap_method="sequential")
-        return found, jax.tree.map(lambda a: a * one, tangent)
+        if not is_traced(found):  # under jit the callback raises
+            with in_double():
+                self._asked.by_the_core(False, found, np.zeros((0, sum(self._asked.sizes))))
+        tangent = self._within if is_traced((theta, along, found)) else self._alone
+        return found, tangent(theta, along, found)
 
-    def _given(self, found: _Optimum, theta: _Theta) -> tuple[Point, Given]:
-        """The optimum's point and arguments as functions of what was asked for."""
-        point = found.point
-        given = self._own
-        put = lambda value, otherwise: jnp.where(jnp.isnan(value), otherwise, value)  # noqa: E731
-        xs = {n: a.at[0].set(put(theta.initial[n], a[0])) if n in theta.initial else a for n, a in point.xs.items()}
-        final = given.final | {n: put(value, given.final[n]) for n, value in theta.final.items()}
-        border = point.border.at[0].set(theta.final_time.get("final_time", point.border[0]))
-        return Point(xs, point.us, border), given._replace(params=given.params | theta.params, final=final)
-
-    def _state(self, method: InteriorPoint, point: Point, given: Given, found: _Optimum) -> State:
-        """The solver's state at a point, with the multipliers and slacks of the optimum."""
-        scales = found.scales
-        return method.start(point, given, scales)._replace(
-            slack=jnp.where(method.inequality, found.slack / scales.rows, 1.0),
-            dynamics=found.dynamics * scales.d[1:] / scales.cost,
-            rows=jnp.where(method.exists, found.rows * scales.rows / scales.cost, 0.0),
-        )
-
-    def _factors(self, found: _Optimum, theta: _Theta) -> tuple[Stages, Factors]:
-        """The matrix of the last Newton step, factored."""
-        method = InteriorPoint(self._problem.shooting, self._tolerance)
-        point, given = self._given(found, theta)
-        state, zero = self._state(method, point, given, found), jnp.zeros(())
-        weights = method.weights(state.slack, state.rows)
-        stages = Stages(method.derivatives(state, given), weights, zero, None, method.free_start)
-        factors = factorize(stages)
-        # What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too.
-        strict = factorize(stages._replace(damping=zero - _LEAST_CURVED))
-        return stages, factors._replace(exist=factors.exist & strict.exist)
-
-    def _tangent(self, theta: _Theta, along: _Theta, found: _Optimum, stages: Stages, factors: Factors) -> _Optimum:
+    def _tangent(self, theta: _Theta, along: _Theta, found: Optimum) -> Optimum:
         """How the optimum moves along a change of what was asked for."""
-        shooting, scales = self._problem.shooting, found.scales
-        method = InteriorPoint(shooting, self._tolerance)
+        asked = self._asked
 
-        def residuals(theta: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
-            """Of the conditions, after the unknowns and multipliers moved; the objective and the point with them."""
-            base, given = self._given(found, theta)
-            point = shooting.move(base, in_units(moved.step, scales, jnp.ones(())))
-            state = self._state(method, point, given, found)
-            y, w = state.dynamics + moved.dynamics, state.rows + method.join(moved.rows)
-            state, values = state._replace(dynamics=y, rows=w), method.scaled(state.values, scales)
-            gradient = method.lagrangian(method.derivatives(state, given), y, w)
-            return _Residuals(gradient, values.defects, values.rows), state.values.cost, point
+        def fixed(theta: _Theta) -> Any:
+            times = theta.final_time.get("final_time")
+            return asked.asked_for(found.z, theta.params, theta.initial, theta.final, times)
 
-        def change(along: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
-            found: tuple[_Residuals, Any, Any] = jax.jvp(residuals, (theta, still), (along, moved))[1]
-            return found
-
-        def refine(_: Any, carry: tuple[_Moved, Any, Any]) -> tuple[_Moved, Any, Any]:
-            """The next move, the one that it was made of, and what that one leaves and changes."""
-            moved = carry[0]
-            changed = change(along, moved)
-            left = changed[0]
-            gradient, rows = left.gradient, method.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
-            nothing = jnp.zeros((shooting.intervals, len(gradient.border)))
-            pushed = stages.slopes._replace(
-                gradient=jnp.concatenate([gradient.d[:-1], gradient.u, nothing], axis=1),
-                end_gradient=jnp.concatenate([gradient.d[-1], gradient.border]),
-            )
-            # A slack takes up what its multiplier changes; an equality holds.
-            taken = jax.tree.map(lambda r, grown, own: r - grown * own, rows, moved.rows, softness)
-            own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
-            return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows)), moved, changed
-
-        weights = stages.weights
-        unequal = method.split(jnp.asarray(method.inequality))
-        softness = jax.tree.map(lambda w, own: jnp.where(own, 1.0 / jnp.where(own, w, 1.0), 0.0), weights, unequal)
-        still = _Moved(
-            Step(*(jnp.zeros(np.shape(a)) for a in shooting.free)),
-            jnp.zeros_like(found.dynamics),
-            jax.tree.map(jnp.zeros_like, weights),
+        step = jax.jvp(fixed, (theta,), (along,))[1]
+        side = Move(step, *(jnp.zeros(size) for size in asked.sizes[1:]))
+        move = asked.split(asked.solved(found, asked.flattened(side)))
+        z = jax.jvp(lambda v: asked.moved(found.z, v), (jnp.zeros_like(move.v),), (move.v,))[1]
+        # Products of slacks and multipliers stay.
+        return Optimum(
+            z,
+            move.cost,
+            move.lam,
+            move.y,
+            move.ye,
+            -found.zl / found.below * move.v,
+            found.zu / found.above * move.v,
+            move.v,
+            -move.v,
+            -found.s / found.y * move.y,
+            jax.tree.map(jnp.zeros_like, found.units),
         )
-        # One loop body in place of two programs: what the last round moves on to is not used.
-        none = _Residuals(still.step, still.dynamics, jnp.zeros_like(found.rows)), jnp.zeros_like(found.cost)
-        begin = still, still, (*none, jax.tree.map(jnp.zeros_like, found.point))
-        _, moved, (left, cost, point) = jax.lax.fori_loop(0, _REFINEMENTS + 1, refine, begin)
-        # Multipliers and slacks move too, for derivatives of derivatives; scales are a matter of numbers alone.
-        return _Optimum(
-            point,
-            cost,
-            moved.dynamics * scales.cost / scales.d[1:],
-            method.join(moved.rows) * scales.cost / scales.rows,
-            jnp.where(method.inequality, -left.rows * scales.rows, 0.0),
-            jax.tree.map(jnp.zeros_like, scales),
-        )
-
-
-def _strict(exist: Any) -> np.ndarray:
-    """1, or TrajectoryError where the factors do not exist."""
-    if not np.all(exist):
-        raise TrajectoryError("solution: the trajectory is no strict minimum, and has no derivative")
-    return np.ones(())
 
 
 def _named(what: str, given: Any) -> dict[str, jax.Array]:

@@ -45,19 +45,23 @@ class Functions:
         self._shooting, self._numbers = shooting, numbers
         self.point = point_of(shooting)
 
+    def smooth(self, function: Callable[..., jax.Array], arguments: Mapping[Argument, int]) -> SmoothKernels:
+        """Kernels of one of them that reads unknowns, and numbers last."""
+        return SmoothKernels(function, arguments)
+
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
         of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data}
         of_node = {**of_q, Argument.Z: n + g}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
-        conditions = [(k, SmoothKernels(self._node(rows), of_node)) for k, rows in nodes.items()]
-        end = SmoothKernels(self._end, {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data})
+        conditions = [(k, self.smooth(self._node(rows), of_node)) for k, rows in nodes.items()]
+        end = self.smooth(self._end, {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data})
         flat = all(factor.flat for factor in own.dynamics.group.factors.values())
         move = {Argument.Z: n, Argument.BASE: self.point.size}
         return PhaseKernels(
-            SmoothKernels(self._rate, of_q),
-            SmoothKernels(self._rows, of_q),
+            self.smooth(self._rate, of_q),
+            self.smooth(self._rows, of_q),
             SmoothKernels(self._gap, gap),
             [*conditions, (own.intervals, end)],
             None if flat else SmoothKernels(self._retract, move, 0).kernels[0],
