@@ -37,7 +37,7 @@ _COST = 0.5
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
 #: The largest change of a free parameter in its size: nothing is linear beyond it.
-_GROWTH = 0.5
+_GROWTH = np.inf
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
