@@ -43,9 +43,10 @@ typedef struct {
   int32_t N, np, ne, nbe, nb;         /* ne: all equalities, nbe of the border; nb = np + nbe */
   int32_t *place;                     /* of an equality in the border; -1 - place where its stage eliminates it */
   size_t variables, points, defects, rows, point_size;
-  twx_iterate iterate, step, corrected, refinement, watchdog;
+  twx_iterate iterate, step, corrected, refinement, watchdog, best;
   twx_values here, trial;
-  double *watchdog_z, *moved;         /* moved: a step in the problem's units */
+  double *watchdog_z, *best_z, *moved; /* moved: a step in the problem's units */
+  double best_error;
   twx_residual right, correction, residual;
   double *lower, *upper, *size, *free; /* of v; free: 1 or 0 */
   double *row_scale, *equality_scale, cost_scale;

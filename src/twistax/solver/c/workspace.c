@@ -82,12 +82,12 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   w->stages = (twx_stage *)(void *)take(&a, doubles * ((size_t)p->intervals + 1));
   place_stages(w, p, w->stages, &t);
   const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, B = (size_t)w->nb, X = (size_t)t.nx, n = (size_t)t.n;
-  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog};
+  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog, &w->best};
   for (size_t i = 0; i < sizeof iterates / sizeof *iterates; i++) take_iterate(&a, w, iterates[i]);
   take_values(&a, w, &w->here), take_values(&a, w, &w->trial);
   w->here.v = w->iterate.v, w->here.s = w->iterate.s;
   w->trial.v = take(&a, V), w->trial.s = take(&a, R);
-  w->watchdog_z = take(&a, w->points), w->moved = take(&a, V);
+  w->watchdog_z = take(&a, w->points), w->best_z = take(&a, w->points), w->moved = take(&a, V);
   take_residual(&a, w, &w->right), take_residual(&a, w, &w->correction), take_residual(&a, w, &w->residual);
   w->lower = take(&a, V), w->upper = take(&a, V), w->size = take(&a, V), w->free = take(&a, V);
   w->row_scale = take(&a, R), w->equality_scale = take(&a, E), w->gradient = take(&a, V);
