@@ -37,6 +37,7 @@ class Status(enum.Enum):
     STOPPED = 6
     _BAD_PROBLEM = 7
     UNBOUNDED = 8
+    ACCEPTABLE = 9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -244,8 +245,9 @@ def as_problem(
     return Described(found, list(given.values()))
 
 
-#: Called before each iteration with its number, the cost and the largest violation; what is true stops the solve.
-Watch = Callable[[int, float, float], Any]
+#: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
+#: solve.
+Watch = Callable[[int, float, float, Array], Any]
 
 
 def solve(
@@ -281,7 +283,7 @@ def solve(
     arrays = _start(stages, z, z if v is None else v, warm)
     described = as_problem(stages, functions, lower, upper, units or Units(), largest_step)
     statistics, problem = _Statistics(), described.structure
-    watching = _Watching(watch, statistics)
+    watching = _Watching(watch, statistics, stages.points)
     for name, address in watching.addresses.items():
         setattr(problem, name, address)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
@@ -312,20 +314,21 @@ class _Watching:
         addresses: by the name that `twx_problem` has for it.
     """
 
-    def __init__(self, watch: Watch | None, statistics: _Statistics) -> None:
+    def __init__(self, watch: Watch | None, statistics: _Statistics, points: int) -> None:
         self._error: BaseException | None = None
         self.addresses: dict[str, int] = {}
         if watch is None:
             return
 
-        def stop(_: Any, iteration: int) -> int:
+        def stop(_: Any, iteration: int, z: Any) -> int:
             try:
-                return int(bool(watch(iteration, statistics.cost, statistics.violation)))
+                here = np.ctypeslib.as_array(z, (points,))
+                return int(bool(watch(iteration, statistics.cost, statistics.violation, here)))
             except BaseException as error:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)(stop)
+        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double))(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

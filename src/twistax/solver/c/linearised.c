@@ -92,6 +92,7 @@ static twx_status adopt(twx_work *w, const twx_point *at) {
   if (!twx_read_problem(w)) return TWX_BAD_PROBLEM;
   take_weights(w, at);
   if (twx_evaluate(w, &w->here) || twx_differentiate(w) || twx_differentiate_twice(w)) return TWX_NON_FINITE;
+  twx_place_equalities(w);
   return TWX_SOLVED;
 }
 
