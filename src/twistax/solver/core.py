@@ -164,7 +164,9 @@ class Solution:
     log: Array
 
 
-class _Problem(ctypes.Structure):
+class ProblemStructure(ctypes.Structure):
+    """`twx_problem`."""
+
     _fields_ = [
         ("intervals", ctypes.c_int32),
         ("parameters", ctypes.c_int32),
@@ -211,7 +213,7 @@ class _Solution(ctypes.Structure):
 class Described(NamedTuple):
     """A problem as the core reads it, and the arrays that its addresses are of."""
 
-    structure: _Problem
+    structure: ProblemStructure
     memory: list[Array]
 
 
@@ -239,7 +241,7 @@ def as_problem(
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    found = _Problem(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    found = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
     for name, address in ({name: a.ctypes.data for name, a in given.items()} | functions.addresses).items():
         setattr(found, name, address or None)
     return Described(found, list(given.values()))
@@ -328,7 +330,9 @@ class _Watching:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double))(stop)
+        self._function = ctypes.CFUNCTYPE(
+            ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double)
+        )(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

@@ -87,15 +87,16 @@ class BatchKernel:
         cls, function: Callable[..., Any], shapes: list[tuple[int, ...]], arguments: list[Argument]
     ) -> BatchKernel:
         """A function that JAX runs, called back by the core: for what has no native form."""
-        callback = _Callback(function, shapes)
+        callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
 
-class _Callback:
+class Callback:
     """A function of JAX that the core calls.
 
     Attributes:
         address: of the function in C.
+        name: of the function that JAX runs.
         error: what it raised; no exception passes through C, and the result is NaN there.
     """
 
@@ -104,6 +105,7 @@ class _Callback:
         shaped = [jax.ShapeDtypeStruct(shape, np.dtype(float)) for shape in shapes]
         self._size = math.prod(jax.eval_shape(function, *shaped).shape)
         self.error: BaseException | None = None
+        self.name = getattr(function, "__name__", str(function))
         kind = ctypes.CFUNCTYPE(None, ctypes.POINTER(ctypes.c_int64), ctypes.c_int64, ctypes.c_int64)
         self._function = kind(self._run)
         self.address = ctypes.cast(self._function, ctypes.c_void_p).value

@@ -32,7 +32,7 @@ _CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
 #: begins at 0.1 of that unit.
-_COST = 0.02
+COST = 0.02
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
@@ -76,9 +76,9 @@ class CoreSolver:
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
         stages, border = staged.transcription.stages, staged.border
-        self._largest_step = np.where(staged.turning, _TURN, np.inf)
+        self.largest_step = np.where(staged.turning, _TURN, np.inf)
         durations = stages.variables - stages.parameters + np.arange(border.phases)
-        self._largest_step[durations] = -_CHANGE
+        self.largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
 
@@ -90,6 +90,13 @@ class CoreSolver:
         """Units at a start."""
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
+
+    def options(self, max_iterations: int) -> dict[str, float]:
+        """Options of the core for a start that is no warm one."""
+        tolerance = _CLOSER * self.tolerance
+        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
+        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance, "gap": tolerance}
+        return chosen | {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
 
     def run(
         self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
@@ -145,31 +152,34 @@ class CoreSolver:
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        tolerance = _CLOSER * self.tolerance
-        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance}
-        chosen["gap"] = tolerance
-        chosen |= {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        chosen = self.options(max_iterations)
         call = functools.partial(self._call, point, given, units)
-        violated = self._violated_at_once(point, given, units)
+        violated = self.violated_at_once(point, given, units)
         if not np.isfinite(violated):
-            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
+            return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
-            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
+            return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
         watch = _Watch(callback, max_seconds)
         if not isinstance(start, WarmStart):
             return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
         warm = self._warm(start, point, units, given)
         kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        outcome = self._outcome(kept, units, given, warm=True)
+        outcome = self.outcome(kept, units, given, warm=True)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
-        near = {"complementarity": min(tolerance, _NEAR * closer), **self._near(warm, units)}
+        closer = min(chosen["tolerance"], _NEAR * chosen["complementarity"])
+        near = {"complementarity": closer, **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
-        return self._outcome(kept, units, given)
+        return self.outcome(kept, units, given)
 
     def _from_point(
-        self, point: Point, given: Given, units: StartUnits, options: dict[str, float], watch: _Watch, fitted: Sequence[int]
+        self,
+        point: Point,
+        given: Given,
+        units: StartUnits,
+        options: dict[str, float],
+        watch: _Watch,
+        fitted: Sequence[int],
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
         left = list(fitted)
@@ -194,7 +204,7 @@ class CoreSolver:
                 break
             options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
         result.statistics["iterations"] = watch.before
-        return self._outcome(result, units, given)
+        return self.outcome(result, units, given)
 
     def _call(
         self,
@@ -213,8 +223,8 @@ class CoreSolver:
             *staged.limits(point, given),
             staged.flat(point),
             staged.coordinates(point),
-            units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
-            largest_step=self._largest_step,
+            units=Units(units.v, units.rows, units.equalities, COST * units.cost),
+            largest_step=self.largest_step,
             options=Options(**options),
             warm=warm,
             watch=watch,
@@ -223,7 +233,7 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
-    def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
+    def violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         own = self.transcribed
         if not (own.decided & ~own.pinned).any():
@@ -262,7 +272,7 @@ class CoreSolver:
     # ---- what came out ----------------------------------------------------------------------------------------------
 
     @np.errstate(all="ignore")
-    def _outcome(
+    def outcome(
         self, result: Solution, units: StartUnits, given: Given, status: Status | None = None, warm: bool = False
     ) -> Outcome:
         """What came out; the status is that of the core unless it is known."""
@@ -285,9 +295,9 @@ class CoreSolver:
         gap += np.abs(dynamics * defects).sum()
         numbers = result.statistics
         errors = Errors(
-            numbers["stationarity"] * _COST,
+            numbers["stationarity"] * COST,
             numbers["violation"],
-            numbers["complementarity"] * _COST,
+            numbers["complementarity"] * COST,
             float(gap / units.cost),
         )
         return Outcome(

@@ -13,9 +13,6 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-import math
-import operator
-import threading
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -26,18 +23,19 @@ from numpy import ndarray as Array
 
 from ..solver.core import Units
 from ..solver.kernels import Argument, SmoothKernels
-from ..solver.linearised import SolutionPoint, linearised
+from ..solver.members import Moves
 from ..solver.options import Options
 from ..solver.transcription import Transcription
+from .called import Row
 from .core_solver import CoreSolver
 from .flat import Numbers
 from .shooting import Shooting
 from .staged import Functions
+from .start_units import StartUnits
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
     from .problem import Problem
-    from .result import TrajectoryResult
 
 #: How often the move of a solution on a curved manifold is refined.
 _REFINEMENTS = 6
@@ -47,7 +45,11 @@ _LEAST_CURVED, _LEAST_PRODUCT = 1e-9, 1e-3
 
 
 class Optimum(NamedTuple):
-    """Where the solver ended; slacks are such that no product with a multiplier is zero."""
+    """Where the solver ended; slacks are such that no product with a multiplier is zero.
+
+    Numbers have the precision of the program around. `exact` has the bits of those in double precision that the core
+    reads: nothing is differentiated by them.
+    """
 
     z: Any  # points, controls, shared unknowns, and what it was solved for
     cost: Any
@@ -59,7 +61,8 @@ class Optimum(NamedTuple):
     below: Any  # distances from these
     above: Any
     s: Any  # slacks of inequalities
-    units: Units  # numbers alone: nothing is differentiated by them
+    solved: Any  # 1, or 0: then it has no derivatives
+    exact: Any
 
     @property
     def bound_weights(self) -> Any:
@@ -83,10 +86,13 @@ class Asked:
     Args:
         core: the problem's solver.
         given: what the problem is solved for as it was stated.
+        units: of its unknowns, rows and objective.
     """
 
-    def __init__(self, problem: Problem, core: CoreSolver, given: Given, names: Mapping[str, tuple[str, ...]]) -> None:
-        self.staged, self.shooting, self._core = core.staged, problem.shooting, core
+    def __init__(
+        self, problem: Problem, core: CoreSolver, given: Given, names: Mapping[str, tuple[str, ...]], units: StartUnits
+    ) -> None:
+        self.staged, self.shooting = core.staged, problem.shooting
         self._part = core.staged.parts[0]
         self._numbers: Numbers = core.staged.numbers
         self._places = self._numbers.places(names["params"], names["final"])
@@ -95,9 +101,8 @@ class Asked:
         kernels = functions.kernels(dict(problem.node_rows))
         phase = dataclasses.replace(self._part.phase, kernels=kernels)
         shared = core.staged.border.size + len(self._places)
-        self.transcription = Transcription([phase], shared, self._data)
-        self._lock = threading.Lock()
-        stages = self.transcription.stages
+        self._transcription = Transcription([phase], shared, self._data)
+        stages = self._transcription.stages
         rows, equalities = sum(stages.inequalities), sum(stages.equalities)
         #: Of each array of a `Move`.
         self.sizes = Move(stages.variables, sum(stages.after), rows, equalities, 1)
@@ -105,50 +110,47 @@ class Asked:
         self.fixed = np.append(self.staged.step(*free) == 0.0, np.ones(len(self._places), bool))
         #: Where inequalities and equalities stand among all rows.
         self._rows = [a.astype(int) for a in core.staged.split_rows(np.arange(len(self.shooting.exists)))[:2]]
+        #: The least product of a slack and its multiplier.
+        self._least = _LEAST_PRODUCT * core.tolerance * units.cost
+        own = Units(np.append(units.v, np.ones(len(self._places))), units.rows, units.equalities, units.cost)
+        options = Options(curvature=_LEAST_CURVED)
+        self._moves = [Moves(self._transcription, own, options, self.fixed, way) for way in (False, True)]
 
     # ---- points ---------------------------------------------------------------------------------------------------
 
-    @functools.cached_property
-    def shapes(self) -> Optimum:
-        """Of the arrays of an optimum."""
-        array = lambda *shape: jax.ShapeDtypeStruct(shape, np.dtype(float))  # noqa: E731
-        v, lam, y, ye, _ = self.sizes
-        bounds = [array(v)] * 4
-        units = Units(array(v), array(y), array(ye), array())
-        return Optimum(
-            array(self.transcription.stages.points), array(), array(lam), array(y), array(ye), *bounds, array(y), units
-        )
+    def optimum(self, row: Row, found: Mapping[str, Any], solved: Any, precision: Any) -> Optimum:
+        """What a solve came to, in a precision; in double precision itself."""
+        least, y, v = self._least, found["y"], found["v"]
 
-    def optimum(self, result: TrajectoryResult, given: Given, sign: float) -> Optimum:
-        """What a solve came to, as numbers."""
-        staged, warm, scales = self.staged, result.warm, result.warm.scales
-        point = warm.point
-        y, ye, zl, zu = staged.split_rows(np.asarray(warm.rows))
-        s = staged.split_rows(np.asarray(result.slacks))[0]
-        lam = np.concatenate(
-            [row[:count] for row, count in zip(np.asarray(warm.dynamics), self.transcription.stages.after)]
-        )
-        v, (lower, upper) = staged.coordinates(point), staged.limits(point, given)
-        rows, equalities = staged.split_rows(np.asarray(scales.rows))[:2]
-        sizes = np.append(staged.step(scales.d, scales.u, scales.border), np.ones(len(self._places)))
-        numbers = self._numbers.vector(given)[self._places]
-        least = _LEAST_PRODUCT * self._core.tolerance * float(scales.cost)
-
-        def off(slack: Array, multiplier: Array) -> Array:
+        def off(slack: Any, multiplier: Any) -> Any:
             """Slacks off zero, as on the central path."""
-            found = np.maximum(slack, least / np.maximum(multiplier, least))
-            return np.where(np.isfinite(found), found, 1.0)
+            own = jnp.maximum(slack, least / jnp.maximum(multiplier, least))
+            return jnp.where(jnp.isfinite(own), own, 1.0)
 
-        zl, zu, below, above = (
-            np.append(a, np.full(len(numbers), last))
-            for a, last in ((zl, 0.0), (zu, 0.0), (off(v - lower, zl), 1.0), (off(upper - v, zu), 1.0))
-        )
+        def bounds(own: Any, last: float) -> Any:
+            return jnp.append(own, jnp.full(len(self._places), last))
+
         # A row without a multiplier takes part, too, as little as counts for nothing.
-        y, s = np.maximum(y, least / np.maximum(s, 1.0) * 1e-6), off(s, y)
-        units = Units(sizes, rows, equalities, float(scales.cost))
-        z = np.append(staged.flat(point), numbers)
-        cost = np.asarray(sign * result.cost)
-        return Optimum(z, cost, lam, y, ye, zl, zu, below, above, s, units)
+        y, s = jnp.maximum(y, least / jnp.maximum(found["s"], 1.0) * 1e-6), off(found["s"], y)
+        zl, zu = found["zl"], found["zu"]
+        own = Optimum(
+            jnp.append(found["z"], row.data[self._places]),
+            found["cost"],
+            found["lam"],
+            y,
+            found["ye"],
+            bounds(zl, 0.0),
+            bounds(zu, 0.0),
+            bounds(off(v - row.lower, zl), 1.0),
+            bounds(off(row.upper - v, zu), 1.0),
+            s,
+            jnp.asarray(solved, float),
+            None,
+        )
+        weights = own.bound_weights, own.y / own.s, jnp.reshape(own.solved, 1)
+        exact = jnp.concatenate([own.z, own.lam, own.y, own.ye, *weights])
+        cast = jax.tree.map(lambda a: jax.lax.convert_element_type(a, precision), own)
+        return cast._replace(exact=jax.lax.bitcast_convert_type(exact, np.uint32))
 
     def point(self, z: Any) -> Point:
         """The point of z."""
@@ -221,38 +223,21 @@ class Asked:
         )
 
     def _called(self, optimum: Optimum, transposed: bool, side: Any) -> Any:
-        back = functools.partial(self.by_the_core, transposed)
-        shape = jax.ShapeDtypeStruct(side.shape, np.dtype(float))
-        return jax.pure_callback(back, shape, optimum, side, vmap_method="expand_dims")
+        with jax.enable_x64(True):
+            double = jax.lax.convert_element_type(side, np.float64)
+            if self._transcription.called_back:
+                back = functools.partial(self.by_the_core, transposed)
+                shape = jax.ShapeDtypeStruct(side.shape, np.dtype(float))
+                found = jax.pure_callback(back, shape, optimum.exact, double, vmap_method="sequential")
+            else:
+                row = jax.lax.bitcast_convert_type(optimum.exact, np.float64)
+                found = self._moves[transposed](row, double)
+            return jax.lax.convert_element_type(found, side.dtype)
 
-    def by_the_core(self, transposed: bool, optimum: Any, side: Any) -> Array:
-        """The same of numbers, for many sides (..., entries), of one optimum or of one each."""
-        side, numbers = np.asarray(side), jax.tree.map(np.asarray, optimum)
-        batch = side.shape[:-1]
-        if numbers.z.size == self.transcription.stages.points:
-            own = jax.tree.map(lambda a, shape: a.reshape(shape.shape), numbers, self.shapes)
-            return self._once(own, side.reshape(math.prod(batch), side.shape[-1]), transposed).reshape(side.shape)
-        every = jax.tree.map(lambda a, shape: np.broadcast_to(a, (*batch, *shape.shape)), numbers, self.shapes)
-        found = np.empty(side.shape)
-        for place in np.ndindex(*batch):
-            own = jax.tree.map(operator.itemgetter(place), every)
-            found[place] = self._once(own, side[place][None], transposed)[0]
-        return found
-
-    def _once(self, own: Optimum, sides: Array, transposed: bool) -> Array:
-        point = SolutionPoint(own.z, own.lam, own.y, own.ye, own.bound_weights, own.y / own.s)
-        with self._lock:
-            self.transcription.set_data(self._data)
-            return linearised(
-                self.transcription.stages,
-                self.transcription.functions,
-                self.fixed,
-                point,
-                sides,
-                transposed=transposed,
-                units=own.units,
-                options=Options(curvature=_LEAST_CURVED),
-            )
+    def by_the_core(self, transposed: bool, exact: Any, side: Any) -> Array:
+        """The same of numbers, for sides (..., entries)."""
+        row = np.ascontiguousarray(exact).view(np.float64).ravel()
+        return self._moves[transposed].now(row, np.reshape(side, (-1, np.shape(side)[-1]))).reshape(np.shape(side))
 
     def _conditions(self, own: Optimum, flat: Any) -> Any:
         """The derivative of the first-order conditions along a move: what `by_the_core` solves, for JAX."""

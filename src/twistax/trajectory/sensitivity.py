@@ -11,26 +11,33 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..checks import listed, real_array, reals, short
-from ..errors import InputError, TrajectoryError
-from ..jax_inside import is_in_last_thread, is_traced
+from ..errors import InputError, ShapeError, TrajectoryError
+from ..jax_inside import is_traced
 from ..precision import in_double
 from ..system import name_of
 from .accuracy import MESH
+from .called import Called, Row
+from .core_solver import CoreSolver
 from .optimum import Asked, Move, Optimum
-from .transcribed import jitted
+from .transcribed import Given, jitted
+from .watch import Status
 
 if TYPE_CHECKING:
     from .problem import Problem
 
 
 class Solution(NamedTuple):
-    """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters."""
+    """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
+
+    `solved` is 1 where it is one. Else it is 0, the arrays are where the search ended, and derivatives are NaN.
+    """
 
     cost: jax.Array
     xs: dict[str, jax.Array]
     us: dict[str, jax.Array]
     final_time: jax.Array
     free: dict[str, jax.Array]
+    solved: jax.Array
 
 
 class _Theta(NamedTuple):
@@ -58,25 +65,45 @@ def solution(
     `jax.jit` apply. A fixed final time is an argument as well. Derivatives by poses and rotations are by the entries of
     their matrices, to be used along curves on the group, as `group.retract` makes them.
 
+    The first call solves the problem as it was stated, with `problem.solve`. Every call then is one call of the
+    solver's core, which starts at that optimum, in its units, and computes in double precision whatever
+    `jax_enable_x64` says. In programs of `jit` and `vmap` it is one operation, and threads of XLA share the members of
+    a batch. Outside of these the result is looked at as in `problem.solve`, and where the core alone finds no optimum
+    `problem.solve` searches.
+
     The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
     active or inactive (strict complementarity), and where it is a strict minimum.
 
     Args:
-        guess, warm, max_iterations, mesh_tolerance: as in `problem.solve`.
+        guess, warm: for the problem as it was stated, as in `problem.solve`.
+        max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as it was
+            stated, which is looked at once.
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
-        TrajectoryError: in double precision alone (`jax_enable_x64`); a problem of phases; when called: the problem was
-            not solved, or what was found is no strict minimum and is to be differentiated.
+        TrajectoryError: a problem of phases; when called: the problem was not solved, or what was found is no strict
+            minimum and is to be differentiated. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; there the
+            error is of functions without a native form, as those with host callbacks.
     """
-    if jnp.result_type(float) != np.float64:
-        raise TrajectoryError(
-            "solution: derivatives need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
-        )
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
+
+
+class _Stated(NamedTuple):
+    """The problem as it was stated: where it starts, or is solved, and the call that solves it from there."""
+
+    core: CoreSolver
+    given: Given
+    call: Called
+    coarse: str  # what is said of its mesh if that is too coarse
+
+    def need_compiled(self) -> None:
+        """Raise TrajectoryError where a program of XLA cannot solve it."""
+        self.call.need_compiled()
+        if self.coarse:
+            raise TrajectoryError(f"solution: the problem was not solved. {self.coarse}")
 
 
 class _Differentiable:
@@ -94,24 +121,34 @@ class _Differentiable:
         final: Mapping[Any, Any] | None = None,
         final_time: Any = None,
     ) -> Solution:
-        times = {} if final_time is None else {"final_time": _double("solution: final_time", final_time)}
+        times = {} if final_time is None else {"final_time": _numbers("solution: final_time", final_time)}
         theta = _Theta(_named("params", params), _named("initial", initial), _named("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
         names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
         if names not in self._of:
-            # Kernels for these names are made with the first solve, which refuses those that are not there.
-            self._of[names] = _Named(self._problem, self._options, self._tolerance, names)
+            self._of[names] = _Named(self._problem, self._stated, self._options, names)
         return self._of[names](theta)
+
+    @functools.cached_property
+    def _stated(self) -> _Stated:
+        problem, options = self._problem, self._options
+        with in_double():
+            found = problem.solve(**options, tolerance=self._tolerance)
+            started = problem.started(options["guess"])
+            core = problem._core(self._tolerance, started.point, started.given)
+            start = found.warm.point if found.solved else started.point
+            call = Called(problem, core, start, started.given, options["max_iterations"])
+        return _Stated(core, started.given, call, found.message if found.status is Status.COARSE else "")
 
 
 class _Named:
     """The same for parameters and final states of these names."""
 
     def __init__(
-        self, problem: Problem, options: dict[str, Any], tolerance: float, names: tuple[tuple[str, ...], ...]
+        self, problem: Problem, stated: _Stated, options: dict[str, Any], names: tuple[tuple[str, ...], ...]
     ) -> None:
-        self._problem, self._options, self._tolerance, self._names = problem, options, tolerance, names
+        self._problem, self._stated, self._options, self._names = problem, stated, options, names
         # Options of the compiler belong to the outermost program alone: within another one these have none.
         self._alone, self._within = jitted(self._tangent), jax.jit(self._tangent)
         self._shown = jax.jit(self._solution)
@@ -120,7 +157,27 @@ class _Named:
         self._found: Callable[[_Theta], Optimum] = optimum
 
     def __call__(self, theta: _Theta) -> Solution:
+        self._check(theta)
         return self._shown(self._found(theta))
+
+    def _check(self, theta: _Theta) -> None:
+        """Raise InputError, or what `problem.solve` does, where what is asked for does not fit the problem."""
+        problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
+        shapes = {name: np.shape(value) for name, value in problem.params.items()}
+        of_states = {name: state.shape for name, state in states.items()}
+        for what, known in (("params", shapes), ("initial", of_states), ("final", of_states)):
+            for name, value in getattr(theta, what).items():
+                if name not in known:
+                    raise InputError(f"solution: {what} names {name!r}; the problem has {listed(list(known), name)}")
+                if jnp.shape(value) != known[name]:
+                    raise ShapeError(f"solution: {what}[{name!r}] expects shape {known[name]}, got {jnp.shape(value)}")
+        for what, fixed in (("initial", problem.ends.initial_fixed), ("final", problem.ends.final_fixed)):
+            for name in getattr(theta, what):
+                if not np.any(fixed[name]):
+                    raise TrajectoryError(
+                        f"solution: {what}[{name!r}] must fix the entries that the problem fixes: it fixes none.\n"
+                        "  fix: state the problem with a value there"
+                    )
 
     def _solution(self, found: Optimum) -> Solution:
         problem, point = self._problem, self._asked.point(found.z)
@@ -131,63 +188,63 @@ class _Named:
             problem.restated.us(point.xs, held),
             point.border[0],
             problem.border.params(point.border),
+            found.solved,
         )
 
     @functools.cached_property
     def _asked(self) -> Asked:
         """The problem with these names among its unknowns; its kernels compile once."""
         params, final = self._names
-        for what, names, known in (
-            ("params", params, self._problem.params),
-            ("final", final, [state.name for state in self._problem.dynamics.states]),
-        ):
-            for name in names:
-                if name not in known:
-                    raise InputError(f"solution: {what} names {name!r}; the problem has {listed(known, name)}")
+        core, given, call, _ = self._stated
         with in_double():
-            started = self._problem.started()
-            core = self._problem._core(self._tolerance, started.point, started.given)
-            return Asked(self._problem, core, started.given, {"params": params, "final": final})
+            return Asked(self._problem, core, given, {"params": params, "final": final}, call.units)
 
     # ---- the solve ----------------------------------------------------------------------------------------------
 
+    def _row(self, theta: _Theta, start: Any = None) -> Row:
+        times = theta.final_time.get("final_time")
+        return self._stated.call.row(theta.params, theta.initial, theta.final, times, start)
+
     def _optimum(self, theta: _Theta) -> Optimum:
+        call, precision = self._stated.call, jnp.result_type(float)
         if not is_traced(theta):
-            return jax.tree.map(jnp.asarray, self._solved(theta))
-        return jax.pure_callback(self._solved_within, self._asked.shapes, theta, vmap_method="sequential")
+            with in_double():
+                row, result = self._solved(theta)
+                return self._asked.optimum(row, call.solves.split(result), 1.0, precision)
+        self._stated.need_compiled()
+        with jax.enable_x64(True):
+            row = self._row(jax.tree.map(lambda a: jax.lax.convert_element_type(a, np.float64), theta))
+            found = call.solves.split(call.solves(jnp.concatenate(row)))
+            return self._asked.optimum(row, found, call.is_solved(found), precision)
 
-    def _solved_within(self, theta: _Theta) -> Optimum:
-        """The same, called back."""
-        if is_in_last_thread():
-            raise TrajectoryError(
-                "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor it has "
-                "one thread, and would wait for ever.\n  fix: set NPROC=2 in the environment before JAX starts, or "
-                "leave jit out"
-            )
-        return self._solved(theta)
-
-    def _solved(self, theta: _Theta) -> Optimum:
-        """The solve itself, of numbers."""
-        own: _Theta = jax.tree.map(np.asarray, theta)
+    def _solved(self, theta: _Theta) -> tuple[Row, jax.Array]:
+        """The solve of numbers, and what it reads."""
+        call, own = self._stated.call, jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
-        result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)
-        if not result.solved:
-            raise TrajectoryError(f"solution: the problem was not solved. {result.message}")
-        with in_double():
-            given = self._problem.started(**asked, **own.final_time).given
-            found = self._asked.optimum(result, given, self._problem.objective.sign)
-        return jax.tree.map(lambda a: np.asarray(a, float), found)
+        given = self._problem.started(**asked, **own.final_time).given
+        row = self._row(theta)
+        result = call.solves.now(np.asarray(jnp.concatenate(row)))
+        judged = call.judged(call.solves.split(result), given, self._options["mesh_tolerance"])
+        if judged is not Status.SOLVED:
+            core, options = self._stated.core, {**self._options, "guess": None, "warm": None}
+            found = self._problem.solve(**asked, **own.final_time, **options, tolerance=core.tolerance)
+            if not found.solved:
+                raise TrajectoryError(f"solution: the problem was not solved. {found.message}")
+            row = self._row(theta, core.staged.flat(found.warm.point))
+            result = call.solves.now(np.asarray(jnp.concatenate(row)))
+        return row, jnp.asarray(result)
 
     # ---- its derivatives ----------------------------------------------------------------------------------------
 
     def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[Optimum, Optimum]:
         (theta,), (along,) = primals, tangents
         found = self._found(theta)
-        if not is_traced(found):  # under jit the callback raises
+        if not is_traced(found):
             with in_double():
-                self._asked.by_the_core(False, found, np.zeros((0, sum(self._asked.sizes))))
+                self._asked.by_the_core(False, found.exact, np.zeros(sum(self._asked.sizes)))
         tangent = self._within if is_traced((theta, along, found)) else self._alone
-        return found, tangent(theta, along, found)
+        none = np.zeros(found.exact.shape, jax.dtypes.float0)
+        return found, tangent(theta, along, found)._replace(exact=none)
 
     def _tangent(self, theta: _Theta, along: _Theta, found: Optimum) -> Optimum:
         """How the optimum moves along a change of what was asked for."""
@@ -213,7 +270,8 @@ class _Named:
             move.v,
             -move.v,
             -found.s / found.y * move.y,
-            jax.tree.map(jnp.zeros_like, found.units),
+            jnp.zeros(()),
+            None,
         )
 
 
@@ -221,10 +279,10 @@ def _named(what: str, given: Any) -> dict[str, jax.Array]:
     """Values by name."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"solution: {what} expects a dict from leaves to values, got {short(given)}")
-    return {name_of(key): _double(f"solution: {what}[{name_of(key)!r}]", own) for key, own in (given or {}).items()}
+    return {name_of(key): _numbers(f"solution: {what}[{name_of(key)!r}]", own) for key, own in (given or {}).items()}
 
 
-def _double(place: str, value: Any) -> jax.Array:
+def _numbers(place: str, value: Any) -> jax.Array:
     """Numbers, traced ones as they are."""
     if is_traced(value):
         return jnp.asarray(real_array(place, value), float)
