@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..errors import TrajectoryError
 from ..solver.core import Units
 from ..solver.kernels import Argument, SmoothKernels
 from ..solver.members import Moves
@@ -42,6 +43,8 @@ _REFINEMENTS = 6
 #: The least second derivative of a strict minimum, and the least product of a slack and its multiplier over the
 #: tolerance, both in the units of the solve.
 _LEAST_CURVED, _LEAST_PRODUCT = 1e-9, 1e-3
+#: What needs it.
+_DOUBLE = "need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
 
 
 class Optimum(NamedTuple):
@@ -207,31 +210,34 @@ class Asked:
 
     def solved(self, optimum: Optimum, side: Any) -> Any:
         """The move of an optimum for a right side, both flat; JAX differentiates it, and again."""
-        # The units change nothing: a solve takes them as they are.
         matvec = functools.partial(self._conditions, optimum)
+        curved = self._part.phase.kernels.retract is not None
+        if side.dtype != np.float64:
+            # The conditions are worth nothing in single precision. Of the equations JAX needs the solutions alone.
+            if curved:
+                raise TrajectoryError(f"solution: derivatives of rotations and poses {_DOUBLE}")
+            matvec = lambda flat: _no_slope(optimum.z[0]) * flat  # noqa: E731
 
         def solve(transposed: bool, apply: Callable[[Any], Any], side: Any) -> Any:
-            once = functools.partial(self._called, optimum, transposed)
+            once = functools.partial(self._called, optimum.exact, transposed)
             found = once(side)
-            if self._part.phase.kernels.retract is None:
+            if not curved:
                 return found
             # Charts move with the nodes: what that changes is of the size of the mesh's error.
             return jax.lax.fori_loop(0, _REFINEMENTS, lambda _, own: own + once(side - apply(own)), found)
 
-        return jax.lax.custom_linear_solve(
-            matvec, side, functools.partial(solve, False), functools.partial(solve, True)
-        )
+        ways = functools.partial(solve, False), functools.partial(solve, True)
+        return jax.lax.custom_linear_solve(matvec, side, *ways)
 
-    def _called(self, optimum: Optimum, transposed: bool, side: Any) -> Any:
+    def _called(self, exact: Any, transposed: bool, side: Any) -> Any:
         with jax.enable_x64(True):
             double = jax.lax.convert_element_type(side, np.float64)
             if self._transcription.called_back:
                 back = functools.partial(self.by_the_core, transposed)
                 shape = jax.ShapeDtypeStruct(side.shape, np.dtype(float))
-                found = jax.pure_callback(back, shape, optimum.exact, double, vmap_method="sequential")
+                found = jax.pure_callback(back, shape, exact, double, vmap_method="sequential")
             else:
-                row = jax.lax.bitcast_convert_type(optimum.exact, np.float64)
-                found = self._moves[transposed](row, double)
+                found = self._moves[transposed](jax.lax.bitcast_convert_type(exact, np.float64), double)
             return jax.lax.convert_element_type(found, side.dtype)
 
     def by_the_core(self, transposed: bool, exact: Any, side: Any) -> Array:
@@ -265,11 +271,22 @@ class Asked:
         xs, *others = self._split(z, self._part.point.size)
         d, *steps = self._split(v, self.shooting.n)
         us, border, asked = (a + b for a, b in zip(others, steps))
-        data = _replaced(jnp.asarray(self._data), self._places, asked)
+        data = _replaced(jnp.asarray(self._data, asked.dtype), self._places, asked)
         numbers = self._numbers
         given = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
         values = self.shooting.values(Point(self._part.point.split(xs), us, border), given, d)
         return values.cost, values.defects.reshape(-1), *(values.rows[places] for places in self._rows)
+
+
+@jax.custom_jvp
+def _no_slope(z: Any) -> Any:
+    """One."""
+    return jnp.ones_like(z)
+
+
+@_no_slope.defjvp
+def _refused(primals: Any, tangents: Any) -> Any:
+    raise TrajectoryError(f"solution: second derivatives {_DOUBLE}")
 
 
 class _WithNumbers(Functions):

@@ -202,8 +202,8 @@ class _Named:
     # ---- the solve ----------------------------------------------------------------------------------------------
 
     def _row(self, theta: _Theta, start: Any = None) -> Row:
-        times = theta.final_time.get("final_time")
-        return self._stated.call.row(theta.params, theta.initial, theta.final, times, start)
+        own = jax.tree.map(lambda a: jax.lax.convert_element_type(a, np.float64), theta)
+        return self._stated.call.row(own.params, own.initial, own.final, own.final_time.get("final_time"), start)
 
     def _optimum(self, theta: _Theta) -> Optimum:
         call, precision = self._stated.call, jnp.result_type(float)
@@ -213,7 +213,7 @@ class _Named:
                 return self._asked.optimum(row, call.solves.split(result), 1.0, precision)
         self._stated.need_compiled()
         with jax.enable_x64(True):
-            row = self._row(jax.tree.map(lambda a: jax.lax.convert_element_type(a, np.float64), theta))
+            row = self._row(theta)
             found = call.solves.split(call.solves(jnp.concatenate(row)))
             return self._asked.optimum(row, found, call.is_solved(found), precision)
 
