@@ -2,6 +2,7 @@
 
 import functools
 import os
+import signal
 import threading
 import time
 from collections.abc import Callable
@@ -190,3 +191,16 @@ def test_what_does_not_fit_is_refused_when_a_program_is_made() -> None:
         jax.jit(lambda p: cart()(initial={"p": p, "v": 0.0}).cost)(jnp.zeros(2))
     with pytest.raises(tx.InputError, match="initial names 'q'"):
         jax.jit(lambda p: cart()(initial={"q": p}).cost)(1.0)
+
+
+@pytest.mark.skipif(os.name != "posix", reason="no signals of this kind here")
+def test_an_interrupt_ends_a_program() -> None:
+    """Solves one after the other, which would take minutes."""
+    every = points(200_000)
+    run = jax.jit(lambda every: jax.lax.map(lambda z: of_cart(z).cost, every)).lower(every).compile()
+    timer = threading.Timer(0.3, lambda: os.kill(os.getpid(), signal.SIGINT))
+    begin = time.monotonic()
+    timer.start()
+    with pytest.raises(KeyboardInterrupt):
+        jax.block_until_ready(run(every))
+    assert time.monotonic() - begin < 20.0

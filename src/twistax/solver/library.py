@@ -15,7 +15,7 @@ from .sources import fingerprint
 from .text import kept_text
 
 #: What the machine code calls of the C library.
-_C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow", "sched_yield")
+_C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow", "sched_yield", "time")
 
 _VOID_POINTER = ctypes.c_void_p
 

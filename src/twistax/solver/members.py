@@ -28,6 +28,16 @@ _JOBS = 16 * 16
 _CALLED: list[Any] = []
 
 
+#: Functions of Python that the core calls, by the names of members.h.
+_PYTHON = {
+    "lock": "PyGILState_Ensure",
+    "unlock": "PyGILState_Release",
+    "signals": "PyErr_CheckSignals",
+    "clear": "PyErr_Clear",
+    "interrupt": "PyErr_SetInterrupt",
+}
+
+
 class _Structure(ctypes.Structure):
     """`twx_form`."""
 
@@ -37,8 +47,8 @@ class _Structure(ctypes.Structure):
         ("transcription", TranscriptionStructure),
         ("data", ctypes.c_int64),
         ("transposed", ctypes.c_int32),
-        ("stop", ctypes.c_int32),
-        ("poll", ctypes.c_void_p),
+        ("second", ctypes.c_int64),
+        *((name, ctypes.c_void_p) for name in _PYTHON),
         ("jobs", ctypes.c_void_p),
     ]
 
@@ -66,6 +76,8 @@ class _Form:
         self._memory = (problem, transcription)
         self.structure = _Structure(problem.structure, options.as_structure(), transcription.structure, data)
         self.structure.jobs = self._jobs.ctypes.data
+        for name, function in _PYTHON.items():
+            setattr(self.structure, name, ctypes.cast(getattr(ctypes.pythonapi, function), ctypes.c_void_p).value)
         self._called_back = transcription.called_back
         self.transcription = transcription
         self._doubles = int(library().form_memory(ctypes.addressof(self.structure)))

@@ -155,6 +155,8 @@ static void *handle(const twx_ffi_frame *frame, int32_t moves) {
   const twx_job job = {.count = count, .each = each, .form = form, .rows = rows->data, .results = results->data,
                        .memory = memory->data, .row = row, .result = width, .memory_size = doubles};
   run(frame, &job, memory->shape[0]);
+  for (int64_t i = 0; !moves && i < count; i++)
+    if (job.results[((size_t)i + 1) * width - 2] == TWX_STOPPED) return failed(frame->api, "twistax: a solve was interrupted");
   return NULL;
 }
 

@@ -1,10 +1,11 @@
 /* Members of a batch, one after the other. */
 #include "members.h"
 #include "work.h"
+#include <time.h>
 
 typedef struct { /* what functions of a problem get: the phases of this thread first */
   twx_transcription transcription;
-  const twx_form *form;
+  twx_form *form;
 } twx_user;
 
 static size_t doubles_for(size_t bytes) { return (bytes + sizeof(double) - 1) / sizeof(double); }
@@ -15,7 +16,7 @@ static size_t copy_phases(const twx_form *form, const double *data, double *memo
   size_t used = doubles_for(sizeof(twx_user)) + doubles_for(sizeof(twx_phase) * (size_t)from->phases);
   twx_user *const user = (twx_user *)(void *)memory;
   if (user) {
-    user->form = form, user->transcription.phases = from->phases;
+    user->form = (twx_form *)(intptr_t)form, user->transcription.phases = from->phases;
     user->transcription.phase = (twx_phase *)(void *)(memory + doubles_for(sizeof(twx_user)));
   }
   for (int32_t i = 0; i < from->phases; i++) {
@@ -32,9 +33,15 @@ static size_t copy_phases(const twx_form *form, const double *data, double *memo
 size_t twx_form_memory(const twx_form *form) { return copy_phases(form, NULL, NULL) + twx_workspace_size(&form->problem); }
 
 static int32_t is_stopped(void *user, int32_t iteration, const double *z) {
-  const twx_form *form = ((const twx_user *)user)->form;
+  twx_form *const form = ((twx_user *)user)->form;
   (void)iteration, (void)z;
-  return *(const volatile int32_t *)&form->stop || (form->poll && form->poll());
+  if (!form->signals) return 0;
+  const int64_t now = (int64_t)time(NULL);
+  if (__atomic_exchange_n(&form->second, now, __ATOMIC_RELAXED) == now) return 0;
+  const int32_t locked = form->lock(), raised = form->signals() != 0;
+  if (raised) form->clear(), form->interrupt();
+  form->unlock(locked);
+  return raised;
 }
 
 typedef struct {

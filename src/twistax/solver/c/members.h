@@ -19,8 +19,14 @@ typedef struct { /* read by all threads */
   twx_transcription transcription;  /* its phases are copied for each thread: their work, and their data in a solve */
   int64_t data;                     /* numbers of a row that kernels read; 0 where these are those of the phases */
   int32_t transposed;
-  int32_t stop;                     /* set by another thread: solves end with TWX_STOPPED */
-  int32_t (*poll)(void);            /* asked at each iteration: other than 0 ends the solve; may be NULL */
+  int64_t second;                   /* when signals were looked at last */
+  /* Functions of Python, or NULL: PyGILState_Ensure, PyGILState_Release, PyErr_CheckSignals, PyErr_Clear and
+   * PyErr_SetInterrupt. A solve asks for signals once a second, and ends with TWX_STOPPED where a handler raises: then
+   * there is a signal again, for Python to see after the call. Python sees signals in its main thread alone. */
+  int32_t (*lock)(void);
+  void (*unlock)(int32_t);
+  int32_t (*signals)(void);
+  void (*clear)(void), (*interrupt)(void);
   int64_t *jobs;                    /* memory of TWX_JOBS calls that run at once, zero at first */
 } twx_form;
 
