@@ -12,6 +12,8 @@ from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
 
 from ..expr import Constant, Expr, Inputs, evaluate_all
 from ..lowering import Dynamics
@@ -19,6 +21,7 @@ from ..lowering.dynamics import Arrays
 from .conditions import Conditions
 from .cones import NormControls
 from .discretize import Controls
+from .point_values import PointValues
 from .statement import Objective, PathRows
 
 
@@ -96,9 +99,11 @@ class Local:
         """The path rows at a point, as the solver sees them."""
         return self._with_boxes(self.expressions.rows, Inputs(t, x, u, params, t.dtype))
 
-    def shown_rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        """The path rows at a point as the user wrote them."""
-        return self._with_boxes(self.expressions.shown, Inputs(t, x, u, params, t.dtype))
+    def along(self, rows: Sequence[Expr], ts: Array, x: Arrays, u: Arrays, params: Arrays) -> Array:
+        """(points, entries) rows of the path and those of its boxes at many points, as arrays of NumPy."""
+        flat = {name: np.reshape(values, (len(ts), -1)) for name, values in (*x.items(), *u.items())}
+        boxes = [b.sign * (flat[b.leaf][:, b.entry] - b.limit) for b in self._path.bounds]
+        return np.concatenate([PointValues.of(rows)(ts, x, u, params), *(own[:, None] for own in boxes)], axis=1)
 
     def _with_boxes(self, rows: Sequence[Expr], inputs: Inputs) -> jax.Array:
         limits = self.expressions.limits
