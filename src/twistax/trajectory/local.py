@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -99,7 +99,9 @@ class Local:
         """The path rows at a point, as the solver sees them."""
         return self._with_boxes(self.expressions.rows, Inputs(t, x, u, params, t.dtype))
 
-    def along(self, rows: Sequence[Expr], ts: Array, x: Arrays, u: Arrays, params: Arrays) -> Array:
+    def along(
+        self, rows: Sequence[Expr], ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]
+    ) -> Array:
         """(points, entries) rows of the path and those of its boxes at many points, as arrays of NumPy."""
         flat = {name: np.reshape(values, (len(ts), -1)) for name, values in (*x.items(), *u.items())}
         boxes = [b.sign * (flat[b.leaf][:, b.entry] - b.limit) for b in self._path.bounds]

@@ -46,9 +46,7 @@ class PointValues:
         found: PointValues = _KEPT.get(tuple(expr.key() for expr in exprs), lambda: cls(exprs))
         return found
 
-    def __call__(
-        self, ts: Array, x: Mapping[str, Array], u: Mapping[str, Array], params: Mapping[str, Array]
-    ) -> Array:
+    def __call__(self, ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
         """The entries of all expressions (points, entries), for arrays with a row for each point.
 
         Raises:

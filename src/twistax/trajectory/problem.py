@@ -237,27 +237,19 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.built()
         self.advanced = jax.jit(self.shooting.advanced)
 
-    def shown_rows(
-        self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]
-    ) -> Array:
+    def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
         """(points, rows) the path rows as users wrote them, at many points."""
         local = self.shooting.local
-        return local.along(local.expressions.shown, ts, dict(xs), dict(us), dict(params))
+        return local.along(local.expressions.shown, ts, xs, us, params)
 
-    def path_rows(
-        self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]
-    ) -> Array:
+    def path_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
         """The same as the solver sees them."""
         local = self.shooting.local
-        return local.along(local.expressions.rows, ts, dict(xs), dict(us), dict(params))
+        return local.along(local.expressions.rows, ts, xs, us, params)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {
-            k: v
-            for k, v in self.__dict__.items()
-            if k not in ("shooting", "advanced", "_solvers", "_cores")
-        }
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_solvers", "_cores")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

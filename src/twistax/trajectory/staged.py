@@ -64,7 +64,8 @@ class Functions:
         of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
         boxes, group = self._layout.boxes, group_key(own)
-        at_end = (boxes, *map(tuple, (own.layout.fixed, own.layout.end_states)), own.is_last and tuple(own.border.finite))
+        places = (tuple(own.layout.fixed), tuple(own.layout.end_states))
+        at_end = ("end", boxes, *places, own.is_last and tuple(own.border.finite))
         made, pace = own.local.expressions, own.paced and (own.paced.start, own.paced.stop)
         conditions = [(k, self._of(self._node(c), of_node, [c.residuals], "node")) for k, c in nodes.items()]
         end = self._of(self._end, of_end, [made.conditions, made.rows, made.limits, made.final], at_end)
