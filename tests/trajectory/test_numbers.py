@@ -59,15 +59,15 @@ def turned(inertia: float = 2.0, nodes: Any = 8, reach: float = 1.1, **options: 
 def staged(gravity: float = 9.81, split: float = 0.4, nodes: int = 6, **options: Any) -> Problem:
     """Two phases with a jump between them."""
 
-    def phase(name: str, **own: Any) -> Phase:
+    def phase(**own: Any) -> Phase:
         h, v, u = tx.State("h"), tx.State("v"), tx.Control("u", min=0.0, max=3.0 * gravity)
         dynamics = tx.compile(tx.System(rates={h: v, v: u - gravity}))
-        return Phase(name, dynamics, tx.Minimize(running=u * u), nodes=nodes, final_time=0.8, **own)
+        return Phase(dynamics, tx.Minimize(running=u * u), nodes=nodes, final_time=0.8, **own)
 
-    first = phase("first", initial={"h": 0.0, "v": 0.0})
-    second = phase("second", final={"h": 1.0, "v": 0.0})
+    first = phase(initial={"h": 0.0, "v": 0.0})
+    second = phase(final={"h": 1.0, "v": 0.0})
     v = tx.State("v")
-    return Problem([first, second], links={("first", "second"): {"v": split * v}}, **options)
+    return Problem([first, second], links=[{v: split * v}], **options)
 
 
 OTHERS: dict[str, tuple[Callable[..., Any], dict[str, Any]]] = {
@@ -174,9 +174,10 @@ def test_problems_of_one_structure_keep_their_numbers() -> None:
 
 
 def test_violations_are_of_the_limits_of_their_problem() -> None:
-    """Of a limit that one iteration leaves exceeded, as it was written."""
+    """As they were written, of a point that exceeds them."""
     for distance in (1.0, 1.2):
-        result = pushed(distance=distance).solve(max_iterations=1)
-        excess = result.xs["p"] - 1.05 * distance - 0.8 * result.ts
-        assert result.violations["ramp"] == pytest.approx(np.maximum(excess, 0.0).max(), abs=1e-12)
-        assert result.violations["v: upper limit"] == pytest.approx(max(0.0, result.xs["v"].max() - 0.8), abs=1e-12)
+        result = pushed(distance=distance, guess={"p": 3.0, "v": 1.5}).solve(max_iterations=1)
+        excess = (result.xs["p"] - 1.05 * distance - 0.8 * result.ts).max()
+        assert excess > 0.1
+        assert result.violations["ramp"] == pytest.approx(excess, abs=1e-12)
+        assert result.violations["v <= 0.8"] == pytest.approx(max(0.0, result.xs["v"].max() - 0.8), abs=1e-12)
