@@ -11,6 +11,7 @@ import pytest
 
 import twistax as tx
 from twistax.trajectory import Collocation, Linear, Mesh, Phase, Problem
+from twistax.trajectory.rollout import Rollout
 
 pytest.importorskip("llvmlite")
 
@@ -105,6 +106,13 @@ def test_guesses_and_ends_compile_nothing(made: list[str]) -> None:
     assert made == []
 
 
+def test_limits_between_nodes_compile_nothing(made: list[str]) -> None:
+    assert turned().solve(between=1e-4).solved
+    made.clear()
+    assert turned(inertia=2.5, nodes=9).solve(between=1e-4).solved
+    assert made == []
+
+
 def test_finer_meshes_compile_nothing(made: list[str]) -> None:
     assert pushed().solve(refine=1e-3).solved
     made.clear()
@@ -127,6 +135,19 @@ def test_other_transcriptions_too(options: dict[str, Any], made: list[str]) -> N
     made.clear()
     assert pushed(mass=1.45, limit=0.85, **options).solve().solved
     assert made == []
+
+
+@pytest.mark.parametrize("options", WAYS.values(), ids=WAYS.keys())
+def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any]) -> None:
+    """Of held controls, as `between` looks at them, beside `replay`: of a group, and of free nodes."""
+    problem = turned(**options)
+    result = problem.solve()
+    core, given = problem._core(1e-6, *problem.started()[:2]), problem.started().given
+    data = core.staged.numbers.vector(given)
+    rollout = Rollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
+    found, expected = rollout.states(result.warm.point), result.replay(steps=12)
+    for name, values in expected.xs.items():
+        np.testing.assert_allclose(found[name], values, atol=1e-11)
 
 
 # ---- the numbers are the right ones -------------------------------------------------------------------------------

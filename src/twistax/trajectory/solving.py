@@ -147,10 +147,10 @@ class Solvable(ABC, Generic[One, Many]):
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not. Neither do problems that differ in numbers, nodes or guesses from one
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
         that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
-        structure compiles anew: a zero, a factor of one, an exponent or a table.
-        Several threads may solve one problem at once.
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -186,8 +186,8 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too, where a thousand
-                nodes are not enough.
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -248,7 +248,7 @@ class Solvable(ABC, Generic[One, Many]):
                     start = core.perturbed(plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
-                    found = held(self, found, given, own, run, between)
+                    found = held(self, found, given, own, run, between, core.staged)
                 exceeded = tolerance if between is None else max(tolerance, between)
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
