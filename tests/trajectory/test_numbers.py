@@ -106,6 +106,15 @@ def test_guesses_and_ends_compile_nothing(made: list[str]) -> None:
     assert made == []
 
 
+def test_the_first_elements_of_groups_as_ends_compile_nothing(made: list[str]) -> None:
+    """Each group and precision for the first time in this process."""
+    for group in (tx.SE3, tx.SO3):
+        state = tx.State("g", group=group)
+        state.boundary("initial", np.eye(*group.shape))
+        group.identity(np.float32)
+    assert made == []
+
+
 def test_limits_between_nodes_compile_nothing(made: list[str]) -> None:
     assert turned().solve(between=1e-4).solved
     made.clear()
