@@ -174,7 +174,7 @@ def test_there_is_every_kind_of_row(sample: Sample) -> None:
     for place, count in (("final", 2), ("initial", 1), ("node 1", 2)):
         assert sum(name.startswith(f"{place}: ") for name in names) == count
     bounds = [name for name in sorted(names) if name.startswith("bound on ")]
-    assert len(bounds) == 2 and bounds[1] == f"{bounds[0]} >= 0"
+    assert bounds == [bounds[0], f"{bounds[0]} >= 0"]
 
 
 def test_rows_are_asked_where_they_matter(sample: Sample) -> None:
