@@ -213,20 +213,20 @@ def test_violations_are_of_the_limits_of_their_problem() -> None:
         assert result.violations["v <= 0.8"] == pytest.approx(max(0.0, result.xs["v"].max() - 0.8), abs=1e-12)
 
 
-ROLES: dict[str, tuple[Callable[[Any, Any], Any], dict[str, Any], dict[str, Any]]] = {
-    "of p, then of v": (lambda p, v: -0.3 * p - 0.9 * v**3, {}, {}),
-    "of v, then of p": (lambda p, v: -0.3 * v - 0.9 * p**3, {}, {}),
-    "limits above": (lambda p, v: -0.3 * v, {"max": 0.6}, {"max": 2.5}),
-    "limits below": (lambda p, v: -0.3 * v, {"min": 0.1}, {"min": -0.5}),
+ROLES: dict[str, tuple[Callable[[Any, Any, Any], tuple[Any, Any]], dict[str, Any], dict[str, Any]]] = {
+    "each by the other": (lambda p, v, u: (u - 0.3 * v, 0.8 * p), {}, {}),
+    "each by itself": (lambda p, v, u: (u - 0.3 * p, 0.8 * v), {}, {}),
+    "limits above": (lambda p, v, u: (v, u - 0.3 * v), {"max": 0.6}, {"max": 2.5}),
+    "limits below": (lambda p, v, u: (v, u - 0.3 * v), {"min": 0.1}, {"min": -0.5}),
 }
 
 
 def test_states_and_limits_of_other_roles_are_not_mixed_up() -> None:
     """One after the other in one process: dynamics beside the integrator, limits at all points."""
-    for drag, of_speed, of_control in ROLES.values():
+    for rates, of_speed, of_control in ROLES.values():
         p, v, u = tx.State("p"), tx.State("v", **of_speed), tx.Control("u", **of_control)
         result = Problem(
-            tx.compile(tx.System(rates={p: v, v: u + drag(p, v)})),
+            tx.compile(tx.System(rates=dict(zip((p, v), rates(p, v, u))))),
             tx.Minimize(running=u * u + 0.2 * (p + v) ** 2),
             nodes=9,
             final_time=3.0,

@@ -298,7 +298,9 @@ class _Watching:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double))(stop)
+        self._function = ctypes.CFUNCTYPE(
+            ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double)
+        )(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

@@ -25,9 +25,9 @@ from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
-#: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
-#: smaller where there are more inequalities than so many.
-_CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
+#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
+#: counts as a sum, so it is smaller where there are more inequalities than so many.
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
@@ -146,9 +146,9 @@ class CoreSolver:
         if as_stated:
             units.become_one()
         tolerance = _CLOSER * self.tolerance
-        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance}
-        chosen["gap"] = tolerance
+        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities) / _COST
+        chosen = {"tolerance": tolerance / _COST, "violation": tolerance, "complementarity": closer, "gap": tolerance}
+        chosen["acceptable"] = self.tolerance / _COST
         chosen |= {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
@@ -169,7 +169,13 @@ class CoreSolver:
         return self._outcome(kept, units, given)
 
     def _from_point(
-        self, point: Point, given: Given, units: StartUnits, options: dict[str, float], watch: _Watch, fitted: Sequence[int]
+        self,
+        point: Point,
+        given: Given,
+        units: StartUnits,
+        options: dict[str, float],
+        watch: _Watch,
+        fitted: Sequence[int],
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
         left = list(fitted)
@@ -353,7 +359,7 @@ class _Watch:
         self.before, self.also = 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None:
+        if self._callback is not None and (iteration > 0 or self.before == 0):  # not twice in other units
             self._callback(self.before + iteration, cost, violation)
         return time.monotonic() > self._due or self.also(iteration, z)
 
