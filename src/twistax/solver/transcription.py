@@ -257,8 +257,19 @@ class Transcription:
 
     @property
     def called_back(self) -> list[str]:
-        """Functions that have no native form, which JAX runs."""
-        return [kernel.owner.name for kernel in self._kernels if isinstance(kernel.owner, Callback)]
+        """What has no native form, so that JAX runs it."""
+        found = []
+        for phase in self.phases:
+            own = phase.kernels
+            groups = {
+                "rates": own.rate.kernels,
+                "path constraints or the running cost": own.rows.kernels,
+                "conditions at nodes or the final cost": [kernel for _, node in own.nodes for kernel in node.kernels],
+            }
+            for name, kernels in groups.items():
+                if name not in found and any(isinstance(kernel.owner, Callback) for kernel in kernels):
+                    found.append(name)
+        return found
 
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""

@@ -63,9 +63,9 @@ class Called:
         """Raise TrajectoryError where a program of XLA would have to call back."""
         if names := self._staged.transcription.called_back:
             raise TrajectoryError(
-                "solution: under jit and vmap functions of the problem must have a native form; JAX runs "
-                f"{', '.join(sorted(set(names)))} by itself, as functions with host callbacks.\n"
-                "  fix: call it outside of jit and vmap, or state it without callbacks and solves of large matrices"
+                "solution: under jit and vmap functions of the problem must have a native form. "
+                f"JAX runs the {' and the '.join(names)}, as it does functions with host callbacks.\n"
+                "  fix: call it outside of jit and vmap, or state the problem without such functions"
             )
 
     def row(
@@ -115,7 +115,8 @@ class Called:
 
     def is_solved(self, found: Mapping[str, Any]) -> Any:
         """Whether it is; rows that ends alone decide are no part of it."""
-        return (found["status"] == CoreStatus.SOLVED.value) | (found["error"] <= self._core.tolerance)
+        most = jnp.maximum(COST * found["error"], found["violation"])
+        return (found["status"] == CoreStatus.SOLVED.value) | (most <= self._core.tolerance)
 
 
 def _put(array: Any, places: Array, value: Any) -> Any:

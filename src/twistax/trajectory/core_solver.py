@@ -25,9 +25,9 @@ from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
-#: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
-#: smaller where there are more inequalities than so many.
-_CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
+#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
+#: counts as a sum, so it is smaller where there are more inequalities than so many.
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
@@ -94,8 +94,9 @@ class CoreSolver:
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
         tolerance = _CLOSER * self.tolerance
-        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance, "gap": tolerance}
+        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities) / COST
+        chosen = {"tolerance": tolerance / COST, "violation": tolerance, "complementarity": closer, "gap": tolerance}
+        chosen["acceptable"] = self.tolerance / COST
         return chosen | {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
 
     def run(
@@ -167,7 +168,7 @@ class CoreSolver:
         outcome = self.outcome(kept, units, given, warm=True)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
-        closer = min(chosen["tolerance"], _NEAR * chosen["complementarity"])
+        closer = min(chosen["violation"], _NEAR * chosen["complementarity"])
         near = {"complementarity": closer, **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self.outcome(kept, units, given)
@@ -363,7 +364,7 @@ class _Watch:
         self.before, self.also = 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None:
+        if self._callback is not None and (iteration > 0 or self.before == 0):  # not twice in other units
             self._callback(self.before + iteration, cost, violation)
         return time.monotonic() > self._due or self.also(iteration, z)
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -296,15 +296,18 @@ class _WithNumbers(Functions):
         super().__init__(shooting, numbers)
         self._places = places
 
-    def smooth(self, function: Callable[..., jax.Array], arguments: Mapping[Argument, int]) -> SmoothKernels:
-        count = len(self._places)
+    def smooth(
+        self, function: Callable[..., jax.Array], arguments: Mapping[Argument, int], key: Hashable, numbers: Array
+    ) -> SmoothKernels:
+        count, at = len(self._places), list(arguments).index(Argument.DATA)
 
         def with_numbers(z: jax.Array, *others: jax.Array) -> jax.Array:
-            *rest, data = others
-            own, asked = z[: len(z) - count], z[len(z) - count :]
-            return function(own, *rest, _replaced(data, self._places, asked))
+            given = [z[: len(z) - count], *others]
+            given[at] = _replaced(given[at], self._places, z[len(z) - count :])
+            return function(*given)
 
-        return SmoothKernels(with_numbers, {**arguments, Argument.Z: arguments[Argument.Z] + count})
+        longer = {**arguments, Argument.Z: arguments[Argument.Z] + count}
+        return SmoothKernels(with_numbers, longer, 2, (key, tuple(self._places)), numbers)
 
 
 def _replaced(data: Any, places: Array, values: Any) -> Any:
