@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 import time
 from collections.abc import Sequence
@@ -149,7 +150,11 @@ class CoreSolver:
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
-        units = self.units(point, given)
+        if isinstance(start, WarmStart) and start.units is not None and not as_stated:
+            self.staged.set_given(given)
+            units = copy.copy(start.units)
+        else:
+            units = self.units(point, given)
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
@@ -165,9 +170,10 @@ class CoreSolver:
             return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
         warm = self._warm(start, point, units, given)
         kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        outcome = self.outcome(kept, units, given, warm=True)
-        if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
-            return outcome
+        if self._holds(kept):
+            outcome = self.outcome(kept, units, given, warm=True)
+            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
+                return outcome
         closer = min(chosen["violation"], _NEAR * chosen["complementarity"])
         near = {"complementarity": closer, **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
@@ -314,6 +320,7 @@ class CoreSolver:
             status=status or self._status(result, float(violated.max(initial=0.0)), errors),
             iterations=max(int(numbers["iterations"]), int(not warm)),
             saddle=result.status is CoreStatus.SOLVED and not numbers["minimum"],
+            units=units,
         )
 
     def _status(self, result: Solution, violated: float, errors: Errors) -> Status:
@@ -327,6 +334,12 @@ class CoreSolver:
         if result.status in _STATUS:
             return _STATUS[result.status]
         return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * self.tolerance else Status.STALLED
+
+    def _holds(self, result: Solution) -> bool:
+        """Whether the conditions of an optimum may hold at a point of the core, but for the sum of all products."""
+        found = result.statistics
+        sizes = found["violation"], COST * found["stationarity"], COST * found["complementarity"]
+        return result.status is CoreStatus.SOLVED or max(sizes) <= self.tolerance
 
     def _padded(self, flat: Array) -> Array:
         """Numbers of all defects as (intervals, n)."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -384,6 +385,17 @@ class Staged:
             at = self.first[part.stages][:, None] + np.flatnonzero(part.shooting.turns)
             found[at.ravel()] = True
         return found
+
+    @functools.cached_property
+    def curved(self) -> Array:
+        """Which entries of z are of states on manifolds that are not flat."""
+        nodes = []
+        for part in self.parts:
+            own = part.shooting
+            row = {n: np.full(shape, not own.dynamics.group.factors[n].flat) for n, shape in part.point.shapes.items()}
+            nodes.append(np.tile(part.point.joined(row), (own.nodes, 1)))
+        us = np.zeros((self.transcribed.intervals, self.transcribed.m))
+        return self._joined(Point(None, us, np.zeros(self.border.size)), nodes) != 0.0
 
     def limits(self, point: Point, given: Given) -> tuple[Array, Array]:
         """Lower and upper bounds of v; equal where an entry is fixed."""

@@ -19,6 +19,7 @@ from .transcribed import Given, Point
 
 if TYPE_CHECKING:
     from .solving import Solvable
+    from .start_units import StartUnits
 
 #: The barrier parameter of a start over its largest violation, and the limits of that parameter.
 _SHARE, _LEAST, _MOST = 1e-3, 1e-7, 0.1
@@ -34,6 +35,7 @@ class WarmStart:
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
         params: the parameters that it was solved for.
+        units: of the solver, where these are known and fit the problem.
         as_solved: its point before ends were put in, where the first node, times and parameters stay; else None.
     """
 
@@ -44,6 +46,7 @@ class WarmStart:
     scales: Scales
     params: dict[str, Array]
     as_solved: Point | None = None
+    units: StartUnits | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
@@ -114,7 +117,9 @@ def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Gi
     own = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
     before, now = ((_first_node(p.xs), p.border, params) for p, params in ((point, warm.params), (own, given.params)))
     stays = all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True))
-    return dataclasses.replace(warm, point=own, as_solved=point if stays else None)
+    same = warm.problem is problem and all(np.array_equal(warm.params.get(n), a) for n, a in given.params.items())
+    units = warm.units if same else None
+    return dataclasses.replace(warm, point=own, as_solved=point if stays else None, units=units)
 
 
 def _first_node(xs: Any) -> Any:
