@@ -46,7 +46,7 @@ class Called:
     """
 
     def __init__(self, problem: Problem, core: CoreSolver, start: Point, given: Given, max_iterations: int) -> None:
-        self._problem, self._core = problem, core
+        self._problem, self._tolerance = problem, core.tolerance
         self.units = units = core.units(start, given)
         self._staged = staged = core.staged.alone(given)  # what others change of the problem's is not seen here
         numbers = staged.numbers.vector(given)
@@ -101,9 +101,9 @@ class Called:
             z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
         return Row(data, z, v, lower, upper)
 
-    def judged(self, found: Mapping[str, Any], given: Given, mesh_tolerance: float) -> Status:
-        """The status that `problem.solve` gives a result."""
-        core, numbers = self._core, {name: float(found[name]) for name in MEASURES}
+    def judged(self, core: CoreSolver, found: Mapping[str, Any], given: Given, mesh_tolerance: float) -> Status:
+        """The status that `problem.solve` gives a result, by the solver of this thread."""
+        numbers = {name: float(found[name]) for name in MEASURES}
         arrays = {name: np.asarray(a) for name, a in found.items() if name not in MEASURES}
         status = CoreStatus(int(numbers.pop("status")))
         core.staged.set_given(given)
@@ -116,7 +116,7 @@ class Called:
     def is_solved(self, found: Mapping[str, Any]) -> Any:
         """Whether it is; rows that ends alone decide are no part of it."""
         most = jnp.maximum(COST * found["error"], found["violation"])
-        return (found["status"] == CoreStatus.SOLVED.value) | (most <= self._core.tolerance)
+        return (found["status"] == CoreStatus.SOLVED.value) | (most <= self._tolerance)
 
 
 def _put(array: Any, places: Array, value: Any) -> Any:

@@ -168,14 +168,14 @@ class CoreSolver:
         watch = _Watch(callback, max_seconds)
         if not isinstance(start, WarmStart):
             return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
-        warm = self._warm(start, point, units, given)
-        kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        if self._holds(kept):
+        warm, violated = self._warm(start, point, units)
+        if violated <= self.tolerance:
+            kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
             outcome = self.outcome(kept, units, given, warm=True)
             if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
                 return outcome
         closer = min(chosen["violation"], _NEAR * chosen["complementarity"])
-        near = {"complementarity": closer, **self._near(warm, units)}
+        near = {"complementarity": closer, **_near(violated)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self.outcome(kept, units, given)
 
@@ -258,23 +258,18 @@ class CoreSolver:
             sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
-    def _warm(self, start: WarmStart, point: Point, units: StartUnits, given: Given) -> Solution:
-        """The multipliers of a warm start for the core."""
+    def _warm(self, start: WarmStart, point: Point, units: StartUnits) -> tuple[Solution, float]:
+        """A warm start for the core, and the largest violation there in the core's units."""
         staged, stages = self.staged, self.staged.transcription.stages
         y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
         lam = np.concatenate([row[:count] for row, count in zip(np.asarray(start.dynamics), stages.after)])
-        at = Evaluated(staged.transcription, staged.flat(point))
         z, v = staged.flat(point), staged.coordinates(point)
-        return Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, np.zeros((0, 10)))
-
-    def _near(self, warm: Solution, units: StartUnits) -> dict[str, float]:
-        """Options that keep a start near: the further it is from holding, the higher its barrier."""
-        at = Evaluated(self.staged.transcription, warm.z)
-        parts = (at.c / self.staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
-        error = max(float(np.abs(a).max(initial=0.0)) for a in parts)
-        barrier = float(np.clip(_WARM_SHARE * error, _WARM_LEAST, _WARM_MOST))
-        push = max(barrier, 1e-12) ** 0.5
-        return {"barrier_start": barrier, "slack_push": min(push, 1e-2), "bound_push": min(push, 1e-2)}
+        at = Evaluated(staged.transcription, z)
+        parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
+        violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)
+        none = np.zeros((0, 10))
+        warm = Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, none)
+        return warm, violated
 
     # ---- what came out ----------------------------------------------------------------------------------------------
 
@@ -335,12 +330,6 @@ class CoreSolver:
             return _STATUS[result.status]
         return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * self.tolerance else Status.STALLED
 
-    def _holds(self, result: Solution) -> bool:
-        """Whether the conditions of an optimum may hold at a point of the core, but for the sum of all products."""
-        found = result.statistics
-        sizes = found["violation"], COST * found["stationarity"], COST * found["complementarity"]
-        return result.status is CoreStatus.SOLVED or max(sizes) <= self.tolerance
-
     def _padded(self, flat: Array) -> Array:
         """Numbers of all defects as (intervals, n)."""
         own = self.transcribed
@@ -362,6 +351,13 @@ class CoreSolver:
                 free = part.phase.join.free
                 u[first + shooting.intervals, : len(free)] = units.parts[number + 1].d[free]
         return Scales(d, u, units.border, np.ones(len(own.exists)), np.asarray(units.cost))
+
+
+def _near(violated: float) -> dict[str, float]:
+    """Options that keep a start near: the further it is from holding, the higher its barrier."""
+    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+    push = max(barrier, 1e-12) ** 0.5
+    return {"barrier_start": barrier, "slack_push": min(push, 1e-2), "bound_push": min(push, 1e-2)}
 
 
 class _Watch:

@@ -21,10 +21,6 @@ class Evaluated:
         self.stages = stages
         self.cost, self.c = np.zeros(1), np.zeros(sum(stages.after))
         self.h, self.e = np.zeros(sum(stages.inequalities)), np.zeros(sum(stages.equalities))
-        self.gradient = np.zeros(stages.variables)
-        counts = (stages.after, stages.inequalities, stages.equalities)
-        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
-        self.H = np.zeros(stages.block_sizes(stages.columns))
         self._z, self._functions = np.ascontiguousarray(z), functions
         self._failed = self._call("values", self.cost, self.c, self.h, self.e)
         transcription.check()
@@ -37,6 +33,11 @@ class Evaluated:
 
     def differentiate(self) -> bool:
         """First derivatives, and the second ones of the cost; whether there are such."""
+        stages = self.stages
+        self.gradient = np.zeros(stages.variables)
+        counts = (stages.after, stages.inequalities, stages.equalities)
+        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
+        self.H = np.zeros(stages.block_sizes(stages.columns))
         zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]
         failed = self._failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je)
         return not (failed or self._call("hessians", 1.0, *zeros, self.H))

@@ -221,13 +221,14 @@ class _Named:
         """The solve of numbers, and what it reads."""
         call, own = self._stated.call, jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
-        given = self._problem.started(**asked, **own.final_time).given
+        started, tolerance = self._problem.started(**asked, **own.final_time), self._stated.core.tolerance
+        core = self._problem._core(tolerance, started.point, started.given)  # of this thread
         row = self._row(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(row)))
-        judged = call.judged(call.solves.split(result), given, self._options["mesh_tolerance"])
+        judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])
         if judged is not Status.SOLVED:
-            core, options = self._stated.core, {**self._options, "guess": None, "warm": None}
-            found = self._problem.solve(**asked, **own.final_time, **options, tolerance=core.tolerance)
+            options = {**self._options, "guess": None, "warm": None}
+            found = self._problem.solve(**asked, **own.final_time, **options, tolerance=tolerance)
             if not found.solved:
                 raise TrajectoryError(f"solution: the problem was not solved. {found.message}")
             row = self._row(theta, core.staged.flat(found.warm.point))

@@ -339,14 +339,15 @@ class Staged:
         us, xs = np.zeros((own.intervals, own.m)), []
         at = 0
         for part in self.parts:
-            nodes = np.zeros((part.shooting.nodes, part.point.size))
-            for k, stage in enumerate(range(part.stages.start, part.stages.stop)):
-                count = stages.controls[stage]
-                nodes[k] = z[at : at + part.point.size]
-                at += part.point.size + count
-                if count:
-                    us[stage, :count] = z[at - count : at]
-            xs.append(part.point.split(nodes))
+            rows, size, m = self._rows_of(part), part.point.size, part.shooting.m
+            body = z[at : at + (size + m) * part.shooting.intervals].reshape(-1, size + m)
+            us[rows, :m] = body[:, size:]
+            at += body.size
+            xs.append(part.point.split(np.concatenate([body[:, :size], z[None, at : at + size]])))
+            at += size
+            if count := stages.controls[rows.stop]:
+                us[rows.stop, :count] = z[at : at + count]
+                at += count
         return Point(xs[0] if own.segments[0].alone else tuple(xs), us, z[at:])
 
     def _each(self, point: Point) -> list[tuple[Part, Any]]:
@@ -358,11 +359,19 @@ class Staged:
         controls, us = self.transcription.stages.controls, np.asarray(point.us)
         found = []
         for part, own in zip(self.parts, nodes):
-            for stage, row in zip(range(part.stages.start, part.stages.stop), own):
-                found.append(row)
-                if controls[stage]:
-                    found.append(us[stage, : controls[stage]])
+            rows = self._rows_of(part)
+            body = np.concatenate([own[:-1], us[rows, : part.shooting.m]], axis=1)
+            found += [
+                body.ravel(),
+                own[-1],
+                us[rows.stop, : controls[rows.stop]] if controls[rows.stop] else own[:0, 0],
+            ]
         return np.concatenate([*found, np.ravel(point.border)])
+
+    @staticmethod
+    def _rows_of(part: Part) -> slice:
+        """The intervals of a phase among all stages."""
+        return slice(part.stages.start, part.stages.start + part.shooting.intervals)
 
     # ---- limits ---------------------------------------------------------------------------------------------------
 

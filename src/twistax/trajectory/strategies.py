@@ -84,9 +84,9 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     optimal.
     """
     result = solve(start, given)
-    if isinstance(start, WarmStart) and start.units is not None and result.status is Status.SOLVED:
-        if start.units.fit(solver.staged, result.point):  # those of an earlier result close by
-            return result
+    known = start.units if isinstance(start, WarmStart) and result.status is Status.SOLVED else None
+    if known is not None and known.fit(solver.staged, result.point):  # those of an earlier result close by
+        return result
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
