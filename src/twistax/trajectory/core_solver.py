@@ -81,6 +81,11 @@ class CoreSolver:
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
         self._parameters = np.arange(stages.variables) > durations[-1]
+        self._closer = _CLOSER * tolerance * min(1.0, _FEW / self._inequalities)
+        bounds = min(1e-8, self._closer)
+        self._exactly = {"tolerance": self._closer, "row_relaxation": 0.0, "bound_relaxation": bounds}
+        #: What solvers of others made of the problem, by solver.
+        self.made: dict[Any, Any] = {}
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -145,9 +150,7 @@ class CoreSolver:
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        closer = _CLOSER * self.tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": closer, "iterations": max_iterations, "row_relaxation": 0.0}
-        chosen["bound_relaxation"] = min(1e-8, closer)
+        closer, chosen = self._closer, {**self._exactly, "iterations": max_iterations}
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
         if not np.isfinite(violated):
@@ -158,13 +161,20 @@ class CoreSolver:
         if not isinstance(start, WarmStart):
             return self._outcome(call({**chosen, **options}, None, watch), units, given)
         warm = self._warm(start, point, units, given)
-        kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        outcome = self._outcome(kept, units, given, warm=True)
+        outcome = self.measured(start, given, units)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
         near = {"tolerance": min(_CLOSER * self.tolerance, _NEAR * closer), **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self._outcome(kept, units, given)
+
+    def measured(self, start: WarmStart, given: Given, units: StartUnits | None = None) -> Outcome:
+        """How far a point with multipliers is from the conditions of an optimum, in units that fit it if None."""
+        point = _arrays(start.point)
+        units = self.units(point, given) if units is None else units
+        warm = self._warm(start, point, units, given)
+        kept = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self._outcome(kept, units, given, warm=True)
 
     def _call(
         self,

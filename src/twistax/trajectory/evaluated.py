@@ -26,7 +26,7 @@ class Evaluated:
         self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
         self.H = np.zeros(stages.block_sizes(stages.columns))
         self._z, self._functions = np.ascontiguousarray(z), functions
-        self._failed = self._call("values", self.cost, self.c, self.h, self.e)
+        self.failed = self._call("values", self.cost, self.c, self.h, self.e)
         transcription.check()
 
     def _call(self, name: str, *arrays: Any) -> int:
@@ -38,14 +38,21 @@ class Evaluated:
     def differentiate(self) -> bool:
         """First derivatives, and the second ones of the cost; whether there are such."""
         zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]
-        failed = self._failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je)
-        return not (failed or self._call("hessians", 1.0, *zeros, self.H))
+        return self.jacobians() and not self._call("hessians", 1.0, *zeros, self.H)
+
+    def jacobians(self) -> bool:
+        """First derivatives; whether there are such."""
+        return not (self.failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je))
 
     def bends(self, y: Array, ye: Array) -> Array:
         """Second derivatives of y . h + ye . e."""
-        H = np.zeros_like(self.H)
-        self._call("hessians", 0.0, np.zeros_like(self.c), y, ye, H)
-        return H
+        return self.hessian(0.0, np.zeros_like(self.c), y, ye)
+
+    def hessian(self, weight: float, lam: Array, y: Array, ye: Array) -> Array:
+        """Second derivatives of weight cost + lam . c + y . h + ye . e; NaN where there are none."""
+        H, others = np.zeros_like(self.H), [np.ascontiguousarray(a) for a in (lam, y, ye)]
+        failed = self.failed or self._call("hessians", weight, *others, H)
+        return np.full_like(H, np.nan) if failed else H
 
     def blocks(self, flat: Array, rows: Any) -> list[Array]:
         """The matrices (rows, columns) of all stages."""

@@ -246,7 +246,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         return {
             k: v
             for k, v in self.__dict__.items()
-            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_solvers", "_cores")
+            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_cores")
         }
 
     def __setstate__(self, state: dict[str, Any]) -> None:

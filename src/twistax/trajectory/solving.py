@@ -28,7 +28,6 @@ from .mesh import Remeshed
 from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
-from .solver import Solver
 from .staged import Staged
 from .transcribed import Given, Point, Transcribed
 from .warm import WarmStart, warm_start, with_ends
@@ -117,7 +116,6 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._solvers: dict[float, Solver] = {}
         self._cores: dict[float, CoreSolver] = {}
 
     def solve(
@@ -220,18 +218,13 @@ class Solvable(ABC, Generic[One, Many]):
             if self._is_bounded and (warm is None or guesses > 1):
                 plain = self.started(*arguments, self._sizes(core, plain, given)).point
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
-            others = None if solver is None else self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None or others is None:
+                if solver is None:
                     return core.run(start, given, max_iterations, report)
-                accepted = core.run_once(start, given, 0) if isinstance(start, WarmStart) else None
-                if accepted is not None and accepted.status is Status.SOLVED:
-                    return accepted
-                begin = start if isinstance(start, WarmStart) else jax.device_put(start)
-                found: Outcome = solver.run(others, begin, jax.device_put(given), max_iterations, report)
+                found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
             for attempt in range(guesses):
@@ -328,15 +321,6 @@ class Solvable(ABC, Generic[One, Many]):
                     staged.drop(redundant_rows(staged, point, given), given)
                 self._cores[tolerance] = CoreSolver(staged, self.parts, given, tolerance)
         return self._cores[tolerance]
-
-    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """What measures results of solvers of others, compiled."""
-        if tolerance not in self._solvers:
-            with uncollected():
-                solver = Solver(self.shooting, tolerance)
-                solver.steps.prepare(point, given)
-            self._solvers[tolerance] = solver
-        return self._solvers[tolerance]
 
 
 def check_mesh_tolerance(size: Any) -> None:
