@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import enum
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -67,22 +68,22 @@ class Stages:
         if self.controls[-1] != 0:
             raise TrajectoryError(f"Stages: the last stage has no controls, got {self.controls[-1]}")
 
-    @property
+    @functools.cached_property
     def variables(self) -> int:
         """Entries of v."""
         return sum(self.states) + sum(self.controls) + self.parameters
 
-    @property
+    @functools.cached_property
     def points(self) -> int:
         """Entries of z, which has points in place of states."""
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
 
-    @property
+    @functools.cached_property
     def columns(self) -> list[int]:
         """Columns of each stage's derivatives: x_k, u_k, p."""
         return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
 
-    @property
+    @functools.cached_property
     def after(self) -> list[int]:
         """States of the stage after each one."""
         return [*self.states[1:], 0]

@@ -160,19 +160,20 @@ class CoreSolver:
         watch = _watch(callback, max_seconds)
         if not isinstance(start, WarmStart):
             return self._outcome(call({**chosen, **options}, None, watch), units, given)
-        warm = self._warm(start, point, units, given)
-        outcome = self.measured(start, given, units)
+        warm = self._warm(point, start.dynamics, start.rows)
+        outcome = self.measured(point, start.dynamics, start.rows, given, units)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
         near = {"tolerance": min(_CLOSER * self.tolerance, _NEAR * closer), **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self._outcome(kept, units, given)
 
-    def measured(self, start: WarmStart, given: Given, units: StartUnits | None = None) -> Outcome:
+    def measured(
+        self, point: Point, dynamics: Array, rows: Array, given: Given, units: StartUnits | None = None
+    ) -> Outcome:
         """How far a point with multipliers is from the conditions of an optimum, in units that fit it if None."""
-        point = _arrays(start.point)
         units = self.units(point, given) if units is None else units
-        warm = self._warm(start, point, units, given)
+        warm = self._warm(point, dynamics, rows)
         kept = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
         return self._outcome(kept, units, given, warm=True)
 
@@ -203,10 +204,15 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
+    @property
+    def is_decided(self) -> bool:
+        """Whether ends alone decide a row."""
+        return bool((self.transcribed.decided & ~self.transcribed.pinned).any())
+
     def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         own = self.transcribed
-        if not (own.decided & ~own.pinned).any():
+        if not self.is_decided:
             return 0.0
         rows = self.close_look.decided_rows(self.staged.flat(point), given)
         violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self._row_sizes(units)
@@ -221,11 +227,11 @@ class CoreSolver:
             sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
-    def _warm(self, start: WarmStart, point: Point, units: StartUnits, given: Given) -> Solution:
+    def _warm(self, point: Point, dynamics: Array, rows: Array) -> Solution:
         """The multipliers of a warm start for the core."""
         staged, stages = self.staged, self.staged.transcription.stages
-        y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
-        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(start.dynamics), stages.after)])
+        y, ye, zl, zu = staged.split_rows(np.asarray(rows))
+        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(dynamics), stages.after)])
         at = Evaluated(staged.transcription, staged.flat(point))
         z, v = staged.flat(point), staged.coordinates(point)
         return Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, np.zeros((0, 10)))

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ctypes
+import functools
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -21,13 +23,35 @@ class Evaluated:
         self.stages = stages
         self.cost, self.c = np.zeros(1), np.zeros(sum(stages.after))
         self.h, self.e = np.zeros(sum(stages.inequalities)), np.zeros(sum(stages.equalities))
-        self.gradient = np.zeros(stages.variables)
-        counts = (stages.after, stages.inequalities, stages.equalities)
-        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
-        self.H = np.zeros(stages.block_sizes(stages.columns))
         self._z, self._functions = np.ascontiguousarray(z), functions
         self.failed = self._call("values", self.cost, self.c, self.h, self.e)
         transcription.check()
+
+    @functools.cached_property
+    def gradient(self) -> Array:
+        """Of the cost, by v."""
+        return np.zeros(self.stages.variables)
+
+    @functools.cached_property
+    def F(self) -> Array:
+        """Matrices of the defects, one stage after the other, as those of the rows and of second derivatives are."""
+        return self._blocks(self.stages.after)
+
+    @functools.cached_property
+    def Jh(self) -> Array:
+        return self._blocks(self.stages.inequalities)
+
+    @functools.cached_property
+    def Je(self) -> Array:
+        return self._blocks(self.stages.equalities)
+
+    @functools.cached_property
+    def H(self) -> Array:
+        """Of the cost."""
+        return self._blocks(self.stages.columns)
+
+    def _blocks(self, rows: Sequence[int]) -> Array:
+        return np.zeros(self.stages.block_sizes(rows))
 
     def _call(self, name: str, *arrays: Any) -> int:
         kinds = [ctypes.c_double if isinstance(a, float) else _POINTER for a in arrays]
@@ -50,7 +74,7 @@ class Evaluated:
 
     def hessian(self, weight: float, lam: Array, y: Array, ye: Array) -> Array:
         """Second derivatives of weight cost + lam . c + y . h + ye . e; NaN where there are none."""
-        H, others = np.zeros_like(self.H), [np.ascontiguousarray(a) for a in (lam, y, ye)]
+        H, others = self._blocks(self.stages.columns), [np.ascontiguousarray(a) for a in (lam, y, ye)]
         failed = self.failed or self._call("hessians", weight, *others, H)
         return np.full_like(H, np.nan) if failed else H
 

@@ -21,7 +21,6 @@ from ..checks import number, short
 from ..errors import TrajectoryError
 from . import strategies
 from .core_solver import CoreSolver
-from .iterate import Scales
 from .outcome import Callback, Outcome
 from .program import Program
 from .transcribed import Given, Point
@@ -114,14 +113,15 @@ class _Casadi:
         self, core: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
-        begun = core.run_once(start, given, 0)
-        if begun.status is not Status.MAX_ITERATIONS:
-            return begun
+        if isinstance(start, WarmStart) or core.is_decided:
+            begun = core.run_once(start, given, 0)
+            if begun.status is not Status.MAX_ITERATIONS:
+                return begun
         count, due = 0, time.monotonic() + (self.max_seconds or np.inf)
 
         def search(begin: Point | WarmStart) -> Outcome:
             nonlocal count
-            run = _Run(core, given, begun.scales, max_iterations - count, due)
+            run = _Run(core, given, max_iterations - count, due)
             found = self._search(run, begin, _counted(callback, count))
             count += found.iterations
             return found
@@ -149,8 +149,7 @@ class _Casadi:
             if not np.isfinite(attempt.x).all():
                 return core.run_once(here, given, 0)._replace(status=Status.NON_FINITE, iterations=count)
             reached = made.program.reached(attempt.x, attempt.of_bounds, attempt.of_rows)
-            end = WarmStart(None, reached.point, reached.dynamics, reached.rows, run.scales, given.params)
-            found = core.measured(end, given)._replace(iterations=count)
+            found = core.measured(reached.point, reached.dynamics, reached.rows, given)._replace(iterations=count)
             status = run.ended(found, attempt.word)
             if status is not None:
                 return found._replace(status=status)
@@ -160,7 +159,7 @@ class _Casadi:
             if not attempt.success:  # the units of the statement may be what it failed by
                 units, here = core.units(_point(start), given), start
                 continue
-            here = end
+            here = strategies.warm_at(found, given)
             if not turned:
                 units = core.units(reached.point, given)
         return run.at_rest(found)
@@ -181,7 +180,6 @@ class _Run:
 
     core: CoreSolver
     given: Given
-    scales: Scales
     left: int
     due: float
 

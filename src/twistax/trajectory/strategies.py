@@ -94,7 +94,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     if result.status is Status.MAX_ITERATIONS and fits:
         result = solve(start, given, most=_LONG * _PATIENCE)  # it was on its way
         if result.status is Status.MAX_ITERATIONS and _is_close(result, solver.tolerance):
-            again = solve(_warm(result, given), given)
+            again = solve(warm_at(result, given), given)
             result = again if again.status in AT_OPTIMUM else result
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
@@ -107,7 +107,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
             break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(_warm(result, given) if near else result.point, given, floor)
+        again = solve(warm_at(result, given) if near else result.point, given, floor)
         if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
@@ -122,7 +122,7 @@ def _is_close(result: Outcome, tolerance: float) -> bool:
     return result.violation <= tolerance and result.errors.stationarity <= _CLOSE * tolerance
 
 
-def _warm(result: Outcome, given: Given) -> WarmStart:
+def warm_at(result: Outcome, given: Given) -> WarmStart:
     """A start at a result."""
     return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, given.params)
 
