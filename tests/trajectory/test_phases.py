@@ -2,7 +2,6 @@
 
 import functools
 import pickle
-from types import SimpleNamespace
 from typing import Any
 
 import jax
@@ -11,10 +10,7 @@ import pytest
 from trajectory_systems import EULER, HEUN, quick_jit
 
 import twistax as tx
-from twistax.precision import in_double
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
-from twistax.trajectory.interior_point import InteriorPoint
-from twistax.trajectory.scaling import unit_scales
 from twistax.trajectory.transcribed import Point, Step
 
 G0 = 9.80665
@@ -63,26 +59,11 @@ def with_a_free_jump() -> Problem:
     return Problem([first, last], links=[{x: None}])
 
 
-def test_steps_of_controls_are_measured_by_phase() -> None:
-    """Thirty scales far, which are 1,000 in the first of two phases, and 1 in the second and of the jump between."""
-    shooting = with_a_free_jump().shooting
-    method, unit, first = InteriorPoint(shooting, 1e-6), unit_scales(shooting), shooting.joins[0].stage
-    unit.u[:first] = 1e3
-    state = SimpleNamespace(point=SimpleNamespace(us=0.0 * unit.u, border=np.ones_like(unit.border)), scales=unit)
-    for stage in range(shooting.intervals):
-        step = Step(0.0 * unit.d, np.zeros_like(unit.u), 0.0 * unit.border)
-        step.u[stage] = 60.0
-        assert float(method.in_chart(step, state)) == pytest.approx(0.5), stage
-
-
 def test_a_free_jump_is_no_control_without_a_limit() -> None:
     problem = with_a_free_jump()
     result = problem.solve()
     assert result.solved
     assert result.cost == pytest.approx(0.0, abs=1e-9)
-    with in_double():
-        point, given, *_ = problem.started()
-        assert bool(problem._solver(1e-6, point, given).steps.opened(point, given).bound)
 
 
 def test_time_goes_on_from_phase_to_phase() -> None:

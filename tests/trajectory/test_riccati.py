@@ -1,15 +1,11 @@
 """The recursion over stages against dense linear algebra on the same quadratic problem."""
 
-import functools
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.lowering.array_call import array_call
-from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, refined, solve
+from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, solve
 from twistax.trajectory.transcribed import Derivatives
 
 INTERVALS, N, M, BORDER, ROWS, END_ROWS = 4, 3, 2, 2, 3, 2
@@ -74,19 +70,6 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
 
 
 factors_of, solution_of = jax.jit(factorize), jax.jit(solve)
-
-
-def test_a_kernel_computes_the_same() -> None:
-    stages = quadratic(1, 8.0, None, FREE["free start"])
-    constants = jnp.ones((INTERVALS, N)), Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
-
-    def whole(stages: Stages) -> tuple[Any, Any]:
-        factors = factorize(stages)
-        return factors, refined(stages, factors, *constants)
-
-    expected = jax.jit(whole)(stages)
-    found = jax.jit(lambda stages: array_call(whole, stages))(stages)
-    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), found, expected)
 
 
 def test_a_solution_has_its_derivative_backward_too() -> None:

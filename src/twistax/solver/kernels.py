@@ -90,7 +90,6 @@ class BatchKernel:
         callback = _Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
-
     def rows(self, z: Array, size: int) -> Array:
         """(count, size) the results for rows (count, n) of its first argument, where it reads no other."""
         z, result, reads = np.ascontiguousarray(z, float), np.zeros((len(z), size)), self.structure.reads

@@ -21,7 +21,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..lowering.array_call import array_call
 from .iterate import FILTER, Errors, Scales, State
 from .riccati import Rows, Stages, along_rows, factorize, of_stages, refined, to_step
 from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values
@@ -279,7 +278,7 @@ class InteriorPoint:
                 tilt - barrier * jnp.where(inequality, d_slack / slack, 0.0).sum(),
             )
 
-        direction = jax.jit(lambda *own: array_call(computed, *own))  # traced once
+        direction = jax.jit(computed)  # traced once
 
         search = self._search(state, given, values, direction)
         found, done, first = search.found, search.done, search.first
@@ -411,7 +410,7 @@ class InteriorPoint:
             damping = jnp.where(tries == 0, 0.0, jnp.where(tries == 1, start, grow * damping))
             return damping, factors(damping), tries + 1
 
-        factors = jax.jit(lambda damping: array_call(lambda own: factorize(stages(own)), damping))  # traced once
+        factors = jax.jit(lambda damping: factorize(stages(damping)))  # traced once
         zero = jnp.zeros_like(last)
         none = jax.tree.map(jnp.zeros_like, jax.eval_shape(factors, zero))
         wrong = lambda c: ~c[1].exist & (c[0] < _MOST_DAMPING)  # noqa: E731

@@ -192,13 +192,6 @@ class Joined(Transcribed):
             us = us.at[join.stage, : len(join.free)].add(-jnp.asarray(step.d)[join.stage + 1, join.free])
         return Point(tuple(xs), us, point.border + step.border)
 
-    def charts(self, xs: Any, d: jax.Array) -> jax.Array:
-        found = jnp.tile(jnp.eye(self.n, dtype=d.dtype), (self.nodes, 1, 1))
-        for part in self.segments:
-            n, nodes = part.shooting.n, part.nodes
-            found = found.at[nodes, :n, :n].set(part.shooting.charts(xs[part.number], d[nodes, :n]))
-        return found
-
     def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
         cost = jnp.zeros((), point.us.dtype)
         defects = jnp.zeros((self.intervals, self.n), cost.dtype)

@@ -8,7 +8,6 @@ from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
-import numpy as np
 from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
@@ -138,13 +137,6 @@ class Transcribed(ABC):
     segments: Sequence[Segment]
     joins: Sequence[Any]
 
-    @functools.cached_property
-    def steered(self) -> Array:
-        """(intervals, m) which controls are free; jumps between phases, which stand among them, are none."""
-        found = np.array(self.free.u)
-        found[[join.stage for join in self.joins]] = False
-        return found
-
     def along(self, us: jax.Array) -> jax.Array:
         """(intervals, m) the largest of each column along its phase, of jumps in their place alone."""
         stages = [part.stages for part in self.segments] + [slice(j.stage, j.stage + 1) for j in self.joins]
@@ -178,10 +170,6 @@ class Transcribed(ABC):
         self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
     ) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
-
-    @abstractmethod
-    def charts(self, xs: Any, d: jax.Array) -> jax.Array:
-        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
 
     @property
     @abstractmethod
