@@ -2346,12 +2346,6 @@ MUTATIONS: list[Mutation] = [
             "us.max(axis=0, keepdims=True)",
             "trajectory/test_phases.py",
         ),
-        (
-            "jumps between phases as controls",
-            "found[[join.stage for join in self.joins]] = False",
-            "found[[join.stage for join in self.joins]] = True",
-            "trajectory/test_phases.py",
-        ),
     ),
     *_at(
         "trajectory/smooth.py",
