@@ -161,16 +161,16 @@ class Shooting(Transcribed):
 
     # ---- values -------------------------------------------------------------------------------------------------
 
-    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+    def values(self, point: Point, given: Given) -> Values:
+        """Cost, defects and rows at a point."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), point.us.dtype)
         slots, shared = self._slots(point), (point.border, given.params)
         rolled = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(slots, left, d[:-1], point.us, *shared)
         rows, costs = jax.vmap(self._interval.at_points, in_axes=(0, 0, 0, 0, None, None))(
             slots, left, rolled, point.us, *shared
         )
-        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right) - d[1:]
+        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right)
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
@@ -260,12 +260,10 @@ class Shooting(Transcribed):
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
-    def derivatives(
-        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
-    ) -> Derivatives:
+    def derivatives(self, point: Point, y: jax.Array, w: jax.Array, given: Given) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), y.dtype)
         split = self.intervals * self.rows_per_interval
         inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self.layout.asked)], axis=1)
         found = jax.vmap(self._interval.derivatives, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(

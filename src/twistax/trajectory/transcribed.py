@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -137,13 +136,6 @@ class Transcribed(ABC):
     segments: Sequence[Segment]
     joins: Sequence[Any]
 
-    def along(self, us: jax.Array) -> jax.Array:
-        """(intervals, m) the largest of each column along its phase, of jumps in their place alone."""
-        stages = [part.stages for part in self.segments] + [slice(j.stage, j.stage + 1) for j in self.joins]
-        for own in stages:
-            us = us.at[own].set(us[own].max(axis=0, keepdims=True))
-        return us
-
     @abstractmethod
     def drop(self, rows: Sequence[Array]) -> None:
         """Take rows out, those of each phase that others decide; they are only checked."""
@@ -151,25 +143,6 @@ class Transcribed(ABC):
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
         """What an entry of the defects is called, and where it is."""
-
-    @abstractmethod
-    def move(self, point: Point, step: Step) -> Point:
-        """The point after a step."""
-
-    @functools.cached_property
-    def moved(self) -> Callable[[Point, Step], Point]:
-        """The same, compiled."""
-        return jitted(self.move, 0)
-
-    @abstractmethod
-    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
-
-    @abstractmethod
-    def derivatives(
-        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
-    ) -> Derivatives:
-        """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
 
     @property
     @abstractmethod
