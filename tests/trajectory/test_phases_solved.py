@@ -90,7 +90,7 @@ def test_by_solvers_of_others(solver: Any) -> None:
     result = problem().solve(solver=solver)
     assert result.solved
     ours = problem().solve(tolerance=1e-7)
-    assert result.cost == pytest.approx(ours.cost, rel=1e-7)
+    assert result.cost == pytest.approx(ours.cost, rel=5e-7)  # they relax limits by 1e-8
     for own, other in zip(result.phases, ours.phases):
         np.testing.assert_allclose(own.xs["p"], other.xs["p"], atol=1e-5)
     np.testing.assert_allclose(result.phases[1].xs["w"], ours.phases[1].xs["w"], atol=1e-5)
