@@ -2107,18 +2107,6 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "trajectory/joined.py",
         (
-            "joins without second derivatives",
-            "bends = join.gap.bends(y[stages.stop, :count], *around)",
-            "bends = 0.0 * join.gap.bends(y[stages.stop, :count], *around)",
-            "trajectory/test_phases.py",
-        ),
-        (
-            "joins that forget the step of the next node",
-            "set(gap - step)",
-            "set(gap)",
-            "trajectory/test_phases_solved.py",
-        ),
-        (
             "limits asked twice at a join",
             "        if same and after.path.at_nodes()[row]:",
             "        if False:",
@@ -2276,6 +2264,27 @@ MUTATIONS: list[Mutation] = [
             "known = None if sizes is None else sizes(",
             "known = None if True else sizes(",
             "trajectory/test_far_starts.py",
+        ),
+    ),
+    *_at(
+        "trajectory/program.py",
+        (
+            "joins that forget the step of the next node",
+            "at.c[defect] = v[control] - v[after]",
+            "at.c[defect] = v[control]",
+            "trajectory/test_phases.py::test_all_derivatives_of_joined_phases",
+        ),
+        (
+            "second derivatives of the dynamics with another sign",
+            "at.hessian(weight / self._cost_unit, -lam, y, ye)",
+            "at.hessian(weight / self._cost_unit, lam, y, ye)",
+            "trajectory/test_phases.py::test_all_derivatives_of_joined_phases",
+        ),
+        (
+            "multipliers about where nodes were",
+            "np.linalg.solve(matrix.T, dynamics[k - 1, :n])",
+            "dynamics[k - 1, :n]",
+            "trajectory/test_external.py::test_multipliers_follow_the_charts",
         ),
     ),
     *_at(

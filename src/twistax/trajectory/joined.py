@@ -108,12 +108,11 @@ class Joined(Transcribed):
 
     def _describe(self) -> None:
         d, u = np.zeros((self.nodes, self.n), bool), np.zeros((self.intervals, self.m), bool)
-        self.turns, self.stirred = np.zeros_like(d), np.zeros_like(d)
+        self.stirred = np.zeros_like(d)
         for part in self.segments:
             own = part.shooting
             self.stirred[part.nodes, : own.n] = own.stirred
             d[part.nodes, : own.n], u[part.stages, : own.m] = own.free.d, own.free.u
-            self.turns[part.nodes, : own.n] = own.turns
         for join in self.joins:
             u[join.stage, : len(join.free)] = True
         self.free = Step(d, u, self.border.free)

@@ -49,6 +49,7 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         states: names of the states' tangents.
+        turns: (n,) which tangents are rotations.
         alike: state -> the one whose scale it has, in this phase or in the first.
     """
 

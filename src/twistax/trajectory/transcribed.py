@@ -113,7 +113,6 @@ class Transcribed(ABC):
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
             decides are looked at where a search starts.
-        turns: (n,) or (nodes, n) which tangents are rotations.
         segments, joins: the phases, and what is between them.
     """
 
@@ -132,7 +131,6 @@ class Transcribed(ABC):
     own: Array
     free: Step
     stirred: Array
-    turns: Array
     segments: Sequence[Segment]
     joins: Sequence[Any]
 
