@@ -165,9 +165,8 @@ class _Callback(casadi.Callback):
                 _read(result)[:] = numbers
         return 0
 
-    def run(self, *given: Array) -> list[Any]:
-        """The numbers of the results, of those of the arguments."""
-        raise NotImplementedError
+    #: The numbers of the results, of those of the arguments.
+    run: Callable[..., list[Any]]
 
     def get_name_in(self, i: int) -> str:
         return self._names[1][i] if self._names else f"i{i}"
@@ -294,12 +293,13 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
     made, nowhere = CasadiProgram(program, plugin, options), open(os.devnull, "w")  # noqa: SIM115
     while True:
         try:
-            seconds, start, own = pickle.load(inbox)
+            seconds, fields, own = pickle.load(inbox)
+            start: Any = SimpleNamespace(**fields)
         except EOFError:
             return
         faulthandler.dump_traceback_later(min(seconds, 1e6), exit=True, file=nowhere)
         try:
-            say("done", tuple(made.solve(SimpleNamespace(**start), own)))
+            say("done", tuple(made.solve(start, own)))
         except Refused as error:
             say("refused", str(error))
         faulthandler.cancel_dump_traceback_later()

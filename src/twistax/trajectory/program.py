@@ -178,8 +178,8 @@ class Program:
         self._x_units, self._row_units, self._cost_unit = np.ones(self.size), np.ones(self.count), 1.0
         if units is not None:
             self._x_units, self._cost_unit = self._of_v(units.v), units.cost
-            rows = (staged.after(units.v), units.rows, units.equalities)
-            self._row_units = self._of_rows(*rows, np.broadcast_to(units.border, self._copy_rows.shape))
+            own = (staged.after(units.v), units.rows, units.equalities)
+            self._row_units = self._of_rows(*own, np.broadcast_to(units.border, self._copy_rows.shape))
         lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(point, given))
         others = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough
         lower[others], upper[others] = -np.inf, np.inf
