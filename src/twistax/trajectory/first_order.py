@@ -22,15 +22,17 @@ from .riccati import Rows, of_stages, to_step
 from .shooting import Shooting
 from .transcribed import Derivatives, Given, Point, Step, Values
 
-#: Equations other than the dynamics hold to this times the change of their multipliers.
-_EQUALITY = 1e-8
+#: Rows hold to this times the change of their multipliers at least, in the factors: refinement takes it out.
+_SOFTEST = 1e-8
+#: The least multiplier of an inequality.
+_LEAST = 1e-30
 
 
 class FirstOrder:
     """The conditions of a problem.
 
     Attributes:
-        inequality, equality: (rows,) which rows are asked as such.
+        exists, inequality: (rows,) which rows are asked at all, and as inequalities.
         free_start: (n + g,) which entries of [d_0, b] may move.
     """
 
@@ -38,7 +40,6 @@ class FirstOrder:
         self._shooting = shooting
         self.exists = shooting.exists
         self.inequality = shooting.exists & ~shooting.equality
-        self.equality = shooting.exists & shooting.equality
         self.free_start = np.concatenate([shooting.free.d[0], shooting.free.border])
 
     def values(self, point: Point, given: Given, scales: Scales) -> Values:
@@ -81,10 +82,13 @@ class FirstOrder:
         whole = whole._replace(d=whole.d - jnp.concatenate([jnp.zeros_like(y[:1]), y]))
         return jax.tree.map(lambda a, free: jnp.where(free, a, 0.0), whole, self._shooting.free)
 
-    def weights(self, slack: jax.Array, rows: jax.Array) -> Rows:
-        """By how much the multiplier of a row grows with it, all scaled."""
-        grown = jnp.where(self.inequality, rows / slack, 0.0)
-        return self.split(jnp.where(self.equality, 1.0 / _EQUALITY, grown))
+    def softness(self, slack: jax.Array, rows: jax.Array) -> jax.Array:
+        """By how much a row gives way to its multiplier, s / w, all scaled; an equality does not."""
+        return jnp.where(self.inequality, slack / jnp.maximum(rows, _LEAST), 0.0)
+
+    def weights(self, softness: jax.Array) -> Rows:
+        """By how much the multiplier of a row grows with it, for factors that rounding leaves something of."""
+        return self.split(jnp.where(self.exists, 1.0 / jnp.maximum(softness, _SOFTEST), 0.0))
 
     def split(self, rows: Any) -> Rows:
         """Numbers of all rows as those of the intervals and of the end."""

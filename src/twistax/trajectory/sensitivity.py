@@ -241,7 +241,7 @@ class _Differentiable:
         conditions, scales, zero = FirstOrder(self._problem.shooting), found.scales, jnp.zeros(())
         point, given = self._given(found, theta)
         y, w = conditions.multipliers(found.dynamics, found.rows, scales)
-        weights = conditions.weights(jnp.where(conditions.inequality, found.slack / scales.rows, 1.0), w)
+        weights = conditions.weights(conditions.softness(found.slack / scales.rows, w))
         slopes = conditions.derivatives(point, y, w, given, scales)
         stages = Stages(slopes, weights, zero, conditions.free_start)
         factors = factorize(stages)
@@ -284,13 +284,12 @@ class _Differentiable:
             own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
             return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows)), moved, changed
 
-        weights = stages.weights
-        unequal = conditions.split(jnp.asarray(conditions.inequality))
-        softness = jax.tree.map(lambda w, own: jnp.where(own, 1.0 / jnp.where(own, w, 1.0), 0.0), weights, unequal)
+        _, w = conditions.multipliers(found.dynamics, found.rows, scales)
+        softness = conditions.split(conditions.softness(found.slack / scales.rows, w))
         still = _Moved(
             Step(*(jnp.zeros(np.shape(a)) for a in shooting.free)),
             jnp.zeros_like(found.dynamics),
-            jax.tree.map(jnp.zeros_like, weights),
+            jax.tree.map(jnp.zeros_like, softness),
         )
         # One loop body in place of two programs: what the last round moves on to is not used.
         none = _Residuals(still.step, still.dynamics, jnp.zeros_like(found.rows)), jnp.zeros_like(found.cost)
