@@ -25,9 +25,9 @@ from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
-#: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
-#: smaller where there are more inequalities than so many.
-_CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
+#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
+#: counts as a sum, so it is smaller where there are more inequalities than so many.
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
@@ -81,9 +81,10 @@ class CoreSolver:
         self._largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
-        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities)
-        self._exactly = {"tolerance": _CLOSER * tolerance, "complementarity": closer, "acceptable": tolerance}
-        self._exactly |= {"gap": _CLOSER * tolerance, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities) / _COST
+        self._exactly = {"tolerance": _CLOSER * tolerance / _COST, "violation": _CLOSER * tolerance}
+        self._exactly |= {"complementarity": closer, "gap": _CLOSER * tolerance, "acceptable": tolerance / _COST}
+        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
 
@@ -374,7 +375,7 @@ class _Watch:
         self.before, self.also = 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None:
+        if self._callback is not None and (iteration > 0 or self.before == 0):  # not twice in other units
             self._callback(self.before + iteration, cost, violation)
         return time.monotonic() > self._due or self.also(iteration, z)
 

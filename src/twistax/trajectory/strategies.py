@@ -31,8 +31,8 @@ _NOISE = 100.0
 _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
-#: The share of all iterations that one run may take: some are left for other strategies.
-_MOST = 0.5
+#: Iterations that one run may take: those left of the default are for other strategies.
+_MOST = 500
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -49,10 +49,10 @@ def solved(
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         nonlocal count
-        before, most = count, min(round(_MOST * max_iterations), max(max_iterations - count, 0))
+        before, most = count, min(_MOST, max(max_iterations - count, 0))
         later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
         found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
-        count += found.iterations
+        count += min(found.iterations, most)
         return found
 
     def near(begin: Any, given: Given) -> Outcome:
