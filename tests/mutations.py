@@ -1468,6 +1468,66 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "solver/kernels.py",
+        (
+            "numbers of the first problem",
+            "given[self._place] = numbers[None]",
+            'given[self._place] = self.__dict__.setdefault("_first", numbers[None])',
+            "trajectory/test_numbers.py",
+        ),
+    ),
+    *_at(
+        "expr/without_numbers.py",
+        (
+            "exponents as numbers",
+            "or (isinstance(parent, Power) and k == 1)",
+            "or (isinstance(parent, Power) and k == 2)",
+            "expr/test_without_numbers.py",
+        ),
+        (
+            "known entries of numbers first",
+            "len(own) + np.arange(self.free.size)",
+            "np.arange(self.free.size)",
+            "expr/test_without_numbers.py",
+        ),
+        (
+            "shapes that a structure forgets",
+            'return ("numbers", child.shape, free.tobytes()',
+            'return ("numbers", free.tobytes()',
+            "expr/test_without_numbers.py",
+        ),
+        (
+            "numbers between that a structure forgets",
+            ", freeze(child.value.ravel()[~free]))",
+            ", ())",
+            "expr/test_without_numbers.py",
+        ),
+    ),
+    *_at(
+        "trajectory/alike.py",
+        (
+            "names that stand for any state",
+            "return (type(leaf), self.named[leaf.name], leaf.shape) if known",
+            "return (type(leaf), leaf.shape) if known",
+            "trajectory/test_numbers.py",
+        ),
+        (
+            "limits of another side",
+            "(self.named[b.leaf], b.entry, b.sign)",
+            "(self.named[b.leaf], b.entry)",
+            "trajectory/test_numbers.py",
+        ),
+    ),
+    *_at(
+        "lowering/scalar/before.py",
+        (
+            "what two arguments decide counts as of one",
+            "and found.issuperset(sources)",
+            "and not found.isdisjoint(sources)",
+            "trajectory/test_numbers.py",
+        ),
+    ),
+    *_at(
         "integrators/solution.py",
         (
             "state of the step before",

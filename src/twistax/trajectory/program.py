@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
+from ..solver.kernels import Argument
 from .evaluated import Evaluated, moved
 from .staged import Part, Staged
 from .start_units import StartUnits
@@ -220,7 +221,7 @@ class Program:
         turn, n = part.phase.kernels.turn, part.shooting.n
         if turn is None:
             return
-        matrices = turn.rows(-d, n * n).reshape(-1, n, n)
+        matrices = turn(len(d), n * n, {Argument.Z: -d}).reshape(-1, n, n)
         for k, matrix in zip(range(part.stages.start, part.stages.stop), matrices):
             if k > 0:
                 dynamics[k - 1, :n] = np.linalg.solve(matrix.T, dynamics[k - 1, :n])

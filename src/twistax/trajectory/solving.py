@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -35,6 +36,9 @@ from .watch import Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
+
+#: Threads that solve one problem make its first solver once: that decides which rows there are.
+_MAKING = threading.RLock()
 
 One = TypeVar("One")
 Many = TypeVar("Many")
@@ -116,7 +120,7 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._cores: dict[float, CoreSolver] = {}
+        self._cores: dict[tuple[float, int], CoreSolver] = {}
 
     def solve(
         self,
@@ -141,7 +145,10 @@ class Solvable(ABC, Generic[One, Many]):
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -177,8 +184,8 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Every mesh compiles. The status is COARSE, too, where a thousand
-                nodes are not enough.
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -234,7 +241,7 @@ class Solvable(ABC, Generic[One, Many]):
                     start = core.perturbed(plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
-                    found = held(self, found, given, own, run, between)
+                    found = held(self, found, given, own, run, between, core.staged)
                 exceeded = tolerance if between is None else max(tolerance, between)
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
@@ -312,15 +319,16 @@ class Solvable(ABC, Generic[One, Many]):
         return found
 
     def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
-        """The solver; its kernels compile once."""
-        if tolerance not in self._cores:
-            with uncollected():
-                staged = next((core.staged for core in self._cores.values()), None)
-                if staged is None:
-                    staged = Staged(self.shooting, self.parts, given)
+        """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
+        key = (tolerance, threading.get_ident())
+        if key not in self._cores:
+            with _MAKING, uncollected():
+                first = next((core.staged for core in self._cores.values()), None)
+                staged = Staged(self.shooting, self.parts, given) if first is None else first.alone(given)
+                if first is None:
                     staged.drop(redundant_rows(staged, point, given), given)
-                self._cores[tolerance] = CoreSolver(staged, self.parts, given, tolerance)
-        return self._cores[tolerance]
+                self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
+        return self._cores[key]
 
 
 def check_mesh_tolerance(size: Any) -> None:
