@@ -49,7 +49,7 @@ def solved(solver: CoreSolver, start: Point | WarmStart, given: Given, budget: B
         most = min(_MOST, budget.left)
         found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated)
         budget.used += min(found.iterations, most)
-        return found if found.status is not Status.STOPPED else found._replace(status=budget.ended)
+        return found._replace(status=budget.ended or found.status) if found.status is Status.STOPPED else found
 
     def near(begin: Any, given: Given) -> Outcome:
         first = in_fitting_units(solver, once, begin, given)
