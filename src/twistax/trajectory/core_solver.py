@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import copy
 import functools
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -16,10 +15,11 @@ from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
 from . import strategies
 from .accuracy import Judge
+from .budget import Budget
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
-from .outcome import Callback, Outcome
+from .outcome import Outcome
 from .staged import Staged
 from .start_units import StartUnits
 from .transcribed import Given, Point, Step, Values
@@ -56,7 +56,7 @@ _STATUS = {
     CoreStatus.MAX_ITERATIONS: Status.MAX_ITERATIONS,
     CoreStatus.INFEASIBLE: Status.INFEASIBLE,
     CoreStatus.NON_FINITE: Status.NON_FINITE,
-    CoreStatus.STOPPED: Status.OUT_OF_TIME,
+    CoreStatus.STOPPED: Status.STOPPED,
     CoreStatus.UNBOUNDED: Status.UNBOUNDED,
 }
 
@@ -82,6 +82,12 @@ class CoreSolver:
         self.largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
+        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities) / COST
+        self._exactly = {"tolerance": _CLOSER * tolerance / COST, "violation": _CLOSER * tolerance}
+        self._exactly |= {"complementarity": closer, "gap": _CLOSER * tolerance, "acceptable": tolerance / COST}
+        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        #: What solvers of others made of the problem, by solver.
+        self.made: dict[Any, Any] = {}
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -94,17 +100,11 @@ class CoreSolver:
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
-        tolerance = _CLOSER * self.tolerance
-        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities) / COST
-        chosen = {"tolerance": tolerance / COST, "violation": tolerance, "complementarity": closer, "gap": tolerance}
-        chosen["acceptable"] = self.tolerance / COST
-        return chosen | {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        return {**self._exactly, "iterations": max_iterations}
 
-    def run(
-        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
-    ) -> Outcome:
+    def run(self, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
         """Solve from a start, with the strategies."""
-        return strategies.solved(self, start, given, max_iterations, callback)
+        return strategies.solved(self, start, given, budget)
 
     def moved(self, point: Point, step: Step) -> Point:
         """A point after a step."""
@@ -142,8 +142,7 @@ class CoreSolver:
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
-        callback: Callback | None = None,
-        max_seconds: float | None = None,
+        budget: Budget | None = None,
         cost_floor: float = 0.0,
         as_stated: bool = False,
         **options: float,
@@ -165,19 +164,30 @@ class CoreSolver:
             return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
             return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
-        watch = _Watch(callback, max_seconds)
+        watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
-        warm, violated = self._warm(start, point, units)
+        warm, violated = self._warm(point, start.dynamics, start.rows, units)
         if violated <= self.tolerance:
-            kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-            outcome = self.outcome(kept, units, given, warm=True)
+            outcome = self._as_it_is(warm, point, given, units)
             if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
                 return outcome
-        closer = min(chosen["violation"], _NEAR * chosen["complementarity"])
+        closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
         near = {"complementarity": closer, **_near(violated)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self.outcome(kept, units, given)
+
+    def measured(
+        self, point: Point, dynamics: Array, rows: Array, given: Given, units: StartUnits | None = None
+    ) -> Outcome:
+        """How far a point with multipliers is from the conditions of an optimum, in units that fit it if None."""
+        units = self.units(point, given) if units is None else units
+        return self._as_it_is(self._warm(point, dynamics, rows, units)[0], point, given, units)
+
+    def _as_it_is(self, warm: Solution, point: Point, given: Given, units: StartUnits) -> Outcome:
+        """How far a warm start is from the conditions of an optimum."""
+        kept = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self.outcome(kept, units, given, warm=True)
 
     def _from_point(
         self,
@@ -240,10 +250,15 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
+    @property
+    def is_decided(self) -> bool:
+        """Whether ends alone decide a row."""
+        return bool((self.transcribed.decided & ~self.transcribed.pinned).any())
+
     def violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         own = self.transcribed
-        if not (own.decided & ~own.pinned).any():
+        if not self.is_decided:
             return 0.0
         rows = self.close_look.decided_rows(self.staged.flat(point), given)
         violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self._row_sizes(units)
@@ -258,11 +273,11 @@ class CoreSolver:
             sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
-    def _warm(self, start: WarmStart, point: Point, units: StartUnits) -> tuple[Solution, float]:
+    def _warm(self, point: Point, dynamics: Array, rows: Array, units: StartUnits) -> tuple[Solution, float]:
         """A warm start for the core, and the largest violation there in the core's units."""
         staged, stages = self.staged, self.staged.transcription.stages
-        y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
-        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(start.dynamics), stages.after)])
+        y, ye, zl, zu = staged.split_rows(np.asarray(rows))
+        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(dynamics), stages.after)])
         z, v = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, z)
         parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
@@ -361,21 +376,19 @@ def _near(violated: float) -> dict[str, float]:
 
 
 class _Watch:
-    """What is called before each iteration: Python sees signals there, and the time.
+    """What is called before each iteration: Python sees signals there, and what a solve may take.
 
     Attributes:
         before: iterations before this call of the core.
         also: asked then, too; whether the core should stop.
     """
 
-    def __init__(self, callback: Callback | None, max_seconds: float | None) -> None:
-        self._callback, self._due = callback, np.inf if max_seconds is None else time.monotonic() + max_seconds
-        self.before, self.also = 0, lambda iteration, z: False
+    def __init__(self, budget: Budget) -> None:
+        self.budget, self.before, self.also = budget, 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None and (iteration > 0 or self.before == 0):  # not twice in other units
-            self._callback(self.before + iteration, cost, violation)
-        return time.monotonic() > self._due or self.also(iteration, z)
+        is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.also(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

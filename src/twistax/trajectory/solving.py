@@ -20,6 +20,7 @@ from ..walk import uncollected
 from .accuracy import MESH
 from .between import held
 from .border import Border
+from .budget import Budget
 from .cases import Cases, prepared
 from .core_solver import CoreSolver
 from .external import SolvedBy
@@ -29,7 +30,6 @@ from .mesh import Remeshed
 from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
-from .solver import Solver
 from .staged import Staged
 from .transcribed import Given, Point, Transcribed
 from .warm import WarmStart, warm_start, with_ends
@@ -123,7 +123,6 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._solvers: dict[float, Solver] = {}
         self._cores: dict[tuple[float, int], CoreSolver] = {}
 
     def solve(
@@ -141,6 +140,7 @@ class Solvable(ABC, Generic[One, Many]):
         seed: int | None = None,
         callback: Callback | None = None,
         max_iterations: int = 1000,
+        max_seconds: float | None = None,
         tolerance: float = 1e-6,
         solver: Any = None,
         between: float | None = None,
@@ -173,8 +173,11 @@ class Solvable(ABC, Generic[One, Many]):
                 parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
                 at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
                 large as its scale, and as the guess's gaps.
-            callback: called with (iteration, cost, violation) before each step.
+            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
+                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
             max_iterations: iterations a try may use.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
+                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
@@ -220,6 +223,11 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        if max_seconds is not None:
+            number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
+            if solver is not None:
+                raise TrajectoryError(f"max_seconds: give it to the solver, {type(solver).__name__}(max_seconds=...)")
+        budget = Budget(max_iterations, max_seconds, report)
         with in_double():
             begin = time.perf_counter()
             arguments = (guess, initial, final, params, final_time, final_time_guess, free)
@@ -231,21 +239,19 @@ class Solvable(ABC, Generic[One, Many]):
             if self._is_bounded and (warm is None or guesses > 1):
                 plain = self.started(*arguments, self._sizes(core, plain, given)).point
             first = plain if warmed is None else warmed
-            others = None if solver is None else self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None or others is None:
-                    return core.run(start, given, max_iterations, report)
-                accepted = core.run_once(start, given, 0) if isinstance(start, WarmStart) else None
-                if accepted is not None and accepted.status is Status.SOLVED:
-                    return accepted
-                begin = start if isinstance(start, WarmStart) else jax.device_put(start)
-                found: Outcome = solver.run(others, begin, jax.device_put(given), max_iterations, report)
+                if solver is None:
+                    budget.used = 0
+                    return core.run(start, given, budget)
+                found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
             for attempt in range(guesses):
+                if budget.ended is not None:
+                    break
                 start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
@@ -265,6 +271,7 @@ class Solvable(ABC, Generic[One, Many]):
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
+            asked["max_seconds"] = budget.seconds_left
             spent.append(problem.solve(warm=warm, between=between, **asked))
             return spent[-1]
 
@@ -340,15 +347,6 @@ class Solvable(ABC, Generic[One, Many]):
                     staged.drop(redundant_rows(staged, point, given), given)
                 self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
         return self._cores[key]
-
-    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """What measures results of solvers of others, compiled."""
-        if tolerance not in self._solvers:
-            with uncollected():
-                solver = Solver(self.shooting, tolerance)
-                solver.steps.prepare(point, given)
-            self._solvers[tolerance] = solver
-        return self._solvers[tolerance]
 
 
 def check_mesh_tolerance(size: Any) -> None:
