@@ -2392,7 +2392,7 @@ MUTATIONS: list[Mutation] = [
             "a program that no interrupt ends",
             "for name, function in _PYTHON.items():",
             "for name, function in ():",
-            "trajectory/test_solution_in_programs.py::test_an_interrupt_ends_a_program",
+            "trajectory/test_solution_in_programs.py::test_an_interrupt_ends_what_would_take_minutes",
         ),
     ),
     *_at(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import atexit
 import ctypes
 import math
 from typing import Any
@@ -28,6 +29,13 @@ _JOBS = 16 * 16
 _CALLED: list[Any] = []
 
 
+@atexit.register
+def _end_programs() -> None:
+    """End programs that still run where the process ends, of batches that nobody waits for."""
+    for form in _CALLED:
+        form.structure.stop = 1
+
+
 #: Functions of Python that the core calls, by the names of members.h.
 _PYTHON = {
     "lock": "PyGILState_Ensure",
@@ -47,6 +55,7 @@ class _Structure(ctypes.Structure):
         ("transcription", TranscriptionStructure),
         ("data", ctypes.c_int64),
         ("transposed", ctypes.c_int32),
+        ("stop", ctypes.c_int64),
         ("second", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in _PYTHON),
         ("jobs", ctypes.c_void_p),
@@ -86,6 +95,9 @@ class _Form:
         """A call of a program of XLA, of arrays (count, ...)."""
         if self not in _CALLED:
             _CALLED.append(self)
+            # A thread of XLA may be in the middle of a call when Python clears its modules.
+            for kept in (self, library()):
+                ctypes.pythonapi.Py_IncRef(ctypes.py_object(kept))
         threads = max(1, min(processors(), len(arguments[0])))
         shapes = [jax.ShapeDtypeStruct(shape, np.dtype(float)) for shape in (results, (threads, self._doubles))]
         handle = np.int64(ctypes.addressof(self.structure))

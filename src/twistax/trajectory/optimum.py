@@ -206,11 +206,12 @@ class Asked:
 
     def split(self, flat: Any) -> Move:
         *parts, cost = jnp.split(flat, np.cumsum(self.sizes[:-1]), axis=-1)
-        return Move(*parts, cost[..., 0])
+        v, lam, y, ye = parts
+        return Move(v, lam, y, ye, cost[..., 0])
 
     def solved(self, optimum: Optimum, side: Any) -> Any:
         """The move of an optimum for a right side, both flat; JAX differentiates it, and again."""
-        matvec = functools.partial(self._conditions, optimum)
+        matvec: Callable[[Any], Any] = functools.partial(self._conditions, optimum)
         curved = self._part.phase.kernels.retract is not None
         if side.dtype != np.float64:
             # The conditions are worth nothing in single precision. Of the equations JAX needs the solutions alone.

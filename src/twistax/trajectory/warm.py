@@ -107,7 +107,7 @@ def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Gi
     if shapes != expected:
         raise other_problem()
     own = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
-    same = warm.problem is problem and all(np.array_equal(warm.params.get(n), a) for n, a in given.params.items())
+    same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in given.params.items())
     return dataclasses.replace(warm, point=own, units=warm.units if same else None)
 
 

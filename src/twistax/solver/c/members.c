@@ -32,9 +32,12 @@ static size_t copy_phases(const twx_form *form, const double *data, double *memo
 
 size_t twx_form_memory(const twx_form *form) { return copy_phases(form, NULL, NULL) + twx_workspace_size(&form->problem); }
 
+static int32_t is_ended(const twx_form *form) { return __atomic_load_n(&form->stop, __ATOMIC_RELAXED) != 0; }
+
 static int32_t is_stopped(void *user, int32_t iteration, const double *z) {
   twx_form *const form = ((twx_user *)user)->form;
   (void)iteration, (void)z;
+  if (is_ended(form)) return 1;
   if (!form->signals) return 0;
   const int64_t now = (int64_t)time(NULL);
   if (__atomic_exchange_n(&form->second, now, __ATOMIC_RELAXED) == now) return 0;
@@ -76,6 +79,11 @@ static size_t side_of_moves(const twx_form *form) {
 
 static void solve_member(const twx_form *form, const double *row, double *result, double *memory) {
   const twx_sizes n = sizes_of(form);
+  if (is_ended(form)) {
+    const size_t count = result_of_solve(form);
+    for (size_t i = 0; i < count; i++) result[i] = i == count - 2 ? TWX_STOPPED : NAN;
+    return;
+  }
   const size_t used = copy_phases(form, row, memory);
   const double *const start = row + form->data, *const v = start + n.points;
   double *const z = result, *const s = z + n.points + n.variables, *const lambda = s + n.rows, *const y = lambda + n.defects;

@@ -19,6 +19,7 @@ typedef struct { /* read by all threads */
   twx_transcription transcription;  /* its phases are copied for each thread: their work, and their data in a solve */
   int64_t data;                     /* numbers of a row that kernels read; 0 where these are those of the phases */
   int32_t transposed;
+  int64_t stop;                     /* other than 0: every solve ends with TWX_STOPPED at once; another thread sets it */
   int64_t second;                   /* when signals were looked at last */
   /* Functions of Python, or NULL: PyGILState_Ensure, PyGILState_Release, PyErr_CheckSignals, PyErr_Clear and
    * PyErr_SetInterrupt. A solve asks for signals once a second, and ends with TWX_STOPPED where a handler raises: then
