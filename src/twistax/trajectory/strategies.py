@@ -81,12 +81,12 @@ def solved(
         return at_minimum(fitting(begin, given), given)
 
     def may_repeat(strategy: Strategy) -> bool:
-        is_open = result.status in _AT_REST and isinstance(start, Point) and not budget.is_spent
-        return is_open and strategy in strategies
+        return result.status in _AT_REST and not budget.is_spent and strategy in strategies
 
     result = near(start, given)
-    if result.status is Status.INFEASIBLE and result.iterations <= 1:  # before the first step
-        return result
+    at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
+    if at_once or not isinstance(start, Point):
+        return result._replace(iterations=budget.used)
     if may_repeat(Strategy.STATED_SCALES):
         stated = once(start, given, as_stated=True)  # the units of a statement are often well chosen
         if stated.status in AT_OPTIMUM:
