@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import copy
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,6 +22,7 @@ from .iterate import Errors, Scales
 from .outcome import Outcome
 from .staged import Staged
 from .start_units import StartUnits
+from .strategies import Strategy
 from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
@@ -102,9 +103,11 @@ class CoreSolver:
         """Options of the core for a start that is no warm one."""
         return {**self._exactly, "iterations": max_iterations}
 
-    def run(self, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
-        """Solve from a start, with the strategies."""
-        return strategies.solved(self, start, given, budget)
+    def run(
+        self, start: Point | WarmStart, given: Given, budget: Budget, used: Collection[Strategy] = tuple(Strategy)
+    ) -> Outcome:
+        """Solve from a start, with strategies."""
+        return strategies.solved(self, start, given, budget, used)
 
     def moved(self, point: Point, step: Step) -> Point:
         """A point after a step."""
@@ -145,6 +148,7 @@ class CoreSolver:
         budget: Budget | None = None,
         cost_floor: float = 0.0,
         as_stated: bool = False,
+        rescaling: bool = True,
         **options: float,
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
@@ -166,7 +170,8 @@ class CoreSolver:
             return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
         watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
-            return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
+            fitted = _FITTED_AT if rescaling and not as_stated else ()
+            return self._from_point(point, given, units, {**chosen, **options}, watch, fitted)
         warm, violated = self._warm(point, start.dynamics, start.rows, units)
         if violated <= self.tolerance:
             outcome = self._as_it_is(warm, point, given, units)

@@ -6,7 +6,7 @@ import dataclasses
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
@@ -31,6 +31,7 @@ from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
 from .staged import Staged
+from .strategies import Strategy
 from .transcribed import Given, Point, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
@@ -146,6 +147,7 @@ class Solvable(ABC, Generic[One, Many]):
         between: float | None = None,
         refine: Any = None,
         mesh_tolerance: float = MESH,
+        strategies: Collection[Any] = tuple(Strategy),
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -193,6 +195,8 @@ class Solvable(ABC, Generic[One, Many]):
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
                 `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
                 thousand nodes are not enough.
+            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
+                method alone. Solvers of others have some of their own.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -223,6 +227,9 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        for strategy in strategies:
+            if not isinstance(strategy, Strategy):
+                raise TrajectoryError(f"strategies expects members of tx.trajectory.Strategy, got {strategy!r}")
         if max_seconds is not None:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
             if solver is not None:
@@ -245,7 +252,7 @@ class Solvable(ABC, Generic[One, Many]):
             def run(start: Point | WarmStart, given: Given) -> Outcome:
                 if solver is None:
                     budget.used = 0
-                    return core.run(start, given, budget)
+                    return core.run(start, given, budget, strategies)
                 found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
@@ -268,6 +275,7 @@ class Solvable(ABC, Generic[One, Many]):
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
+        asked["strategies"] = strategies
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:

@@ -23,6 +23,7 @@ class StartUnits:
         rows, equalities, cost: of the rows and the objective.
     """
 
+    @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
     def __init__(self, staged: Staged, point: Point) -> None:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
