@@ -230,7 +230,7 @@ except KeyboardInterrupt:
 @pytest.mark.parametrize("way", ["in turn", "at once"])
 def test_an_interrupt_ends_what_would_take_minutes(way: str) -> None:
     begin = time.monotonic()
-    done = subprocess.run([sys.executable, "-c", INTERRUPTED, way], capture_output=True, text=True, timeout=120)
+    done = subprocess.run([sys.executable, "-c", INTERRUPTED, way], capture_output=True, text=True, timeout=60)
     assert done.returncode == 0, done.stderr
     assert "interrupted after" in done.stdout
-    assert time.monotonic() - begin < 45.0
+    assert time.monotonic() - begin < 50.0
