@@ -72,6 +72,10 @@ class NormControls:
     controls: tuple[Control, ...]
     sizes: tuple[Expr, ...]
 
+    def asked(self, name: str, residual: Expr, is_equality: bool) -> list[tuple[Expr, bool]]:
+        """The residuals that stand for that of a constraint along the path, and which are equalities."""
+        return [(residual, is_equality)]
+
     @property
     def rows(self) -> list[tuple[str, Expr]]:
         """Smooth rows, <= 0, that say so, with a name."""
@@ -80,7 +84,7 @@ class NormControls:
 
     def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
         """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
-        if not self.controls:
+        if not self.sizes:
             return []
         return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
 

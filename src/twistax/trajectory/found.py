@@ -75,6 +75,7 @@ class Found:
             searches from beside it found nothing better.
     """
 
+    problem: Any
     final_time: float
     params: dict[str, Array]
     cost: float
@@ -98,6 +99,11 @@ class Found:
     def solved(self) -> bool:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
+
+    @property
+    def soft(self) -> dict[str, float]:
+        """Name of a soft constraint, entry by entry -> its largest violation at the nodes, in its own unit."""
+        return {name: size for name, size in self.violations.items() if name in self.problem.soft}
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
@@ -135,6 +141,8 @@ def _explained(result: Any) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
+    if result.soft:
+        lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
     if result.accuracy is not None:
         lines.append(_mesh(result.accuracy, result.status))
     try:

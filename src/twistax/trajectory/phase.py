@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..expr import Expr, leaves_of
+from ..expr.soft import parts_of
 from ..lowering import Dynamics
 from .border import boxes_of
 from .conditions import split
@@ -68,5 +69,6 @@ def asked(phase: Phase) -> list[Expr]:
     exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
     at = phase.at.values() if isinstance(phase.at, Mapping) else []
     for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
-        exprs += split(what, given)[1].values()
+        for constraint in split(what, given)[1].values():
+            exprs += parts_of(constraint)
     return [e for e in exprs if isinstance(e, Expr)]

@@ -225,6 +225,11 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         return PhasedProblem(found, **self._stated)
 
     @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        return {f"{name}: {row}" for name, part in zip(self.names, self.parts) for row in part.soft}
+
+    @property
     def parts(self) -> Sequence[Problem]:
         return self._parts
 

@@ -15,10 +15,10 @@ from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
-from ..system import name_of
+from ..system import entry_names, name_of
 from .border import Border, boxes_of, times_of
 from .cases import TrajectoryResults, trajectory_results
-from .conditions import Ends, at_nodes, conditions, ends_of, split
+from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split
 from .cones import above, bounds_along, norm_controls
 from .controls import continuous_controls
 from .found import Tried
@@ -28,6 +28,7 @@ from .reduction import InPhase, Reduction
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
+from .slacks import NodeSlacks, slack_controls
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point, jitted
@@ -126,9 +127,13 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.nodes = self.mesh.nodes
         time_limits, self.time_guess = times_of(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
-        inner = at_nodes(at, self.nodes)
+        inner, soft = at_nodes(at, self.nodes), dynamics.system.soft
+        places = {"initial": asked_first, "final": asked_last, **{f"node {k}": own for k, own in inner.items()}}
+        #: What soft conditions at nodes became.
+        self.softened = softened = NodeSlacks(objective, places, f"{_within.name}: " if _within.name else "")
+        first_rows, last_rows, *inner_rows = softened.plain.values()
         smooth = continuous_controls(controls, dynamics.controls)
-        reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within, smooth)
+        reduced = Reduction(dynamics, softened.objective, first_rows, last_rows, inner_rows, _within, smooth)
         #: What functionals of the path became.
         self.reduced = reduced
         ways = reduced.shapes_of_bounds(controls)
@@ -143,21 +148,21 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         objective = self.objective
         self.ends = ends_of(dynamics.states, first, last)
         self.final_rows = conditions(
-            dynamics, "final", restated.plain(reduced.plain(asked_last) | restated.at_end, last=True)
+            dynamics, "final", restated.plain(reduced.plain(last_rows) | restated.at_end, last=True)
         )
         #: Conditions at nodes before the last.
-        plain = {k: restated.plain(reduced.plain(own)) for k, own in inner.items()}
+        plain = {k: restated.plain(reduced.plain(own)) for k, own in zip(inner, inner_rows)}
         self.node_rows = {k: conditions(dynamics, f"node {k}", own) for k, own in plain.items()}
-        asked_first = restated.plain(asked_first | reduced.at_start)
-        if asked_first:
-            self.node_rows[0] = conditions(dynamics, "initial", asked_first)
+        first_rows = restated.plain(first_rows | reduced.at_start)
+        if first_rows:
+            self.node_rows[0] = conditions(dynamics, "initial", first_rows)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self.transcription = transcription_of(transcription, method, substeps)
-        self.norms = norm_controls(objective.running, objective.sign)
+        self.norms = slack_controls(norm_controls(objective.running, objective.sign), restated, soft)
         asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
-        exprs = [e for e in (objective.final, objective.running, *asked) if e is not None]
+        exprs = [e for e in (objective.final, objective.running, self.norms.running, *asked) if e is not None]
         known = {leaf.name for leaf in dynamics.parameters}
         #: Parameters that the system does not have.
         self._own = {
@@ -171,8 +176,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         #: Parameters that the problem reads, and the names of those that cannot be changed any more.
         self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
         self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
-        #: Parameters that stand for extremes.
-        self.bounds = boxes_of(reduced.free, self.readable, ())
+        #: Parameters that stand for extremes, and slacks.
+        self.bounds = boxes_of({**reduced.free, **softened.free}, self.readable, ())
         boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
         self.border = Border(("final time",), np.array([time_limits]), boxes)
         self.phase = 0
@@ -199,6 +204,17 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     def bounded(self) -> bool:
         """Whether it has bounds of its own: of norms, of magnitudes, or extremes."""
         return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes or self.restated.bounds)
+
+    @property
+    def conditions(self) -> dict[int, Conditions]:
+        """The conditions at nodes by number."""
+        return {**self.node_rows, self.nodes - 1: self.final_rows}
+
+    @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        along = self.norms.soft.items()
+        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.softened.rows
 
     @property
     def parts(self) -> Sequence[Problem]:
@@ -375,24 +391,28 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         # Rows may have any sign: controls that say nothing count with both.
         sides = [{name: side * a for name, a in sizes.items()} for side in (1.0, -1.0)]
         points = [(xs, us), *((_sized(xs, own), _sized(us, own)) for own in sides)]
-        guess = {**self._extremes(points, params, durations), **given}
+        ts, rows = self.shooting.times(durations), self._shown_at(points, params, durations)
+        guess = self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params) if rows else {}
+        residuals = self.softened.values(self.conditions, xs, ts, params) if self.softened.slacks else {}
+        guess = {**guess, **self.softened.start(residuals), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
-        return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
+        slacks = self.norms.start(rows[0], list(self.path.shown), count) if self.norms.slacks else []
+        return Point(xs, np.concatenate([*flat, *norms, *slacks], axis=1), border)
 
-    def _extremes(
+    def _shown_at(
         self, points: Sequence[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], durations: Array
-    ) -> dict[str, Array]:
-        """Bounds that stand for extremes: those of states and controls at their nodes, the largest of some of them."""
-        if not self.reduced.extremes:
-            return {}
-        ts = self.shooting.times(durations)[:-1]
-        norms, rows = {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}, []
+    ) -> list[Array]:
+        """The path rows as users wrote them of states and controls at nodes, where something has to fit them."""
+        if not (self.reduced.extremes or self.norms.slacks):
+            return []
+        ts, rows = self.shooting.times(durations)[:-1], []
+        norms = {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.norms.controls}
         for xs, us in points:
             before = {name: a[:-1] for name, a in xs.items()}
             rows.append(np.asarray(self.shown_rows(ts, before, us | norms, dict(params))))
-        return self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params)
+        return rows
 
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
