@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import functools
+import itertools
 import pickle
 from typing import Any
 
@@ -61,7 +62,7 @@ def by_scipy(l1: float, l2: float, is_equality: bool) -> tuple[float, float]:
 
 
 @pytest.mark.parametrize(
-    "l1, l2, is_equality",
+    ("l1", "l2", "is_equality"),
     [(0.3, None, False), (None, 3.0, False), (0.2, 1.5, False), (0.3, None, True), (0.2, 1.5, True)],
 )
 def test_the_price_along_the_path_is_that_of_slacks(l1: float | None, l2: float | None, is_equality: bool) -> None:
@@ -89,7 +90,8 @@ def test_a_weight_above_the_multiplier_is_exact_and_one_below_it_is_paid() -> No
     np.testing.assert_allclose(abs(hard.multipliers["final: p == 1."]), slope, rtol=1e-6)
     soft = problem(final=[tx.Soft(p == 1.0, l1=weight), v == 0.0])
     above, below = (soft.solve(params={weight: share * slope}) for share in (1.5, 0.4))
-    assert above.solved and below.solved
+    assert above.solved
+    assert below.solved
     np.testing.assert_allclose(above.cost, hard.cost, rtol=1e-6)
     assert above.soft["final: p == 1."] < 1e-6
     np.testing.assert_allclose(below.xs["p"][-1], 0.4, rtol=1e-5)
@@ -123,7 +125,8 @@ def test_both_ends_and_inner_nodes_may_be_soft() -> None:
         at={4: [soft(v <= 0.5, l1=0.1)]},
         final=[soft(p == 1.0), v == 0.0],
     ).solve()
-    assert result.solved and set(result.soft) == {"initial: p == 0.", "node 4: v <= 0.5", "final: p == 1."}
+    assert result.solved
+    assert set(result.soft) == {"initial: p == 0.", "node 4: v <= 0.5", "final: p == 1."}
     sizes = [abs(result.xs["p"][0]), max(result.xs["v"][4] - 0.5, 0.0), abs(1.0 - result.xs["p"][-1])]
     np.testing.assert_allclose(result.soft["initial: p == 0."], sizes[0], atol=1e-9)
     np.testing.assert_allclose(result.soft["final: p == 1."], sizes[2], atol=1e-9)
@@ -136,9 +139,13 @@ def test_what_is_maximised_pays_too() -> None:
     speed = tx.Soft(v <= 0.5, l1=weight)
     farthest = problem({"speed": speed, "push": u <= 1.0}, final=[Integral(u**2) <= 2.0], objective=tx.Maximize(p))
     costs = [farthest.solve(params={weight: size}).cost for size in (0.0, 0.05, 0.2, 5.0)]
-    assert all(a > b + 1e-4 for a, b in zip(costs, costs[1:]))
+    assert all(a > b + 1e-4 for a, b in itertools.pairwise(costs))
     hard = problem({"speed": v <= 0.5, "push": u <= 1.0}, final=[Integral(u**2) <= 2.0], objective=tx.Maximize(p))
     np.testing.assert_allclose(costs[-1], hard.solve().cost, rtol=1e-6)
+    at_end = [tx.Soft(v == 0.0, l2=3.0), Integral(u**2) <= 2.0]
+    result = problem(final=at_end, objective=tx.Maximize(p)).solve()
+    np.testing.assert_allclose(result.cost, result.xs["p"][-1] - 3.0 * result.xs["v"][-1] ** 2, rtol=1e-7)
+    assert 0.0 < result.soft["final: v == 0."] < 0.5
 
 
 def test_vectors_norms_and_extremes_may_be_soft() -> None:
@@ -153,7 +160,8 @@ def test_vectors_norms_and_extremes_may_be_soft() -> None:
     assert result.soft["thrust"] == 0.0
     end = [tx.Soft(Maximum(x[0]) <= 0.5, l2=10.0), tx.Soft(x == [0.6, 0.3], l1=1.0)]
     again = Problem(tx.compile(tx.System(rates={x: w})), tx.Minimize(running=w @ w), final=end, **common).solve()
-    assert again.solved and len(again.soft) == 3
+    assert again.solved
+    assert len(again.soft) == 3
 
 
 @pytest.mark.parametrize(
@@ -169,21 +177,30 @@ def test_transcriptions_pay_the_integral_of_the_violation(options: Any) -> None:
     """Held over a span at 0.6 the speed costs l1 for each second: between the prices of no and of all violation."""
     hard, loose = (problem(along, **options).solve() for along in ({"speed": v <= 0.6}, {}))
     soft = problem({"speed": tx.Soft(v <= 0.6, l1=0.3)}, **options).solve()
-    assert soft.solved and loose.cost < soft.cost < hard.cost
+    assert soft.solved
+    assert loose.cost < soft.cost < hard.cost
     assert 0.0 < soft.soft["speed"] < loose.xs["v"].max() - 0.6
 
 
 def test_phases_have_soft_constraints_of_the_same_name() -> None:
     dynamics = tx.compile(tx.System(rates=RATES, constraints={"speed": tx.Soft(v <= 0.6, l1=0.3)}))
     energy = tx.Minimize(running=u**2)
-    first = Phase(dynamics, energy, nodes=5, final_time=1.0, initial=REST, **HEUN, name="go")
-    final = [tx.Soft(p == 1.0, l1=50.0), v == 0.0]
-    result = Problem([first, Phase(dynamics, energy, nodes=5, final_time=1.0, final=final, **HEUN, name="stop")]).solve()
+    rest = tx.Soft(v == 0.0, l1=1e-3)  # while it goes this costs little, and changes little
+    first = Phase(dynamics, energy, nodes=5, final_time=1.0, initial=REST, final=rest, **HEUN, name="go")
+    final = [tx.Soft(p == 1.0, l1=50.0), {v: 0.0}, tx.Soft(v == 0.0, l1=1e-3)]
+    result = Problem(
+        [first, Phase(dynamics, energy, nodes=5, final_time=1.0, final=final, **HEUN, name="stop")]
+    ).solve()
     whole = problem({"speed": tx.Soft(v <= 0.6, l1=0.3)}).solve()
     assert result.solved
-    np.testing.assert_allclose(result.cost, whole.cost, rtol=1e-6)
-    assert set(result.soft) == {"go: speed", "stop: speed", "stop: final: p == 1."}
-    np.testing.assert_allclose(max(result.soft.values()), whole.soft["speed"], rtol=1e-4)
+    assert result.iterations <= 30  # slacks of small weights move as far as they like
+    np.testing.assert_allclose(result.cost, whole.cost + 1e-3 * result.soft["go: final: v == 0."], rtol=1e-5)
+    assert set(result.soft) == {f"{name}: {row}" for name in ("go", "stop") for row in ("speed", "final: v == 0.")} | {
+        "stop: final: p == 1."
+    }
+    np.testing.assert_allclose(result.soft["stop: speed"], whole.soft["speed"], rtol=1e-2)
+    assert result.soft["go: final: v == 0."] > 0.5
+    assert result.soft["stop: final: v == 0."] < 1e-6
     assert "go: speed" in result.explain()
 
 
@@ -203,14 +220,15 @@ def test_weights_are_data() -> None:
     again = pickle.loads(pickle.dumps(soft)).solve()
     np.testing.assert_allclose(again.cost, soft.solve().cost, rtol=1e-12)
     warm = soft.solve(warm=low)
-    assert warm.solved and warm.iterations <= 10
+    assert warm.solved
+    assert warm.iterations <= 10
 
 
 def test_what_is_no_soft_constraint_is_refused() -> None:
     with pytest.raises(ModelError, match="expects a weight, l1= or l2="):
         tx.Soft(v <= 1.0)
     with pytest.raises(ModelError, match="expects a constraint"):
-        tx.Soft(v, l1=1.0)  # type: ignore[arg-type]
+        tx.Soft(v, l1=1.0)
     with pytest.raises(ModelError, match="l1 expects finite numbers of 0 or more"):
         tx.Soft(v <= 1.0, l1=-1.0)
     with pytest.raises(ShapeError, match="l2 expects shape"):
@@ -219,6 +237,6 @@ def test_what_is_no_soft_constraint_is_refused() -> None:
         tx.Soft(v < 1.0, l1=1.0)
     system = tx.System(rates=RATES, constraints=[tx.Soft(v <= 1.0, l1=1.0)])
     assert list(system.constraints) == list(system.soft) == ["v <= 1."]
-    with pytest.raises(ModelError, match="the weight of v <= 1. reads 'q'"):
-        rows = [tx.Soft(v <= 1.0, l1=tx.State("q"))]
+    rows = [tx.Soft(v <= 1.0, l1=tx.State("q"))]
+    with pytest.raises(ModelError, match=r"the weight of v <= 1\. reads 'q'"):
         problem(rows)

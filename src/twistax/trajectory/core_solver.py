@@ -81,6 +81,8 @@ class CoreSolver:
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
         self._parameters = np.arange(stages.variables) > durations[-1]
+        slacks = {entry for part in parts for entry in part.softened.entries}  # all is linear in them
+        self._parameters[stages.variables - stages.parameters :] &= [name not in slacks for name in border.names]
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""

@@ -1,8 +1,8 @@
 """Soft constraints as hard ones with slacks, which the objective pays for.
 
 Along the path the slack of a constraint is a held control: over an interval it is the largest violation there. At a
-node it is a free parameter. An inequality r <= 0 becomes r <= s, an equality -s <= r <= s, with s >= 0 where `l1` makes a
-kink at zero; with `l2` alone the price is smooth without that limit, and an equality along the path has its price
+node it is a free parameter. An inequality r <= 0 becomes r <= s, an equality -s <= r <= s, with s >= 0 where `l1` makes
+a kink at zero; with `l2` alone the price is smooth without that limit, and an equality along the path has its price
 without a slack.
 """
 
@@ -92,6 +92,11 @@ class NodeSlacks:
     def without(self) -> dict[str, Array]:
         """Slacks with which residuals are those of the soft constraints."""
         return {name: np.zeros(own.parameter.shape) for name, own in self.slacks.items()}
+
+    @property
+    def entries(self) -> list[str]:
+        """Names of the entries of the slacks."""
+        return [name for own in self.slacks for name in entry_names(own, self.slacks[own].parameter.shape)]
 
     @property
     def rows(self) -> set[str]:
