@@ -37,6 +37,7 @@ class Status(enum.Enum):
     STOPPED = 6
     _BAD_PROBLEM = 7
     UNBOUNDED = 8
+    ACCEPTABLE = 9
 
 
 @dataclasses.dataclass(frozen=True)
@@ -201,8 +202,9 @@ class _Solution(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in _MULTIPLIERS]
 
 
-#: Called before each iteration with its number, the cost and the largest violation; what is true stops the solve.
-Watch = Callable[[int, float, float], Any]
+#: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
+#: solve.
+Watch = Callable[[int, float, float, Array], Any]
 
 
 def solve(
@@ -248,7 +250,7 @@ def solve(
         if getattr(stages, name) is not None
     }
     statistics, problem = _Statistics(), _Problem(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
-    watching = _Watching(watch, statistics)
+    watching = _Watching(watch, statistics, stages.points)
     addresses = {name: a.ctypes.data for name, a in (given | counts).items()}
     for name, address in (addresses | functions.addresses | watching.addresses).items():
         setattr(problem, name, address or None)
@@ -282,20 +284,21 @@ class _Watching:
         addresses: by the name that `twx_problem` has for it.
     """
 
-    def __init__(self, watch: Watch | None, statistics: _Statistics) -> None:
+    def __init__(self, watch: Watch | None, statistics: _Statistics, points: int) -> None:
         self._error: BaseException | None = None
         self.addresses: dict[str, int] = {}
         if watch is None:
             return
 
-        def stop(_: Any, iteration: int) -> int:
+        def stop(_: Any, iteration: int, z: Any) -> int:
             try:
-                return int(bool(watch(iteration, statistics.cost, statistics.violation)))
+                here = np.ctypeslib.as_array(z, (points,))
+                return int(bool(watch(iteration, statistics.cost, statistics.violation, here)))
             except BaseException as error:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)(stop)
+        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double))(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

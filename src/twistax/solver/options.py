@@ -47,7 +47,7 @@ Options, SOURCES = _options_class(
     "Options",
     "options.def",
     {"iterations", "corrections", "watchdog_trigger", "watchdog_steps", "filter_resets", "filter_reset_trigger"}
-    | {"refinements", "restoration_iterations"},
+    | {"refinements", "restoration_iterations", "acceptable_iterations"},
 )
 
 #: Options of the dense quadratic program, and where each comes from.

@@ -67,8 +67,8 @@ class PythonFunctions:
             name: ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, *kinds[name])(self._guarded(f))
             for name, f in written.items()
         }
-        ask = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32)
-        self._callbacks["stop"] = ask(self._guarded(lambda _, iteration: stop is not None and bool(stop(iteration))))
+        ask = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.c_void_p)
+        self._callbacks["stop"] = ask(self._guarded(lambda _, iteration, z: stop is not None and bool(stop(iteration))))
         addresses = {name: ctypes.cast(f, ctypes.c_void_p).value or 0 for name, f in self._callbacks.items()}
         self.functions = StageFunctions(**addresses, owner=self)
 

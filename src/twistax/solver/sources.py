@@ -12,8 +12,10 @@ _FOLDER = Path(__file__).parent / "c"
 _FILES = (
     "options",
     "dense",
+    "symmetric",
     "workspace",
     "evaluate",
+    "equalities",
     "riccati",
     "sweep",
     "measures",

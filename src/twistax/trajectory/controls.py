@@ -91,7 +91,12 @@ def Rate(control: Any) -> Control:
     """
     if not isinstance(control, Control):
         raise ModelError(f"Rate expects a control, got {short(control)}")
-    return Control(f"{_RATE_OF}{control.name}", control.shape)
+    return Control(rate_name(control.name), control.shape)
+
+
+def rate_name(name: str) -> str:
+    """The name of the rate of a control."""
+    return f"{_RATE_OF}{name}"
 
 
 def rates_among(controls: Sequence[Control]) -> dict[str, tuple[str, int]]:

@@ -27,7 +27,7 @@ from .watch import Status
 
 #: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
 #: smaller where there are more inequalities than so many.
-_CLOSER, _FEW = 0.1, 2
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
@@ -36,8 +36,9 @@ _COST = 0.5
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
-#: The largest change of a free parameter in its size: nothing is linear beyond it.
-_GROWTH = 0.5
+#: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
+#: there if one of them is so many times as large or as small.
+_FITTED_AT, _MISFIT = (7, 80), 10.0
 #: A result is acceptable within so many tolerances.
 _ACCEPTABLE = 100.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
@@ -80,9 +81,6 @@ class CoreSolver:
         self._largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
-        self._parameters = np.arange(stages.variables) > durations[-1]
-        slacks = {entry for part in parts for entry in part.softened.entries}  # all is linear in them
-        self._parameters[stages.variables - stages.parameters :] &= [name not in slacks for name in border.names]
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -147,26 +145,55 @@ class CoreSolver:
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        closer = _CLOSER * self.tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": closer, "iterations": max_iterations, "row_relaxation": 0.0}
-        chosen["bound_relaxation"] = min(1e-8, closer)
+        tolerance = _CLOSER * self.tolerance
+        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
+        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance}
+        chosen |= {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
         if not np.isfinite(violated):
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
-        watch = _watch(callback, max_seconds)
+        watch = _Watch(callback, max_seconds)
         if not isinstance(start, WarmStart):
-            return self._outcome(call({**chosen, **options}, None, watch), units, given)
+            return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
         warm = self._warm(start, point, units, given)
         kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
         outcome = self._outcome(kept, units, given, warm=True)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
-        near = {"tolerance": min(_CLOSER * self.tolerance, _NEAR * closer), **self._near(warm, units)}
+        near = {"complementarity": min(tolerance, _NEAR * closer), **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self._outcome(kept, units, given)
+
+    def _from_point(
+        self, point: Point, given: Given, units: StartUnits, options: dict[str, float], watch: _Watch, fitted: Sequence[int]
+    ) -> Outcome:
+        """A solve whose units are measured anew after some iterations: a guess may say little about them."""
+        left = list(fitted)
+        while True:
+            fresh: StartUnits | None = None
+
+            def is_misfit(iteration: int, z: Array, used: StartUnits = units) -> bool:
+                nonlocal fresh, point
+                if not left or iteration < left[0]:
+                    return False
+                del left[0]
+                here = self.staged.point(z.copy())
+                measured = StartUnits(self.staged, here)
+                if measured.distance(used) > np.log(_MISFIT):
+                    fresh, point = measured, here
+                return fresh is not None
+
+            watch.also = is_misfit
+            result = self._call(point, given, units, options, None, watch)
+            watch.before += int(result.statistics["iterations"])
+            if fresh is None:
+                break
+            options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
+        result.statistics["iterations"] = watch.before
+        return self._outcome(result, units, given)
 
     def _call(
         self,
@@ -186,7 +213,7 @@ class CoreSolver:
             staged.flat(point),
             staged.coordinates(point),
             units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
-            largest_step=np.where(self._parameters, _GROWTH * units.v, self._largest_step),
+            largest_step=self._largest_step,
             options=Options(**options),
             warm=warm,
             watch=watch,
@@ -312,16 +339,22 @@ class CoreSolver:
         return Scales(d, u, units.border, np.ones(len(own.exists)), np.asarray(units.cost))
 
 
-def _watch(callback: Callback | None, max_seconds: float | None) -> Watch:
-    """What is called before each iteration: Python sees signals there, and the time."""
-    due = np.inf if max_seconds is None else time.monotonic() + max_seconds
+class _Watch:
+    """What is called before each iteration: Python sees signals there, and the time.
 
-    def watch(iteration: int, cost: float, violation: float) -> bool:
-        if callback is not None:
-            callback(iteration, cost, violation)
-        return time.monotonic() > due
+    Attributes:
+        before: iterations before this call of the core.
+        also: asked then, too; whether the core should stop.
+    """
 
-    return watch
+    def __init__(self, callback: Callback | None, max_seconds: float | None) -> None:
+        self._callback, self._due = callback, np.inf if max_seconds is None else time.monotonic() + max_seconds
+        self.before, self.also = 0, lambda iteration, z: False
+
+    def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
+        if self._callback is not None:
+            self._callback(self.before + iteration, cost, violation)
+        return time.monotonic() > self._due or self.also(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

@@ -92,7 +92,7 @@ def solution(
     guess: Any = None,
     warm: Any = None,
     tolerance: float = 1e-8,
-    max_iterations: int = 500,
+    max_iterations: int = 1000,
     mesh_tolerance: float = MESH,
 ) -> Callable[..., Solution]:
     """The optimum as a function of parameters and ends that JAX differentiates.

@@ -8,6 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
+from .controls import rate_name
 from .shooting import Shooting
 from .transcribed import Point
 
@@ -44,8 +45,13 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     """
     n, m = shooting.n, shooting.m
     d, u, box = np.full(n, np.nan), np.full(m, np.nan), np.full(m, np.nan)
+    most = np.full(n, np.inf)
     for name, part in shooting.dynamics.group.slices.items():
-        d[part] = _of_state(cast(State, shooting.leaves[name]), point.xs[name])
+        leaf = cast(State, shooting.leaves[name])
+        d[part], most[part] = _of_state(leaf, point.xs[name]), _half_range(leaf)
+        if rate_name(name) in shooting.leaves:  # a continuous control: its limits say how far it goes
+            d[part] = np.where(np.isfinite(most[part]), most[part], d[part])
+    d = np.minimum(np.where(np.isnan(d) & np.isfinite(most), most, d), most)  # NaN: not known
     for name, part in shooting.local.controls.slices.items():
         u[part], box[part] = _of_control(cast(Control, shooting.leaves[name]), point.us[:, part])
     b, free = np.abs(point.border), slice(shooting.border.phases, None)
@@ -70,7 +76,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         others = pushed[:, : n + m].max(axis=1)
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
         d = _drifting(d, drift, among)
-        d = np.where(d < rounding, rounding, d)
+        d = np.minimum(np.where(d < rounding, rounding, d), most)
     with np.errstate(all="ignore"):  # a parameter that is zero counts with what moves a state by its size
         of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
     b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
@@ -79,6 +85,14 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
     d, u, b = (np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b))
     return Sizes(d, u, b, (through > 0.0).any(axis=0))
+
+
+def _half_range(leaf: State) -> Array:
+    """Half the distance between two limits of a flat state; infinite where there are none, or one."""
+    if not leaf.group.flat or leaf.min is None or leaf.max is None:
+        return np.full(leaf.group.dimension, np.inf)
+    half = 0.5 * np.broadcast_to(np.ravel(np.asarray(leaf.max) - np.asarray(leaf.min)), (leaf.group.dimension,))
+    return np.where(half > 0.0, half, np.inf)
 
 
 def _largest(shooting: Shooting, point: Point) -> Array:

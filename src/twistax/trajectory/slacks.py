@@ -94,11 +94,6 @@ class NodeSlacks:
         return {name: np.zeros(own.parameter.shape) for name, own in self.slacks.items()}
 
     @property
-    def entries(self) -> list[str]:
-        """Names of the entries of the slacks."""
-        return [name for own in self.slacks for name in entry_names(own, self.slacks[own].parameter.shape)]
-
-    @property
     def rows(self) -> set[str]:
         """Names of the entries of soft constraints."""
         return {row for own in self.slacks.values() for row in own.rows}

@@ -134,7 +134,7 @@ class Solvable(ABC, Generic[One, Many]):
         guesses: int = 1,
         seed: int | None = None,
         callback: Callback | None = None,
-        max_iterations: int = 500,
+        max_iterations: int = 1000,
         tolerance: float = 1e-6,
         solver: Any = None,
         between: float | None = None,
@@ -272,7 +272,7 @@ class Solvable(ABC, Generic[One, Many]):
         params: Mapping[Any, Any] | None = None,
         final_time: Any = None,
         free: Mapping[Any, Any] | None = None,
-        max_iterations: int = 500,
+        max_iterations: int = 1000,
         tolerance: float = 1e-6,
         mesh_tolerance: float = MESH,
     ) -> Many:

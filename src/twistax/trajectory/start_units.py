@@ -47,6 +47,13 @@ class StartUnits:
             moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
 
+    def distance(self, other: StartUnits) -> float:
+        """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""
+        ratios = [np.ravel(self.cost / other.cost)]
+        for mine, theirs in zip(self.parts, other.parts):
+            ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
+        return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
+
     def become_one(self) -> None:
         """Count everything in the units of its statement."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]

@@ -31,10 +31,8 @@ _NOISE = 100.0
 _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
-#: Iterations after which units are measured anew.
-_PATIENCE = 80
-#: So many times that may a run take that is on its way.
-_LONG = 3
+#: The share of all iterations that one run may take: some are left for other strategies.
+_MOST = 0.5
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -49,11 +47,9 @@ def solved(
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
     count = 0
 
-    def once(
-        begin: Any, given: Given, floor: float = 0.0, most: int = max_iterations, as_stated: bool = False
-    ) -> Outcome:
+    def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         nonlocal count
-        before, most = count, min(most, max(max_iterations - count, 0))
+        before, most = count, min(round(_MOST * max_iterations), max(max_iterations - count, 0))
         later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
         found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
         count += found.iterations
@@ -87,15 +83,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
     optimal.
     """
-    result = solve(start, given, most=_PATIENCE)
-    if result.status is Status.MAX_ITERATIONS and result.iterations < _PATIENCE:
-        return result
-    fits = not _are_far(solver, solver.units(result.point, given), result.scales)
-    if result.status is Status.MAX_ITERATIONS and fits:
-        result = solve(start, given, most=_LONG * _PATIENCE)  # it was on its way
-        if result.status is Status.MAX_ITERATIONS and _is_close(result, solver.tolerance):
-            again = solve(_warm(result, given), given)
-            result = again if again.status in AT_OPTIMUM else result
+    result = solve(start, given)
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
@@ -115,11 +103,6 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         if settled:
             break
     return result
-
-
-def _is_close(result: Outcome, tolerance: float) -> bool:
-    """Whether the conditions of an optimum hold within some tolerances."""
-    return result.violation <= tolerance and result.errors.stationarity <= _CLOSE * tolerance
 
 
 def _warm(result: Outcome, given: Given) -> WarmStart:

@@ -30,7 +30,8 @@ typedef enum {
   TWX_UNBOUNDED_CURVATURE = 5, /* no multiple of the identity makes the step a descent */
   TWX_STOPPED = 6,           /* `stop` returned other than 0 */
   TWX_BAD_PROBLEM = 7,       /* sizes or bounds that cannot be */
-  TWX_UNBOUNDED = 8          /* the cost falls without end while the constraints hold */
+  TWX_UNBOUNDED = 8,         /* the cost falls without end while the constraints hold */
+  TWX_ACCEPTABLE = 9         /* errors are acceptable, and did not fall to the tolerance in so many iterations */
 } twx_status;
 
 /* Functions return 0, or another number where the point must be rejected. Outputs of values, jacobians and hessians are
@@ -59,7 +60,7 @@ typedef struct {
   int32_t (*retract)(void *user, const double *z, const double *d, double *moved);
   /* multipliers of c about the node that `retract` moved by d; NULL where they stay */
   int32_t (*transport)(void *user, const double *d, double *lambda);
-  int32_t (*stop)(void *user, int32_t iteration); /* asked once an iteration; NULL: never */
+  int32_t (*stop)(void *user, int32_t iteration, const double *z); /* asked once an iteration; NULL: never */
 } twx_problem;
 
 #define OPTION(name, value, source) double name;

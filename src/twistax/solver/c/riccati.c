@@ -1,12 +1,14 @@
 /* The linear system of a step, factored from the last stage to the first.
  *
  * The cost of what follows a node is  x'P x/2 + x'W b + b'S b/2 + x'p + b's  with the border b = (p, ye): parameters
- * that all stages share and multipliers of the equalities. A stage adds its own cost in (x, u, p), then u is eliminated:
+ * that all stages share and multipliers of equalities. A stage adds its cost in (x, u, p); then it is eliminated with the
+ * multipliers y of those of its equalities, E_u u + E_x x + E_p p + e = 0, that controls decide:
  *
- *   M = H + Jh' Sigma Jh + weight Je'Je + F'P F + (W F terms),   L L' = M_uu,   K = -L'^-1 L^-1 [M_ux | M_ub].
+ *   M = H + Jh' Sigma Jh + weight Je'Je + F'P F + (W F terms),   B = [M_uu E_u'; E_u 0],   K = -B^-1 [M_ux M_ub; E_x E_b].
  *
- * The equations have the inertia of a minimum exactly if every Cholesky factor exists: of M_uu at every stage, of P for
- * free entries of x_0, of S for the parameters, and of minus what is left of S for the equalities.
+ * Blocks may be indefinite. The equations have the inertia of a minimum exactly if their negative eigenvalues, of all
+ * blocks together, are as many as there are equalities (E. V. Haynsworth, Linear Algebra Appl. 1 (1968): inertias of a
+ * block and of its Schur complement add up).
  * Source: C. V. Rao, S. J. Wright, J. B. Rawlings, Application of interior-point methods to model predictive control,
  * J. Optim. Theory Appl. 99 (1998), section 3.
  */
@@ -35,11 +37,11 @@ static void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
   for (int32_t i = 0; i < s->nv; i++) M[i + (size_t)i * (size_t)n] += w->Sv[s->v + (size_t)i] + w->identity;
   for (int32_t i = 0; i < s->nh; i++) weights[i] = row_weight(w, s->h + (size_t)i);
   add_squares(s->nh, n, w->Jh + s->Jh, weights, scratch, M);
-  for (int32_t i = 0; i < s->ne; i++) weights[i] = w->weight;
+  for (int32_t i = 0; i < s->ne; i++) weights[i] = w->place[s->e + (size_t)i] < 0 ? 0 : w->weight;
   if (w->weight > 0) add_squares(s->ne, n, w->Je + s->Je, weights, scratch, M);
 }
 
-/* What follows: t0 += F'P F and its terms with W; t2 (n, ne) = the columns of the equalities' multipliers. */
+/* What follows: t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's multipliers. */
 static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   const twx_stage *next = s + 1;
   const int32_t n = s->n, nx = s->next, nv = s->nv;
@@ -54,14 +56,16 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   for (int32_t j = 0; j < w->np; j++)
     twx_add_product_transposed(j + 1, 1, nx, W, nx, F + (size_t)(nv + j) * (size_t)nx, nx,
                                M + nv + (size_t)(nv + j) * (size_t)n, n);
-  memset(R, 0, sizeof(double) * (size_t)n * (size_t)w->ne);
-  twx_add_product_transposed(n, w->ne, nx, F, nx, W + (size_t)w->np * (size_t)nx, nx, R, n);
+  memset(R, 0, sizeof(double) * (size_t)n * (size_t)w->nbe);
+  twx_add_product_transposed(n, w->nbe, nx, F, nx, W + (size_t)w->np * (size_t)nx, nx, R, n);
 }
 
-/* The rows of the stage's equalities in the columns of their multipliers. */
+/* The rows of the stage's equalities that stand in the border, in the columns of their multipliers. */
 static void add_equalities(twx_work *w, const twx_stage *s) {
   for (int32_t r = 0; r < s->ne; r++) {
-    double *column = w->t2 + (s->e + (size_t)r) * (size_t)s->n;
+    const int32_t place = w->place[s->e + (size_t)r];
+    if (place < 0) continue;
+    double *column = w->t2 + (size_t)place * (size_t)s->n;
     for (int32_t i = 0; i < s->n; i++) column[i] += w->Je[s->Je + (size_t)r + (size_t)i * (size_t)s->ne];
   }
 }
@@ -87,21 +91,22 @@ static void add_to_border(twx_work *w, const twx_stage *s) {
   const int32_t np = w->np, nb = w->nb, nv = s->nv, n = s->n;
   for (int32_t j = 0; j < np; j++)
     for (int32_t i = 0; i < np; i++) w->S[i + (size_t)j * (size_t)nb] += w->t0[nv + i + (size_t)(nv + j) * (size_t)n];
-  for (int32_t j = 0; j < w->ne; j++)
+  for (int32_t j = 0; j < w->nbe; j++)
     for (int32_t i = 0; i < np; i++) {
       const double entry = w->t2[nv + i + (size_t)j * (size_t)n];
       w->S[i + (size_t)(np + j) * (size_t)nb] += entry, w->S[np + j + (size_t)i * (size_t)nb] += entry;
     }
 }
 
-/* S -= Y'Y */
-static void subtract_squares(twx_work *w, int32_t rows, const double *Y) {
+/* S -= Y'T of blocks (rows, nb), which is symmetric. */
+static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, const double *T) {
   const int32_t nb = w->nb;
   for (int32_t j = 0; j < nb; j++)
-    for (int32_t i = 0; i < nb; i++) {
+    for (int32_t i = 0; i <= j; i++) {
       double sum = 0;
-      for (int32_t l = 0; l < rows; l++) sum += Y[l + (size_t)i * (size_t)rows] * Y[l + (size_t)j * (size_t)rows];
+      for (int32_t l = 0; l < rows; l++) sum += Y[l + (size_t)i * (size_t)rows] * T[l + (size_t)j * (size_t)rows];
       w->S[i + (size_t)j * (size_t)nb] -= sum;
+      if (i < j) w->S[j + (size_t)i * (size_t)nb] -= sum;
     }
 }
 
@@ -109,110 +114,175 @@ static void negate(size_t count, double *a) {
   for (size_t i = 0; i < count; i++) a[i] = -a[i];
 }
 
-/* Eliminate u: L, K and P, W of the stage. 0 where M_uu has no Cholesky factor. */
-static int32_t eliminate(twx_work *w, const twx_stage *s) {
-  const int32_t nx = s->nx, nu = s->nu, n = s->n, nb = w->nb, np = w->np;
-  double *const M = w->t0, *const R = w->t2, *const L = w->L + s->L, *const Y = w->K + s->K;
-  double *const P = w->P + s->P, *const W = w->W + s->W;
-  for (int32_t j = 0; j < nu; j++) memcpy(L + (size_t)j * (size_t)nu, M + nx + (size_t)(nx + j) * (size_t)n, sizeof(double) * (size_t)nu);
-  if (!twx_cholesky(nu, L, nu)) return 0;
-  for (int32_t j = 0; j < nx + nb; j++) { /* [M_ux | M_up | R_u] */
-    const double *from = j < nx ? M + (size_t)j * (size_t)n
-                         : j < nx + np ? M + (size_t)(s->nv + j - nx) * (size_t)n
-                                       : R + (size_t)(j - nx - np) * (size_t)n;
-    memcpy(Y + (size_t)j * (size_t)nu, from + nx, sizeof(double) * (size_t)nu);
-    double *to = j < nx ? P + (size_t)j * (size_t)nx : W + (size_t)(j - nx) * (size_t)nx;
-    memcpy(to, from, sizeof(double) * (size_t)nx);
+/* B of a stage, its lower triangle. */
+static void fill_block(twx_work *w, const twx_stage *s, const twx_factor *B) {
+  const int32_t nx = s->nx, nu = s->nu, n = s->n, m = B->n;
+  for (int32_t j = 0; j < nu; j++)
+    memcpy(B->A + (size_t)j * (size_t)m, w->t0 + nx + (size_t)(nx + j) * (size_t)n, sizeof(double) * (size_t)nu);
+  for (int32_t r = 0; r < s->ne; r++) {
+    if (w->place[s->e + (size_t)r] >= 0) continue;
+    const int32_t row = nu - w->place[s->e + (size_t)r] - 1;
+    for (int32_t j = 0; j < nu; j++)
+      B->A[row + (size_t)j * (size_t)m] =
+          w->free[s->v + (size_t)(nx + j)] == 0 ? 0 : w->Je[s->Je + (size_t)r + (size_t)(nx + j) * (size_t)s->ne];
+    for (int32_t j = nu; j <= row; j++) B->A[row + (size_t)j * (size_t)m] = j == row ? -w->softness - w->local_softness : 0;
   }
-  twx_solve_lower(nu, L, nu, nx + nb, Y, nu);
-  for (int32_t j = 0; j < nx + nb; j++) {
+}
+
+/* [M_ux | M_up | R_u] over [E_x | E_p | 0] of a stage, in K; P and W begin as those of x. */
+static void fill_sides(twx_work *w, const twx_stage *s) {
+  const int32_t nx = s->nx, nu = s->nu, n = s->n, m = nu + s->nl, np = w->np;
+  double *const Y = w->K + s->K;
+  for (int32_t j = 0; j < nx + w->nb; j++) {
+    const double *from = j < nx        ? w->t0 + (size_t)j * (size_t)n
+                         : j < nx + np ? w->t0 + (size_t)(s->nv + j - nx) * (size_t)n
+                                       : w->t2 + (size_t)(j - nx - np) * (size_t)n;
+    double *const to = j < nx ? w->P + s->P + (size_t)j * (size_t)nx : w->W + s->W + (size_t)(j - nx) * (size_t)nx;
+    double *const y = Y + (size_t)j * (size_t)m;
+    memcpy(y, from + nx, sizeof(double) * (size_t)nu), memset(y + nu, 0, sizeof(double) * (size_t)s->nl);
+    memcpy(to, from, sizeof(double) * (size_t)nx);
+    if (j >= nx + np) continue;
+    const double *column = w->Je + s->Je + (size_t)(j < nx ? j : j + nu) * (size_t)s->ne;
+    for (int32_t r = 0; r < s->ne; r++) {
+      const int32_t place = w->place[s->e + (size_t)r];
+      if (place < 0) y[nu - place - 1] = column[r];
+    }
+  }
+}
+
+/* Eliminate u and the multipliers of the stage: L, K and P, W. The count of negative eigenvalues beyond those of
+ * equalities, or -1 where the block is singular. */
+static int32_t eliminate(twx_work *w, const twx_stage *s) {
+  const int32_t nx = s->nx, m = s->nu + s->nl, columns = nx + w->nb;
+  const twx_factor B = twx_factor_in(m, w->L + s->L);
+  double *const Y = w->K + s->K, *const T = w->t1, *const P = w->P + s->P, *const W = w->W + s->W;
+  fill_block(w, s, &B);
+  const int32_t negative = twx_factorize_symmetric(&B);
+  if (negative < s->nl) return -1;
+  fill_sides(w, s);
+  twx_solve_lower_part(&B, columns, Y, w->t3);
+  memcpy(T, Y, sizeof(double) * (size_t)m * (size_t)columns);
+  twx_solve_diagonal_part(&B, columns, T);
+  for (int32_t j = 0; j < columns; j++) {
     double *to = j < nx ? P + (size_t)j * (size_t)nx : W + (size_t)(j - nx) * (size_t)nx;
-    const double *y = Y + (size_t)j * (size_t)nu;
+    const double *const t = T + (size_t)j * (size_t)m;
     for (int32_t i = 0; i < (j < nx ? j + 1 : nx); i++) {
       double sum = 0;
-      for (int32_t l = 0; l < nu; l++) sum += Y[l + (size_t)i * (size_t)nu] * y[l];
+      for (int32_t l = 0; l < m; l++) sum += Y[l + (size_t)i * (size_t)m] * t[l];
       to[i] -= sum;
     }
   }
   mirror(nx, P);
-  subtract_squares(w, nu, Y + (size_t)nx * (size_t)nu);
-  twx_solve_lower_transposed(nu, L, nu, nx + nb, Y, nu);
-  negate((size_t)nu * (size_t)(nx + nb), Y);
-  return 1;
+  subtract_from_border(w, m, Y + (size_t)nx * (size_t)m, T + (size_t)nx * (size_t)m);
+  memcpy(Y, T, sizeof(double) * (size_t)m * (size_t)columns);
+  twx_solve_upper_part(&B, columns, Y, w->t3);
+  negate((size_t)m * (size_t)columns, Y);
+  return negative - s->nl;
 }
 
 /* Eliminate the free entries of x_0. */
 static int32_t eliminate_start(twx_work *w) {
   const int32_t nx = w->stages[0].nx, nb = w->nb;
-  memcpy(w->L0, w->P, sizeof(double) * (size_t)nx * (size_t)nx);
-  memcpy(w->K0, w->W, sizeof(double) * (size_t)nx * (size_t)nb);
-  fix(w->free, 0, nx, nx, w->L0, nb, w->K0);
-  if (!twx_cholesky(nx, w->L0, nx)) return 0;
-  twx_solve_lower(nx, w->L0, nx, nb, w->K0, nx);
-  subtract_squares(w, nx, w->K0);
-  twx_solve_lower_transposed(nx, w->L0, nx, nb, w->K0, nx);
+  const size_t sides = sizeof(double) * (size_t)nx * (size_t)nb;
+  const twx_factor f = twx_factor_in(nx, w->L0);
+  memcpy(f.A, w->P, sizeof(double) * (size_t)nx * (size_t)nx);
+  memcpy(w->K0, w->W, sides);
+  fix(w->free, 0, nx, nx, f.A, nb, w->K0);
+  const int32_t negative = twx_factorize_symmetric(&f);
+  if (negative < 0) return -1;
+  twx_solve_lower_part(&f, nb, w->K0, w->t3);
+  memcpy(w->t1, w->K0, sides);
+  twx_solve_diagonal_part(&f, nb, w->t1);
+  subtract_from_border(w, nx, w->K0, w->t1);
+  memcpy(w->K0, w->t1, sides);
+  twx_solve_upper_part(&f, nb, w->K0, w->t3);
   negate((size_t)nx * (size_t)nb, w->K0);
-  return 1;
+  return negative;
 }
 
-/* The factor C of Z'Z - S_ee + softness; 0 where a pivot is rounding: a row depends on others, or nothing moves it. */
-static int32_t factorize_equalities(twx_work *w) {
-  const int32_t np = w->np, ne = w->ne, nb = w->nb;
+/* The factor C of Z'D^-1 Z - S_ee + softness, of so many negative eigenvalues; -1 where a pivot is rounding: a row
+ * depends on others, or nothing moves it. */
+static int32_t factorize_equalities(twx_work *w, int32_t negative) {
+  const int32_t np = w->np, ne = w->nbe, nb = w->nb;
   const double least = w->options->pivot;
-  double *const diagonal = w->t3, most = 0;
+  const twx_factor f = twx_factor_in(ne, w->C);
+  double most = 0;
   for (int32_t j = 0; j < ne; j++)
     for (int32_t i = 0; i < ne; i++)
-      w->C[i + (size_t)j * (size_t)ne] =
+      f.A[i + (size_t)j * (size_t)ne] =
           (i == j ? w->softness + w->border_softness : 0) - w->S[np + i + (size_t)(np + j) * (size_t)nb];
-  twx_add_product_transposed(ne, ne, np, w->Z, np, w->Z, np, w->C, ne);
-  for (int32_t i = 0; i < ne; i++) most = twx_max(most, diagonal[i] = w->C[i + (size_t)i * (size_t)ne]);
-  if (!twx_cholesky(ne, w->C, ne)) return 0;
+  memcpy(w->t1, w->Z, sizeof(double) * (size_t)np * (size_t)ne);
+  const twx_factor parameters = twx_factor_in(np, w->Lp);
+  twx_solve_diagonal_part(&parameters, ne, w->t1);
+  twx_add_product_transposed(ne, ne, np, w->Z, np, w->t1, np, f.A, ne);
+  for (int32_t i = 0; i < ne; i++) most = twx_max(most, fabs(f.A[i + (size_t)i * (size_t)ne]));
+  const int32_t found = twx_factorize_symmetric(&f);
+  if (found < 0) return -1;
   for (int32_t i = 0; i < ne && w->border_softness == 0; i++) {
-    const double pivot = w->C[i + (size_t)i * (size_t)ne] * w->C[i + (size_t)i * (size_t)ne];
-    if (pivot <= least * diagonal[i] || diagonal[i] <= least * least * most) return 0;
+    if (f.block[i] != 1) continue;
+    const double pivot = fabs(f.A[i + (size_t)i * (size_t)ne]);
+    if (pivot <= least * f.added[i] || f.added[i] <= least * least * most) return -1;
   }
-  return 1;
+  return found == negative;
 }
 
-/* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities. Those that depend on each other have no
- * factor: they are softened. Source: [WB] Algorithm IC, IC-2. */
-static int32_t factorize_border(twx_work *w) {
-  const int32_t np = w->np, ne = w->ne, nb = w->nb;
+/* The border: Lp of its parameters, Z = Lp^-1 S_pe, and C of its equalities, after so many negative eigenvalues beyond
+ * those of equalities. Rows that depend on each other have no factor: they are softened. Source: [WB] Algorithm IC, IC-2. */
+static int32_t factorize_border(twx_work *w, int32_t negative) {
+  const int32_t np = w->np, ne = w->nbe, nb = w->nb;
   const size_t p = w->variables - (size_t)np;
+  const twx_factor f = twx_factor_in(np, w->Lp);
   for (int32_t i = 0; i < np; i++) w->S[i + (size_t)i * (size_t)nb] += w->Sv[p + (size_t)i] + w->identity;
   fix(w->free + p, 0, np, nb, w->S, 0, NULL);
-  for (int32_t j = 0; j < np; j++) memcpy(w->Lp + (size_t)j * (size_t)np, w->S + (size_t)j * (size_t)nb, sizeof(double) * (size_t)np);
-  if (!twx_cholesky(np, w->Lp, np)) return 0;
+  for (int32_t j = 0; j < np; j++) memcpy(f.A + (size_t)j * (size_t)np, w->S + (size_t)j * (size_t)nb, sizeof(double) * (size_t)np);
+  const int32_t more = twx_factorize_symmetric(&f);
+  if (more < 0) return -1;
   for (int32_t j = 0; j < ne; j++) memcpy(w->Z + (size_t)j * (size_t)np, w->S + (size_t)(np + j) * (size_t)nb, sizeof(double) * (size_t)np);
-  twx_solve_lower(np, w->Lp, np, ne, w->Z, np);
+  twx_solve_lower_part(&f, ne, w->Z, w->t3);
   w->border_softness = 0;
-  if (factorize_equalities(w)) return 1;
-  w->border_softness = w->options->equality_softness * pow(w->barrier, w->options->equality_softness_power);
-  return factorize_equalities(w);
+  const int32_t good = factorize_equalities(w, negative + more);
+  if (good >= 0) return good;
+  w->border_softness = w->softening;
+  return factorize_equalities(w, negative + more);
 }
 
-/* Factor with so many times the identity added to the second derivatives of v and s. 0 where it is no minimum. */
-int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian) {
-  w->identity = identity, w->statistics->factorizations++;
+/* Factor; 1: the inertia is that of a minimum, 0: it is another one, -1: a block is singular. */
+static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
+  int32_t negative = 0;
   memset(w->S, 0, sizeof(double) * (size_t)w->nb * (size_t)w->nb);
   for (int32_t k = w->N; k >= 0; k--) {
     const twx_stage *s = w->stages + k;
     stage_cost(w, s, with_hessian);
     if (k < w->N) add_cost_to_go(w, s);
-    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->ne);
+    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe);
     add_equalities(w, s), mirror(s->n, w->t0);
     add_to_border(w, s);
-    fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->ne, w->t2);
-    if (!eliminate(w, s)) return 0;
+    fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->nbe, w->t2);
+    const int32_t more = eliminate(w, s);
+    if (more < 0) return -1;
+    if ((negative += more) > w->nbe) return 0; /* equalities of the border can take no more */
   }
-  return eliminate_start(w) && factorize_border(w);
+  const int32_t more = eliminate_start(w);
+  if (more < 0) return -1;
+  negative += more;
+  return factorize_border(w, negative);
+}
+
+/* Factor with so many times the identity added to the second derivatives of v and s; whether it is a minimum. */
+int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian) {
+  w->identity = identity, w->statistics->factorizations++;
+  w->softening = w->options->equality_softness * pow(w->barrier, w->options->equality_softness_power);
+  w->local_softness = 0;
+  int32_t good = factorize_once(w, with_hessian);
+  if (good < 0 && w->nbe < w->ne) w->local_softness = w->softening, good = factorize_once(w, with_hessian);
+  return good > 0;
 }
 
 /* With squares of the equalities as last time, or the other way: they change no step, but its inertia by stages. */
 int32_t twx_factorize_weighted(twx_work *w, double identity) {
   if (twx_factorize(w, identity, 1)) return 1;
   w->weight = w->weight > 0 ? 0 : w->options->equality_weight;
-  return w->ne > 0 && twx_factorize(w, identity, 1);
+  return w->nbe > 0 && twx_factorize(w, identity, 1);
 }
 
 /* Raise the multiple of the identity until the step is one of descent. Source: [WB] Algorithm IC. */

@@ -16,7 +16,7 @@ static twx_status update_barrier(twx_work *w, twx_search *search) {
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
     if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
-    const double before = w->barrier, least = o->tolerance / (o->barrier_error + 1);
+    const double before = w->barrier, least = twx_min(o->tolerance, o->complementarity) / (o->barrier_error + 1);
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
     w->filter_rows = search->by_filter = search->shortened = 0;
@@ -40,12 +40,15 @@ static void reset_filter(twx_work *w, twx_search *search) {
   w->filter_rows = search->by_filter = 0, search->resets++, w->statistics->filter_resets++;
 }
 
-/* Back to the iterate that the watchdog kept. */
-static twx_status go_back(twx_work *w) {
-  twx_copy_iterate(w, &w->iterate, &w->watchdog);
-  memcpy(w->here.z, w->watchdog_z, sizeof(double) * w->points);
+/* Back to an iterate that was kept. */
+static twx_status return_to(twx_work *w, const twx_iterate *kept, const double *z) {
+  twx_copy_iterate(w, &w->iterate, kept);
+  memcpy(w->here.z, z, sizeof(double) * w->points);
   return twx_evaluate(w, &w->here) || twx_differentiate(w) ? TWX_NON_FINITE : TWX_SOLVED;
 }
+
+/* Back to the iterate that the watchdog kept. */
+static twx_status go_back(twx_work *w) { return return_to(w, &w->watchdog, w->watchdog_z); }
 
 /* No step length is acceptable. */
 static twx_status restore(twx_work *w) {
@@ -75,17 +78,39 @@ static double largest_variable(const twx_work *w) {
   return most;
 }
 
+/* Keep the iterate with the smallest error. */
+static void keep_best(twx_work *w, const twx_measures *m) {
+  if (!(m->error < w->best_error)) return;
+  w->best_error = m->error;
+  twx_copy_iterate(w, &w->best, &w->iterate);
+  memcpy(w->best_z, w->here.z, sizeof(double) * w->points);
+}
+
+/* How a solve ends that came to no end: with the best iterate, if it is better than the last one. */
+static void end_at_best(twx_work *w) {
+  const twx_measures last = twx_measure(w, 0);
+  report(w, &last);
+  if (!(w->best_error < last.error) || return_to(w, &w->best, w->best_z)) return;
+  const twx_measures best = twx_measure(w, 0);
+  report(w, &best);
+}
+
 static twx_status iterate(twx_work *w) {
   const twx_options *o = w->options;
   const twx_problem *p = w->problem;
   twx_search search = {0};
+  int32_t acceptable = 0;
+  w->best_error = INFINITY;
   for (twx_status status = TWX_SOLVED; status == TWX_SOLVED;) {
     const twx_measures m = twx_measure(w, 0);
     report(w, &m);
-    if (m.error <= o->tolerance) return TWX_SOLVED;
+    if (m.error <= o->tolerance && m.complementarity <= o->complementarity) return TWX_SOLVED;
+    keep_best(w, &m);
+    acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
+    if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
     if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
-    if (p->stop && p->stop(p->user, w->statistics->iterations)) return TWX_STOPPED;
+    if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;
     status = update_barrier(w, &search);
     if (status == TWX_SOLVED) status = find_direction(w);
     if (status != TWX_SOLVED && search.watching) { /* steps that were taken unseen led nowhere */
@@ -94,11 +119,7 @@ static twx_status iterate(twx_work *w) {
     }
     reset_filter(w, &search);
     if (status == TWX_SOLVED) status = take_step(w, &search, &m);
-    if (status != TWX_SOLVED) {
-      const twx_measures last = twx_measure(w, 0);
-      report(w, &last);
-      return status;
-    }
+    if (status != TWX_SOLVED) return status;
   }
   return TWX_STALLED;
 }
@@ -152,7 +173,10 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   load(w, z, solution);
   twx_status status = twx_start(w);
   if (status == TWX_BAD_PROBLEM) return statistics->status = status;
-  if (status == TWX_SOLVED) status = iterate(w);
+  if (status == TWX_SOLVED) {
+    status = iterate(w);
+    if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) end_at_best(w);
+  }
   if (status == TWX_SOLVED) statistics->minimum = is_minimum(w);
   unscale(w, z, solution);
   return statistics->status = status;

@@ -154,6 +154,7 @@ twx_status twx_start(twx_work *w) {
   set_barrier(w);
   if (push_inside(w) || scale_functions(w) || twx_evaluate(w, &w->here) || twx_differentiate(w)) return TWX_NON_FINITE;
   w->statistics->cost_scale = w->cost_scale;
+  twx_place_equalities(w);
   if (o->warm_start > 0) scale_multipliers(w);
   start_bounds(w);
   if (!(o->warm_start > 0)) {

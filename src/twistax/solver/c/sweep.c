@@ -22,16 +22,16 @@ static void stage_gradient(twx_work *w, const twx_stage *s, const twx_residual *
   memcpy(q, r->v + s->v, sizeof(double) * (size_t)s->nv);
   rows_at_rest(w, s, r, y);
   twx_add_apply_transposed(s->nh, s->n, w->Jh + s->Jh, s->nh, y, q);
-  for (int32_t i = 0; i < s->ne; i++) y[i] = w->weight * r->e[s->e + (size_t)i];
+  for (int32_t i = 0; i < s->ne; i++) y[i] = w->place[s->e + (size_t)i] < 0 ? 0 : w->weight * r->e[s->e + (size_t)i];
   twx_add_apply_transposed(s->ne, s->n, w->Je + s->Je, s->ne, y, q);
 }
 
-/* Back: p of every node, k = -(L L')^-1 q_u of every stage, and the right side of the border. */
+/* Back: p of every node, k = -B^-1 (q_u, e) of every stage, and the right side of the border. */
 static void sweep_back(twx_work *w, const twx_residual *r) {
   const int32_t np = w->np, nb = w->nb;
   double *const slope = w->t1, *const q = w->t2;
   for (int32_t i = 0; i < np; i++) w->border[i] = r->v[w->variables - (size_t)(np - i)];
-  memcpy(w->border + np, r->e, sizeof(double) * (size_t)w->ne);
+  for (int32_t i = 0; i < w->ne; i++) if (w->place[i] >= 0) w->border[np + w->place[i]] = r->e[i];
   for (int32_t k = w->N; k >= 0; k--) {
     const twx_stage *s = w->stages + k;
     const int32_t nx = s->nx, nu = s->nu;
@@ -43,14 +43,19 @@ static void sweep_back(twx_work *w, const twx_residual *r) {
       twx_add_apply_transposed(s->next, nb, w->W + s[1].W, s->next, r->c + s->c, w->border);
     }
     for (int32_t i = 0; i < np; i++) w->border[i] += q[s->nv + i];
-    for (int32_t i = 0; i < nu; i++) if (w->free[s->v + (size_t)(nx + i)] == 0) q[nx + i] = 0;
-    double *const p = w->p + s->v, *const step = w->k + s->v + nx;
+    double *const p = w->p + s->v, *const step = w->k + s->k;
+    for (int32_t i = 0; i < nu; i++) step[i] = w->free[s->v + (size_t)(nx + i)] == 0 ? 0 : q[nx + i];
+    for (int32_t i = 0; i < s->ne; i++) {
+      const int32_t place = w->place[s->e + (size_t)i];
+      if (place < 0) step[nu - place - 1] = r->e[s->e + (size_t)i];
+    }
+    const int32_t m = nu + s->nl;
+    const twx_factor B = twx_factor_in(m, w->L + s->L);
     memcpy(p, q, sizeof(double) * (size_t)nx);
-    twx_add_apply_transposed(nu, nx, w->K + s->K, nu, q + nx, p);
-    twx_add_apply_transposed(nu, nb, w->K + s->K + (size_t)nx * (size_t)nu, nu, q + nx, w->border);
-    for (int32_t i = 0; i < nu; i++) step[i] = -q[nx + i];
-    twx_solve_lower(nu, w->L + s->L, nu, 1, step, nu);
-    twx_solve_lower_transposed(nu, w->L + s->L, nu, 1, step, nu);
+    twx_add_apply_transposed(m, nx, w->K + s->K, m, step, p);
+    twx_add_apply_transposed(m, nb, w->K + s->K + (size_t)nx * (size_t)m, m, step, w->border);
+    for (int32_t i = 0; i < m; i++) step[i] = -step[i];
+    twx_solve_symmetric(&B, 1, step, w->t3);
   }
 }
 
@@ -60,22 +65,27 @@ static void solve_start(twx_work *w, double *start) {
   for (int32_t i = 0; i < nx; i++) start[i] = w->free[i] != 0 ? w->p[i] : 0;
   twx_add_apply_transposed(nx, w->nb, w->K0, nx, start, w->border);
   for (int32_t i = 0; i < nx; i++) start[i] = -start[i];
-  twx_solve_lower(nx, w->L0, nx, 1, start, nx);
-  twx_solve_lower_transposed(nx, w->L0, nx, 1, start, nx);
+  const twx_factor f = twx_factor_in(nx, w->L0);
+  twx_solve_symmetric(&f, 1, start, w->t3);
 }
 
-/* border = the parameters' step and the equalities' multipliers, of its right side. */
+/* border = the parameters' step and the equalities' multipliers, of its right side. With S_pp = Q'L D L'Q:
+ * t = L^-1 Q r_p,  C ye = r_e - Z'D^-1 t,  p = -Q'L'^-1 D^-1 (t + Z ye). */
 static void solve_border(twx_work *w) {
-  const int32_t np = w->np, ne = w->ne;
-  double *const r = w->border, *const ye = r + np;
+  const int32_t np = w->np, ne = w->nbe;
+  const twx_factor parameters = twx_factor_in(np, w->Lp), equalities = twx_factor_in(ne, w->C);
+  double *const r = w->border, *const ye = r + np, *const t = w->t2;
   for (int32_t i = 0; i < np; i++) if (w->free[w->variables - (size_t)(np - i)] == 0) r[i] = 0;
-  twx_solve_lower(np, w->Lp, np, 1, r, np); /* t = Lp^-1 r_p;  C ye = r_e - Z't;  p = -Lp'^-1 (t + Z ye) */
+  twx_solve_lower_part(&parameters, 1, r, w->t3);
+  memcpy(t, r, sizeof(double) * (size_t)np);
+  twx_solve_diagonal_part(&parameters, 1, t);
   for (int32_t j = 0; j < ne; j++)
-    for (int32_t i = 0; i < np; i++) ye[j] -= w->Z[i + (size_t)j * (size_t)np] * r[i];
-  twx_solve_lower(ne, w->C, ne, 1, ye, ne), twx_solve_lower_transposed(ne, w->C, ne, 1, ye, ne);
+    for (int32_t i = 0; i < np; i++) ye[j] -= w->Z[i + (size_t)j * (size_t)np] * t[i];
+  twx_solve_symmetric(&equalities, 1, ye, w->t3);
   twx_add_apply(np, ne, w->Z, np, ye, r);
   for (int32_t i = 0; i < np; i++) r[i] = -r[i];
-  twx_solve_lower_transposed(np, w->Lp, np, 1, r, np);
+  twx_solve_diagonal_part(&parameters, 1, r);
+  twx_solve_upper_part(&parameters, 1, r, w->t3);
 }
 
 /* Ahead: the step of v, and lambda. `start` is x_0 at rest. */
@@ -85,10 +95,16 @@ static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start,
   twx_add_apply(w->stages[0].nx, nb, w->K0, w->stages[0].nx, w->border, d->v);
   for (int32_t k = 0; k < w->N; k++) {
     const twx_stage *s = w->stages + k;
-    double *const x = d->v + s->v, *const u = x + s->nx, *const after = d->v + s[1].v, *const lambda = d->lambda + s->c;
-    memcpy(u, w->k + s->v + s->nx, sizeof(double) * (size_t)s->nu);
-    twx_add_apply(s->nu, s->nx, w->K + s->K, s->nu, x, u);
-    twx_add_apply(s->nu, nb, w->K + s->K + (size_t)s->nx * (size_t)s->nu, s->nu, w->border, u);
+    double *const x = d->v + s->v, *const after = d->v + s[1].v, *const lambda = d->lambda + s->c, *const u = w->t2;
+    const int32_t m = s->nu + s->nl;
+    memcpy(u, w->k + s->k, sizeof(double) * (size_t)m);
+    twx_add_apply(m, s->nx, w->K + s->K, m, x, u);
+    twx_add_apply(m, nb, w->K + s->K + (size_t)s->nx * (size_t)m, m, w->border, u);
+    memcpy(x + s->nx, u, sizeof(double) * (size_t)s->nu);
+    for (int32_t i = 0; i < s->ne; i++) {
+      const int32_t place = w->place[s->e + (size_t)i];
+      if (place < 0) d->ye[s->e + (size_t)i] = u[s->nu - place - 1];
+    }
     memcpy(after, r->c + s->c, sizeof(double) * (size_t)s->next);
     twx_add_apply(s->next, s->nv, w->F + s->F, s->next, x, after);
     twx_add_apply(s->next, np, w->F + s->F + (size_t)s->nv * (size_t)s->next, s->next, w->border, after);
@@ -98,7 +114,8 @@ static void sweep_ahead(twx_work *w, const twx_residual *r, const double *start,
   }
   memcpy(d->v + w->variables - (size_t)np, w->border, sizeof(double) * (size_t)np);
   /* The squares of equalities, weight |Je v + e|^2 / 2, are a part of the multipliers where a row is left soft. */
-  for (int32_t i = 0; i < w->ne; i++) d->ye[i] = w->border[np + i] * (1 + w->weight * w->border_softness);
+  for (int32_t i = 0; i < w->ne; i++)
+    if (w->place[i] >= 0) d->ye[i] = w->border[np + w->place[i]] * (1 + w->weight * w->border_softness);
 }
 
 /* product (rows,) += J (x, u, p) of a block of rows of a stage. */
@@ -132,11 +149,11 @@ static void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const 
   twx_add_apply_transposed(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)w->np);
 }
 
-/* What a step leaves of the equations. Returns its size over that of the right side. */
+/* What a step leaves of the equations: its size, over what may be left of this right side. */
 static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
   double size = 0, whole = 0;
   const size_t p = w->variables - (size_t)w->np;
-  const double softness = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
+  const double of_border = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
   for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
   memcpy(left->h, r->h, sizeof(double) * w->rows), memcpy(left->e, r->e, sizeof(double) * (size_t)w->ne);
   memcpy(left->c, r->c, sizeof(double) * w->defects);
@@ -166,25 +183,33 @@ static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate
     size = twx_max(size, fabs(left->h[i])), whole = twx_max(whole, twx_max(fabs(r->h[i]), fabs(r->s[i])));
   }
   for (size_t i = 0; i < (size_t)w->ne; i++) {
-    left->e[i] -= softness * d->ye[i];
+    left->e[i] -= (w->place[i] < 0 ? w->softness + w->local_softness : of_border) * d->ye[i];
     size = twx_max(size, fabs(left->e[i])), whole = twx_max(whole, fabs(r->e[i]));
   }
   for (size_t i = 0; i < w->defects; i++) size = twx_max(size, fabs(left->c[i])), whole = twx_max(whole, fabs(r->c[i]));
-  return whole > 0 ? size / whole : 0;
+  return size / twx_max(1e-300, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->options->tolerance));
 }
 
-static void add(size_t count, double *to, const double *from) {
-  for (size_t i = 0; i < count; i++) to[i] += from[i];
+static void add(size_t count, double *to, double factor, const double *from) {
+  for (size_t i = 0; i < count; i++) to[i] += factor * from[i];
+}
+
+static void add_step(const twx_work *w, twx_iterate *to, double factor, const twx_iterate *from) {
+  add(w->variables, to->v, factor, from->v), add(w->rows, to->s, factor, from->s);
+  add(w->defects, to->lambda, factor, from->lambda), add(w->rows, to->y, factor, from->y);
+  add((size_t)w->ne, to->ye, factor, from->ye);
 }
 
 /* v, s, lambda, y and ye of a step. */
 void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *d, int32_t with_hessian) {
+  double before = INFINITY;
   solve_once(w, right, d);
-  for (int32_t n = 0; n < (int32_t)w->options->refinements; n++) {
-    if (remainder_of(w, right, d, &w->residual, with_hessian) <= w->options->refinement_error) return;
-    twx_iterate *more = &w->refinement;
-    solve_once(w, &w->residual, more);
-    add(w->variables, d->v, more->v), add(w->rows, d->s, more->s), add(w->defects, d->lambda, more->lambda);
-    add(w->rows, d->y, more->y), add((size_t)w->ne, d->ye, more->ye);
+  for (int32_t n = 0; n <= (int32_t)w->options->refinements; n++) {
+    const double left = remainder_of(w, right, d, &w->residual, with_hessian);
+    if (!(left < before) && n > 0) add_step(w, d, -1, &w->refinement); /* refined in vain */
+    if (left <= 1 || !(left < before) || n == (int32_t)w->options->refinements) return;
+    before = left;
+    solve_once(w, &w->residual, &w->refinement);
+    add_step(w, d, 1, &w->refinement);
   }
 }

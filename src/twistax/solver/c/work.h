@@ -15,10 +15,11 @@
 
 typedef struct { /* where a stage lies in the arrays */
   int32_t nx, nu, nv, n, nh, ne;      /* n = nv + parameters, columns of its derivatives */
+  int32_t nl;                         /* equalities that its controls decide: eliminated with them */
   int32_t next;                       /* states of the next stage, 0 at the end */
   size_t v, z, c, h, e;               /* c: of the defect that ends this interval */
   size_t F, Jh, Je, H;                /* derivatives */
-  size_t P, W, L, K;                  /* factors */
+  size_t P, W, L, K, k;               /* factors; k: of the step at rest */
   int32_t point_states;
 } twx_stage;
 
@@ -39,11 +40,13 @@ typedef struct {
   const twx_options *options;
   twx_statistics *statistics;
   twx_stage *stages;
-  int32_t N, np, ne, nb;              /* ne: all equalities; nb = np + ne, the border */
+  int32_t N, np, ne, nbe, nb;         /* ne: all equalities, nbe of the border; nb = np + nbe */
+  int32_t *place;                     /* of an equality in the border; -1 - place where its stage eliminates it */
   size_t variables, points, defects, rows, point_size;
-  twx_iterate iterate, step, corrected, refinement, watchdog;
+  twx_iterate iterate, step, corrected, refinement, watchdog, best;
   twx_values here, trial;
-  double *watchdog_z, *moved;         /* moved: a step in the problem's units */
+  double *watchdog_z, *best_z, *moved; /* moved: a step in the problem's units */
+  double best_error;
   twx_residual right, correction, residual;
   double *lower, *upper, *size, *free; /* of v; free: 1 or 0 */
   double *row_scale, *equality_scale, cost_scale;
@@ -53,7 +56,8 @@ typedef struct {
   double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
   double *filter;
   int32_t filter_rows;
-  double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, border_softness, weight;
+  double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
+  double softening, border_softness, local_softness; /* of equalities that depend on each other */
 } twx_work;
 
 static inline double twx_max(double a, double b) { return a > b ? a : b; } /* b where a is not a number */
@@ -81,6 +85,19 @@ TWX_INTERNAL int32_t twx_cholesky(int32_t n, double *A, int32_t la);
 TWX_INTERNAL void twx_solve_lower(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
 TWX_INTERNAL void twx_solve_lower_transposed(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
 
+/* symmetric.c: a factor in memory of `twx_factor_size` doubles, n (n + 3) of them. */
+typedef struct {
+  int32_t n;
+  double *A, *row, *block, *added; /* block: rows of the block that begins there; added: absolute sums of the diagonal */
+} twx_factor;
+TWX_INTERNAL twx_factor twx_factor_in(int32_t n, double *memory);
+TWX_INTERNAL size_t twx_factor_size(int32_t n);
+TWX_INTERNAL int32_t twx_factorize_symmetric(const twx_factor *factor);
+TWX_INTERNAL void twx_solve_lower_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+TWX_INTERNAL void twx_solve_diagonal_part(const twx_factor *factor, int32_t columns, double *B);
+TWX_INTERNAL void twx_solve_upper_part(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+TWX_INTERNAL void twx_solve_symmetric(const twx_factor *factor, int32_t columns, double *B, double *scratch);
+
 /* workspace.c */
 TWX_INTERNAL size_t twx_carve(twx_work *w, const twx_problem *problem, double *base);
 TWX_INTERNAL void twx_copy_iterate(const twx_work *w, twx_iterate *to, const twx_iterate *from);
@@ -90,6 +107,9 @@ TWX_INTERNAL int32_t twx_evaluate(twx_work *w, twx_values *at);
 TWX_INTERNAL int32_t twx_differentiate(twx_work *w);
 TWX_INTERNAL int32_t twx_differentiate_twice(twx_work *w);
 TWX_INTERNAL int32_t twx_move(twx_work *w, const twx_iterate *step, double length);
+
+/* equalities.c: which of them stand in the border. */
+TWX_INTERNAL void twx_place_equalities(twx_work *w);
 
 /* riccati.c, sweep.c: the linear system of a step. */
 TWX_INTERNAL int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian);

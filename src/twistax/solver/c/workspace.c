@@ -41,30 +41,33 @@ static int32_t sizes_are_possible(const twx_problem *p) {
 }
 
 typedef struct {
-  size_t F, Jh, Je, H, P, W, L, K;
+  size_t F, Jh, Je, H, P, W, L, K, k;
   int32_t nx, nu, nv, n, nh, ne;
 } totals;
 
 static int32_t largest(int32_t a, int32_t b) { return a > b ? a : b; }
+
+static int32_t smallest(int32_t a, int32_t b) { return a < b ? a : b; }
 
 /* Where the stages lie. `stages` may be NULL: then they are counted alone. */
 static void place_stages(twx_work *w, const twx_problem *p, twx_stage *stages, totals *t) {
   size_t v = 0, z = 0, c = 0, h = 0, e = 0;
   int32_t all_ne = 0;
   for (int32_t k = 0; k <= p->intervals; k++) all_ne += p->equalities[k];
-  w->N = p->intervals, w->np = p->parameters, w->ne = all_ne, w->nb = p->parameters + all_ne;
+  w->N = p->intervals, w->np = p->parameters, w->ne = w->nbe = all_ne, w->nb = p->parameters + all_ne;
   memset(t, 0, sizeof *t);
   for (int32_t k = 0; k <= w->N; k++) {
     twx_stage s = {.nx = p->states[k], .nu = p->controls[k], .nh = p->inequalities[k], .ne = p->equalities[k]};
     s.nv = s.nx + s.nu, s.n = s.nv + w->np, s.next = k < w->N ? p->states[k + 1] : 0;
     s.point_states = p->point_states ? p->point_states[k] : s.nx;
     s.v = v, s.z = z, s.c = c, s.h = h, s.e = e;
-    s.F = t->F, s.Jh = t->Jh, s.Je = t->Je, s.H = t->H, s.P = t->P, s.W = t->W, s.L = t->L, s.K = t->K;
+    s.F = t->F, s.Jh = t->Jh, s.Je = t->Je, s.H = t->H, s.P = t->P, s.W = t->W, s.L = t->L, s.K = t->K, s.k = t->k;
     if (stages) stages[k] = s;
-    const size_t nx = (size_t)s.nx, nu = (size_t)s.nu, n = (size_t)s.n, nb = (size_t)w->nb;
+    const int32_t block = s.nu + smallest(s.nu, s.ne); /* of controls and of multipliers that go with them */
+    const size_t nx = (size_t)s.nx, nu = (size_t)s.nu, n = (size_t)s.n, nb = (size_t)w->nb, m = (size_t)block;
     v += nx + nu, z += (size_t)s.point_states + nu, c += (size_t)s.next, h += (size_t)s.nh, e += (size_t)s.ne;
     t->F += (size_t)s.next * n, t->Jh += (size_t)s.nh * n, t->Je += (size_t)s.ne * n, t->H += n * n;
-    t->P += nx * nx, t->W += nx * nb, t->L += nu * nu, t->K += nu * (nx + nb);
+    t->P += nx * nx, t->W += nx * nb, t->L += twx_factor_size(block), t->K += m * (nx + nb), t->k += m;
     t->nx = largest(t->nx, s.nx), t->nu = largest(t->nu, s.nu), t->nv = largest(t->nv, s.nv);
     t->n = largest(t->n, s.n), t->nh = largest(t->nh, s.nh), t->ne = largest(t->ne, s.ne);
   }
@@ -79,22 +82,23 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   w->stages = (twx_stage *)(void *)take(&a, doubles * ((size_t)p->intervals + 1));
   place_stages(w, p, w->stages, &t);
   const size_t V = w->variables, R = w->rows, E = (size_t)w->ne, B = (size_t)w->nb, X = (size_t)t.nx, n = (size_t)t.n;
-  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog};
+  twx_iterate *const iterates[] = {&w->iterate, &w->step, &w->corrected, &w->refinement, &w->watchdog, &w->best};
   for (size_t i = 0; i < sizeof iterates / sizeof *iterates; i++) take_iterate(&a, w, iterates[i]);
   take_values(&a, w, &w->here), take_values(&a, w, &w->trial);
   w->here.v = w->iterate.v, w->here.s = w->iterate.s;
   w->trial.v = take(&a, V), w->trial.s = take(&a, R);
-  w->watchdog_z = take(&a, w->points), w->moved = take(&a, V);
+  w->watchdog_z = take(&a, w->points), w->best_z = take(&a, w->points), w->moved = take(&a, V);
   take_residual(&a, w, &w->right), take_residual(&a, w, &w->correction), take_residual(&a, w, &w->residual);
   w->lower = take(&a, V), w->upper = take(&a, V), w->size = take(&a, V), w->free = take(&a, V);
   w->row_scale = take(&a, R), w->equality_scale = take(&a, E), w->gradient = take(&a, V);
   w->F = take(&a, t.F), w->Jh = take(&a, t.Jh), w->Je = take(&a, t.Je), w->H = take(&a, t.H);
   w->Sv = take(&a, V), w->Ss = take(&a, R);
   w->P = take(&a, t.P), w->W = take(&a, t.W), w->L = take(&a, t.L), w->K = take(&a, t.K);
-  w->L0 = take(&a, X * X), w->K0 = take(&a, X * B), w->S = take(&a, B * B);
-  w->Lp = take(&a, (size_t)w->np * (size_t)w->np), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, E * E);
-  w->p = take(&a, V), w->k = take(&a, V), w->border = take(&a, B);
-  w->t0 = take(&a, n * n), w->t1 = take(&a, X * (n + B)), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 2 * (V + R + w->defects + E));
+  w->L0 = take(&a, twx_factor_size(t.nx)), w->K0 = take(&a, X * B), w->S = take(&a, B * B);
+  w->Lp = take(&a, twx_factor_size(w->np)), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, twx_factor_size(w->ne));
+  w->p = take(&a, V), w->k = take(&a, t.k), w->border = take(&a, B);
+  w->place = (int32_t *)(void *)take(&a, (E + 1) / 2 + 1);
+  w->t0 = take(&a, n * n), w->t1 = take(&a, (X + 2 * (size_t)t.nu) * (X + n + B) + (size_t)w->np * E), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 2 * (V + R + w->defects + E));
   w->filter = take(&a, 2 * TWX_FILTER_ROWS);
   return a.used;
 }

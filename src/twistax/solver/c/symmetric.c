@@ -1,0 +1,161 @@
+/* Factors A = Q' L D L' Q of symmetric matrices that may be indefinite: Q permutes, D has blocks of one or two rows.
+ *
+ * Source: J. R. Bunch, L. Kaufman, Some stable methods for calculating inertia and solving symmetric linear systems,
+ * Mathematics of Computation 31 (1977), algorithm A.
+ */
+#include "work.h"
+
+#define ALPHA 0.6403882032022076 /* (1 + sqrt(17)) / 8, which bounds the growth of entries */
+#define ROUNDING 1e-14           /* a pivot below this share of what was added up for it */
+#define AT(i, j) A[(size_t)(i) + (size_t)(j) * (size_t)n]
+
+twx_factor twx_factor_in(int32_t n, double *memory) {
+  const size_t count = (size_t)n;
+  double *const tail = memory + count * count;
+  return (twx_factor){n, memory, tail, tail + count, tail + 2 * count};
+}
+
+size_t twx_factor_size(int32_t n) { return (size_t)n * ((size_t)n + 3); }
+
+static void exchange(double *a, double *b) {
+  const double held = *a;
+  *a = *b, *b = held;
+}
+
+/* Rows and columns a <= b change places, also in the columns of L that are done. */
+static void permute(const twx_factor *f, int32_t a, int32_t b) {
+  const int32_t n = f->n;
+  double *const A = f->A;
+  if (a == b) return;
+  for (int32_t j = 0; j < a; j++) exchange(&AT(a, j), &AT(b, j));
+  for (int32_t i = a + 1; i < b; i++) exchange(&AT(i, a), &AT(b, i));
+  for (int32_t i = b + 1; i < n; i++) exchange(&AT(i, a), &AT(i, b));
+  exchange(&AT(a, a), &AT(b, b)), exchange(f->row + a, f->row + b), exchange(f->added + a, f->added + b);
+}
+
+/* The largest entry of row and column k beside the diagonal, from `first` on. */
+static double largest_of(const twx_factor *f, int32_t first, int32_t k, int32_t *place) {
+  const int32_t n = f->n;
+  const double *const A = f->A;
+  double most = 0;
+  for (int32_t i = first; i < n; i++) {
+    const double entry = i == k ? 0 : fabs(i < k ? AT(k, i) : AT(i, k));
+    if (entry > most) most = entry, *place = i;
+  }
+  return most;
+}
+
+/* Rows of the block that is eliminated next, brought to its place. */
+static int32_t choose_block(const twx_factor *f, int32_t k) {
+  const int32_t n = f->n;
+  const double *const A = f->A, here = fabs(AT(k, k));
+  int32_t other = k, unused = k;
+  const double most = largest_of(f, k, k, &other);
+  if (here >= ALPHA * most) return 1;
+  const double most_there = largest_of(f, k, other, &unused);
+  if (here * most_there >= ALPHA * most * most) return 1;
+  if (fabs(AT(other, other)) >= ALPHA * most_there) {
+    permute(f, k, other);
+    return 1;
+  }
+  permute(f, k + 1, other);
+  return 2;
+}
+
+/* Eliminate one row; 0 where its pivot is rounding. */
+static int32_t eliminate_one(const twx_factor *f, int32_t k, int32_t *negative) {
+  const int32_t n = f->n;
+  double *const A = f->A;
+  const double pivot = AT(k, k);
+  if (!(fabs(pivot) > ROUNDING * f->added[k]) || !isfinite(pivot)) return 0;
+  *negative += pivot < 0, f->block[k] = 1;
+  for (int32_t j = k + 1; j < n; j++) {
+    const double factor = AT(j, k) / pivot;
+    if (factor == 0) continue;
+    f->added[j] += fabs(factor * AT(j, k));
+    for (int32_t i = j; i < n; i++) AT(i, j) -= factor * AT(i, k);
+  }
+  for (int32_t i = k + 1; i < n; i++) AT(i, k) /= pivot;
+  return 1;
+}
+
+/* Eliminate two rows; 0 where their determinant is rounding. */
+static int32_t eliminate_two(const twx_factor *f, int32_t k, int32_t *negative) {
+  const int32_t n = f->n;
+  double *const A = f->A;
+  const double a = AT(k, k), b = AT(k + 1, k), c = AT(k + 1, k + 1), determinant = a * c - b * b;
+  if (!(fabs(determinant) > ROUNDING * (fabs(a * c) + b * b)) || !isfinite(determinant)) return 0;
+  *negative += determinant < 0 ? 1 : a < 0 ? 2 : 0;
+  f->block[k] = 2, f->block[k + 1] = 0;
+  for (int32_t j = k + 2; j < n; j++) {
+    const double first = (c * AT(j, k) - b * AT(j, k + 1)) / determinant;
+    const double second = (a * AT(j, k + 1) - b * AT(j, k)) / determinant;
+    f->added[j] += fabs(first * AT(j, k)) + fabs(second * AT(j, k + 1));
+    for (int32_t i = j; i < n; i++) AT(i, j) -= first * AT(i, k) + second * AT(i, k + 1);
+    AT(j, k) = first, AT(j, k + 1) = second; /* rows above j of these columns are read no more */
+  }
+  return 1;
+}
+
+/* Of the lower triangle of A in f; the count of negative eigenvalues, or -1 where A is singular to rounding. */
+int32_t twx_factorize_symmetric(const twx_factor *f) {
+  const int32_t n = f->n;
+  const double *const A = f->A;
+  int32_t negative = 0;
+  for (int32_t i = 0; i < n; i++) f->row[i] = i, f->added[i] = fabs(AT(i, i));
+  for (int32_t k = 0; k < n;) {
+    const int32_t rows = choose_block(f, k);
+    if (rows == 1 ? !eliminate_one(f, k, &negative) : !eliminate_two(f, k, &negative)) return -1;
+    k += rows;
+  }
+  return negative;
+}
+
+/* B = L^-1 Q B of columns; `scratch` (n,) */
+void twx_solve_lower_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+  const int32_t n = f->n;
+  const double *const A = f->A;
+  for (int32_t j = 0; j < columns; j++) {
+    double *const b = B + (size_t)j * (size_t)n;
+    for (int32_t i = 0; i < n; i++) scratch[i] = b[(int32_t)f->row[i]];
+    memcpy(b, scratch, sizeof(double) * (size_t)n);
+    for (int32_t k = 0; k < n; k++)
+      for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++) b[i] -= AT(i, k) * b[k];
+  }
+}
+
+/* B = D^-1 B */
+void twx_solve_diagonal_part(const twx_factor *f, int32_t columns, double *B) {
+  const int32_t n = f->n;
+  const double *const A = f->A;
+  for (int32_t j = 0; j < columns; j++) {
+    double *const b = B + (size_t)j * (size_t)n;
+    for (int32_t k = 0; k < n; k++) {
+      if (f->block[k] == 1) b[k] /= AT(k, k);
+      if (f->block[k] != 2) continue;
+      const double a = AT(k, k), between = AT(k + 1, k), c = AT(k + 1, k + 1), first = b[k];
+      const double determinant = a * c - between * between;
+      b[k] = (c * first - between * b[k + 1]) / determinant, b[k + 1] = (a * b[k + 1] - between * first) / determinant;
+    }
+  }
+}
+
+/* B = Q' L'^-1 B */
+void twx_solve_upper_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+  const int32_t n = f->n;
+  const double *const A = f->A;
+  for (int32_t j = 0; j < columns; j++) {
+    double *const b = B + (size_t)j * (size_t)n;
+    for (int32_t k = n - 1; k >= 0; k--)
+      for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++) b[k] -= AT(i, k) * b[i];
+    for (int32_t i = 0; i < n; i++) scratch[(int32_t)f->row[i]] = b[i];
+    memcpy(b, scratch, sizeof(double) * (size_t)n);
+  }
+}
+
+/* B = A^-1 B */
+void twx_solve_symmetric(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+  twx_solve_lower_part(f, columns, B, scratch);
+  twx_solve_diagonal_part(f, columns, B);
+  twx_solve_upper_part(f, columns, B, scratch);
+}
