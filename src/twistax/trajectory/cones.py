@@ -6,11 +6,10 @@ Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..expr import (
@@ -21,7 +20,6 @@ from ..expr import (
     Div,
     Dot,
     Expr,
-    Inputs,
     MatMul,
     Mul,
     Neg,
@@ -30,9 +28,9 @@ from ..expr import (
     Power,
     Sqrt,
     Sub,
-    evaluate_all,
     leaves_of,
 )
+from .point_values import PointValues
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]
@@ -91,14 +89,11 @@ class NormControls:
 
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
     """Expressions of controls and parameters for every row of the controls."""
-    known = {name: jnp.asarray(value) for name, value in params.items()}
-
-    def at(u: dict[str, jax.Array]) -> list[jax.Array]:
-        inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-        return evaluate_all(list(sizes), lambda leaf: leaf.read(inputs))
-
-    found = jax.vmap(at)({name: jnp.asarray(values) for name, values in us.items()})
-    return [np.asarray(values) for values in found]
+    rows = max((len(values) for values in us.values()), default=1)
+    found = PointValues.of(sizes)(np.zeros(rows), {}, us, params)
+    ends = np.cumsum([math.prod(size.shape) for size in sizes])
+    parts = zip(np.split(found, ends[:-1], axis=1), sizes, strict=True)
+    return [part.reshape(rows, *size.shape) for part, size in parts]
 
 
 def bounds_along(

@@ -11,6 +11,7 @@ the control of the join: F = u there, the step to it from the node, zero where t
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Callable, Mapping, Sequence
 from math import prod
@@ -60,6 +61,23 @@ class Join:
             loose[part] = ~fixed[name] if sources[name] is None else False
         self.free, self._loose = np.flatnonzero(loose), loose
         self.gap = Smooth(self.gap_at, before.backend)
+        places = after.dynamics.group.factors
+        placed = tuple(self._placed[name].tobytes() if name in self._placed else None for name in places)
+        #: What the defect depends on beside its expressions and the layout of both phases.
+        self.key = (placed, tuple(sources[name] is None for name in places), loose.tobytes())
+
+    @property
+    def sources(self) -> tuple[Expr, ...]:
+        """The expressions of the last states before, in the order of the next ones."""
+        every = (self._sources[name] for name in self._after.dynamics.group.factors)
+        return tuple(source for source in every if source is not None)
+
+    def made_of(self, sources: Sequence[Expr]) -> Join:
+        """The same by other expressions."""
+        found, others = copy.copy(self), iter(sources)
+        names = self._after.dynamics.group.factors
+        found._sources = {n: None if self._sources[n] is None else next(others) for n in names}
+        return found
 
     def gap_at(
         self, z: jax.Array, here: tuple[Arrays, jax.Array], start: Arrays, given: Arrays, params: Arrays

@@ -11,6 +11,7 @@ the rows of constraints at the ends of its substeps, and its share of the runnin
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -50,6 +51,7 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         states: names of the states' tangents.
+        paced: where the control stands that says how long intervals are.
         alike: state -> the one whose scale it has, in this phase or in the first.
     """
 
@@ -78,7 +80,7 @@ class Shooting(Transcribed):
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border
-        self._paced = None if pace is None else self.local.controls.slices[pace]
+        self.paced = None if pace is None else self.local.controls.slices[pace]
         self.size = self.n + self.m + border.size
         self.path = path
         self.backend = backend = chosen(
@@ -111,6 +113,12 @@ class Shooting(Transcribed):
         self.stirred[-1, layout.fixed] = False
         whole = slice(0, self.nodes), slice(0, self.intervals), np.arange(self.n + self.m)
         self.segments, self.joins = [Segment(0, self, *whole, alone=True)], []
+
+    def by(self, local: Local) -> Shooting:
+        """The same with other functions of single points; only for these."""
+        found = copy.copy(self)
+        found.local = local
+        return found
 
     def _interval_of(self, transcription: MultipleShooting | Collocation, asked: Array) -> Interval:
         """The maths of an interval, with these of the path rows at its points."""
@@ -257,7 +265,7 @@ class Shooting(Transcribed):
 
     def _pace(self, u: jax.Array) -> Any:
         """How long the interval is over what its share says."""
-        return 1.0 if self._paced is None else u[self._paced][0]
+        return 1.0 if self.paced is None else u[self.paced][0]
 
     def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""

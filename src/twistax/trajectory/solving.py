@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 import time
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
@@ -36,6 +37,9 @@ from .watch import Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
+
+#: Threads that solve one problem make its first solver once: that decides which rows there are.
+_MAKING = threading.RLock()
 
 One = TypeVar("One")
 Many = TypeVar("Many")
@@ -118,7 +122,7 @@ class Solvable(ABC, Generic[One, Many]):
     def built(self) -> None:
         """Forget what was compiled."""
         self._solvers: dict[float, Solver] = {}
-        self._cores: dict[float, CoreSolver] = {}
+        self._cores: dict[tuple[float, int], CoreSolver] = {}
 
     def solve(
         self,
@@ -143,7 +147,10 @@ class Solvable(ABC, Generic[One, Many]):
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
+        The first call compiles, later ones do not. Neither do problems that differ in numbers, nodes or guesses from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table.
+        Several threads may solve one problem at once.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -179,7 +186,7 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Every mesh compiles. The status is COARSE, too, where a thousand
+                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too, where a thousand
                 nodes are not enough.
 
         Raises:
@@ -319,15 +326,16 @@ class Solvable(ABC, Generic[One, Many]):
         return found
 
     def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
-        """The solver; its kernels compile once."""
-        if tolerance not in self._cores:
-            with uncollected():
-                staged = next((core.staged for core in self._cores.values()), None)
-                if staged is None:
-                    staged = Staged(self.shooting, self.parts, given)
+        """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
+        key = (tolerance, threading.get_ident())
+        if key not in self._cores:
+            with _MAKING, uncollected():
+                first = next((core.staged for core in self._cores.values()), None)
+                staged = Staged(self.shooting, self.parts, given) if first is None else first.alone(given)
+                if first is None:
                     staged.drop(redundant_rows(staged, point, given), given)
-                self._cores[tolerance] = CoreSolver(staged, self.parts, given, tolerance)
-        return self._cores[tolerance]
+                self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
+        return self._cores[key]
 
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """What measures results of solvers of others, compiled."""

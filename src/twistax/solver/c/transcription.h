@@ -15,12 +15,14 @@
 #define TWX_TRANSCRIPTION_H
 #include "core.h"
 
-/* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; weights. */
-typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
+/* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; numbers of the
+ * kernel; weights. */
+typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
 
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
   void (*run)(const int64_t *table, int64_t first, int64_t end);
   int32_t reads, argument[TWX_ARGUMENTS];
+  const double *numbers; /* that stay: problems that differ in these alone share machine code */
 } twx_kernel;
 
 typedef struct { /* a vector with its first derivative, and the second of a weighted sum */
