@@ -32,7 +32,7 @@ _CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
 #: begins at 0.1 of that unit.
-_COST = 0.5
+_COST = 0.02
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
@@ -148,6 +148,7 @@ class CoreSolver:
         tolerance = _CLOSER * self.tolerance
         closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
         chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance}
+        chosen["gap"] = tolerance
         chosen |= {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)

@@ -93,6 +93,11 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         error = max(result.errors.stationarity, result.errors.gap)
         if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
             break
+        if result.status in AT_OPTIMUM:
+            measured = solver.run_once(_warm(result, given), given, 0)
+            if measured.status in AT_OPTIMUM:
+                result = measured._replace(iterations=result.iterations, saddle=result.saddle)
+                break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
         again = solve(_warm(result, given) if near else result.point, given, floor)

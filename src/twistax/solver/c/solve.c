@@ -104,7 +104,8 @@ static twx_status iterate(twx_work *w) {
   for (twx_status status = TWX_SOLVED; status == TWX_SOLVED;) {
     const twx_measures m = twx_measure(w, 0);
     report(w, &m);
-    if (m.error <= o->tolerance && m.complementarity <= o->complementarity) return TWX_SOLVED;
+    if (m.error <= o->tolerance && (m.complementarity <= o->complementarity || m.gap <= o->gap * fabs(w->here.cost)))
+      return TWX_SOLVED;
     keep_best(w, &m);
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;

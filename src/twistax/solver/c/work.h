@@ -120,6 +120,7 @@ TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_i
 /* measures.c */
 typedef struct {
   double error, stationarity, violation, complementarity;
+  double gap; /* sum of the products of slacks and their multipliers */
 } twx_measures;
 TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32_t largest);
 TWX_INTERNAL double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier);
