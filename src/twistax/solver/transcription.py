@@ -177,6 +177,7 @@ class _Phase(ctypes.Structure):
         *((name, KernelStructure) for name in ("retract", "turn")),
         ("node", ctypes.c_void_p),
         ("join", ctypes.c_void_p),
+        ("cost_slopes", ctypes.c_void_p),
         ("work", ctypes.c_void_p),
     ]
 
@@ -200,6 +201,8 @@ class Transcription:
         path_places: of each phase (intervals, substeps + 1, rows), the number of each path row among the inequalities,
             or among the equalities, of all stages; -1 where it is neither.
         node_places: the same of the conditions of nodes.
+        cost_slopes: of each phase (stages, parameters), what each stage adds to the gradient of the cost by parameters,
+            of the last Jacobians.
     """
 
     def __init__(self, phases: Sequence[Phase], parameters: int, data: Array) -> None:
@@ -224,6 +227,7 @@ class Transcription:
         found = [self._among_all(*own) for own in zip(phases, self.first, places)]
         self.path_places: list[Array] = [path for path, _ in found]
         self.node_places: list[list[Array]] = [nodes for _, nodes in found]
+        self.cost_slopes = [np.zeros((len(phase.controls), parameters)) for phase in phases]
         self._structures = (_Phase * len(phases))(*self._described(places, data))
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
@@ -312,6 +316,7 @@ class Transcription:
                     **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
                     node=ctypes.addressof(nodes),
                     join=self._join(number),
+                    cost_slopes=self._array(self.cost_slopes[number]),
                 )
             )
         return found

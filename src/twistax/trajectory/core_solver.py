@@ -19,6 +19,7 @@ from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
 from .outcome import Callback, Outcome
+from .quasi_newton import StageUpdates
 from .staged import Staged
 from .start_units import StartUnits
 from .transcribed import Given, Point, Step, Values
@@ -73,6 +74,7 @@ class CoreSolver:
     def __init__(self, staged: Staged, parts: Sequence[Any], given: Given, tolerance: float) -> None:
         self.staged, self.tolerance, self._parts = staged, tolerance, parts
         self.transcribed = staged.transcribed
+        self._by_updates = any(part.hessian is not None and part.hessian.by_updates for part in parts)
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
         stages, border = staged.transcription.stages, staged.border
@@ -169,7 +171,13 @@ class CoreSolver:
         return self._outcome(kept, units, given)
 
     def _from_point(
-        self, point: Point, given: Given, units: StartUnits, options: dict[str, float], watch: _Watch, fitted: Sequence[int]
+        self,
+        point: Point,
+        given: Given,
+        units: StartUnits,
+        options: dict[str, float],
+        watch: _Watch,
+        fitted: Sequence[int],
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
         left = list(fitted)
@@ -206,10 +214,12 @@ class CoreSolver:
         watch: Watch | None = None,
     ) -> Solution:
         """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
-        staged = self.staged
+        staged, functions = self.staged, self.staged.transcription.functions
+        if self._by_updates:
+            functions = StageUpdates(staged.transcription, units.v, units.cost).functions
         result = solve(
             staged.transcription.stages,
-            staged.transcription.functions,
+            functions,
             *staged.limits(point, given),
             staged.flat(point),
             staged.coordinates(point),

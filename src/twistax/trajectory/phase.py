@@ -26,7 +26,7 @@ class Phase:
         final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
         initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
             phase before left.
-        controls, guess, final_time_guess, transcription, method, substeps: as for a `Problem`.
+        controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
         name: what results and messages call it; "phase 0", "phase 1", ... unless given.
     """
 
@@ -44,6 +44,7 @@ class Phase:
     transcription: Any = None
     method: Any = None
     substeps: int | None = None
+    hessian: Any = None
     name: str | None = None
 
 

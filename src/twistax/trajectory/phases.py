@@ -124,6 +124,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 transcription=phase.transcription,
                 method=phase.method,
                 substeps=phase.substeps,
+                hessian=phase.hessian,
                 _within=within,
             )
 

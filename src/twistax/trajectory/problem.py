@@ -23,6 +23,7 @@ from .cones import above, bounds_along, norm_controls
 from .controls import continuous_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
+from .hessians import checked_hessian
 from .mesh import Remeshed, mesh_of
 from .reduction import InPhase, Reduction
 from .restated import Restated
@@ -72,6 +73,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
         method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if
             left out, and its steps in an interval, 2 if left out.
+        hessian: second derivatives other than exact ones: `tx.trajectory.GaussNewton()` or
+            `tx.trajectory.QuasiNewton()`.
 
     Raises:
         ModelError: unknown names or values without meaning.
@@ -113,6 +116,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         transcription: Any = None,
         method: Any = None,
         substeps: Any = None,
+        hessian: Any = None,
         _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
         need_compiled("Problem", dynamics)
@@ -160,6 +164,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self.transcription = transcription_of(transcription, method, substeps)
+        self.hessian = checked_hessian(hessian)
         self.norms = slack_controls(norm_controls(objective.running, objective.sign), restated, soft)
         asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
         exprs = [e for e in (objective.final, objective.running, self.norms.running, *asked) if e is not None]
@@ -217,6 +222,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.softened.rows
 
     @property
+    def order(self) -> int:
+        """Of the derivatives that are compiled."""
+        return 2 if self.hessian is None else 1
+
+    @property
     def parts(self) -> Sequence[Problem]:
         return [self]
 
@@ -249,6 +259,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             phase=self.phase,
             pace=self.restated.pace,
         )
+        self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self.built()
         self.advanced = jax.jit(self.shooting.advanced)

@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Control, State
+from ..expr import Control, Expr, State
 from ..lowering import XLA, Dynamics
 from ..lowering.array_call import array_call
 from ..lowering.backends import chosen
@@ -262,6 +262,13 @@ class Shooting(Transcribed):
         eta, u, begin, length, params = self._parts(q, params)
         rows, density = self.local.point(begin + share * length, eta, u, base, params)
         return jnp.concatenate([rows, (length * self._pace(u) * density)[None]])
+
+    def values_at(
+        self, exprs: Sequence[Expr], q: jax.Array, share: jax.Array, base: Arrays, params: Arrays
+    ) -> tuple[jax.Array, list[Any]]:
+        """T, and expressions at time share * T."""
+        eta, u, begin, length, params = self._parts(q, params)
+        return length * self._pace(u), self.local.values(exprs, begin + share * length, eta, u, base, params)
 
     def _pace(self, u: jax.Array) -> Any:
         """How long the interval is over what its share says."""

@@ -23,6 +23,7 @@ from .flat import Flat, Numbers
 from .interval import simpson
 from .joined import Join
 from .shooting import Shooting
+from .squares import Squares, SquaresBends, Term
 from .transcribed import Given, Point, Segment, Transcribed
 from .transcription import Collocation, MultipleShooting
 
@@ -52,8 +53,8 @@ class Functions:
     Numbers within expressions are arguments too: kernels of phases that differ in them alone are one.
     """
 
-    def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
-        self._shooting, self._numbers = shooting, numbers
+    def __init__(self, shooting: Shooting, numbers: Numbers, squares: Squares | None = None, order: int = 2) -> None:
+        self._shooting, self._numbers, self._squares, self._order = shooting, numbers, squares, order
         self.point, self._layout = point_of(shooting), Layout(shooting, numbers)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
@@ -69,25 +70,36 @@ class Functions:
         made, pace = own.local.expressions, own.paced and (own.paced.start, own.paced.stop)
         conditions = [(k, self._of(self._node(c), of_node, [c.residuals], "node")) for k, c in nodes.items()]
         end = self._of(self._end, of_end, [made.conditions, made.rows, made.limits, made.final], at_end)
+        rows = self._of(self._rows, of_q, [made.rows, made.limits, made.running], ("rows", pace, boxes))
+        if self._squares is not None:
+            bends = SquaresBends(own, self.point)
+            self._add_squares(rows, bends.running, of_q, self._squares.running, ("running", pace))
+            self._add_squares(end, bends.final, of_end, self._squares.final, "final")
         flat = all(factor.flat for factor in own.dynamics.group.factors.values())
         move = {Argument.Z: n, Argument.BASE: self.point.size}
         return PhaseKernels(
             self._of(self._rate, of_q, [made.rates], ("rate", pace)),
-            self._of(self._rows, of_q, [made.rows, made.limits, made.running], ("rows", pace, boxes)),
-            SmoothKernels(self._gap, gap, key=("gap", group)),
+            rows,
+            SmoothKernels(self._gap, gap, self._order, ("gap", group)),
             [*conditions, (own.intervals, end)],
             None if flat else SmoothKernels(self._retract, move, 0, ("retract", group)).kernels[0],
             None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0, ("turn", group)).kernels[0],
         )
 
     def _of(
-        self, function: _Traced, arguments: Mapping[Argument, int], parts: Sequence[Sequence[Expr]], rest: Hashable
+        self,
+        function: _Traced,
+        arguments: Mapping[Argument, int],
+        parts: Sequence[Sequence[Expr]],
+        rest: Hashable,
+        order: int | None = None,
     ) -> SmoothKernels:
         """The kernels of a function of (arguments, all parameters, expressions).
 
         Args:
             parts: the expressions, in groups.
             rest: what it depends on beside these and the layout.
+            order: of the derivatives, if not as in the whole problem.
         """
         structure = Structure([expr for part in parts for expr in part], self._layout.token)
 
@@ -99,7 +111,20 @@ class Functions:
             return function(*given[:count], params, *exchanged)
 
         key = (self._layout.key, structure.key, tuple(map(len, parts)), rest)
-        return SmoothKernels(traced, arguments, 2, key, structure.numbers)
+        return SmoothKernels(traced, arguments, self._order if order is None else order, key, structure.numbers)
+
+    def _add_squares(
+        self,
+        to: SmoothKernels,
+        function: _Traced,
+        arguments: Mapping[Argument, int],
+        terms: Sequence[Term],
+        rest: Hashable,
+    ) -> None:
+        """Put second derivatives of squares where those of the whole function stand."""
+        if terms:
+            arguments = {**arguments, Argument.WEIGHTS: to.rows}
+            to.kernels += self._of(function, arguments, list(zip(*terms)), ("squares", rest), 0).kernels
 
     def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
         """The phase with other expressions."""
@@ -270,7 +295,7 @@ class Staged:
         self.numbers = Numbers([point_of(part.shooting) for part in parts], given)
         self.parts: list[Part] = []
         with in_double():
-            every = [Functions(part.shooting, self.numbers) for part in parts]
+            every = [Functions(part.shooting, self.numbers, part.squares, part.order) for part in parts]
             pairs = zip(every, transcribed.joins, parts[1:])
             joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
             for segment, part, functions, join in zip(transcribed.segments, parts, every, [*joins, None]):

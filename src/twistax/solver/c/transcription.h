@@ -65,6 +65,7 @@ typedef struct {
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
   const twx_join *join;         /* to the next phase, or NULL */
+  double *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
   double *work;
 } twx_phase;
 
