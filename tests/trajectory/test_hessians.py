@@ -131,6 +131,11 @@ def test_quasi_newton_has_the_optima_of_newton() -> None:
     assert found.iterations <= 35
 
 
+def test_solvers_of_others_get_no_updates() -> None:
+    with pytest.raises(TrajectoryError, match=r"QuasiNewton\(\) has no second derivatives for IPOPT.*\n.*limited-memory"):
+        fastest(QuasiNewton()).solve(solver=tx.trajectory.IPOPT())
+
+
 def test_quasi_newton_of_phases_and_attitudes() -> None:
     R, spin = tx.State("R", group=tx.SO3), tx.Control("spin", shape=(3,))
     turning = tx.compile(tx.System(rates={R: spin}, constraints={"slow": spin[2] <= 0.5}))

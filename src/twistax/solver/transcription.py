@@ -89,6 +89,7 @@ class Phase:
         conditions: the same of the conditions of each node.
         path_margins, margins: by which these are tightened.
         join: to the next phase.
+        node_rows: where in the data the numbers of the nodes begin, and how many each has.
     """
 
     n: int
@@ -103,6 +104,7 @@ class Phase:
     path_margins: Array
     margins: Sequence[Array]
     join: JoinKernels | None = None
+    node_rows: tuple[int, int] = (0, 0)
 
     @property
     def intervals(self) -> int:
@@ -162,7 +164,7 @@ class _Offsets(ctypes.Structure):
 
 
 _COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
-_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins")
+_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "node_rows")
 
 
 class _Phase(ctypes.Structure):
@@ -172,6 +174,8 @@ class _Phase(ctypes.Structure):
         ("parameters_z", ctypes.c_int64),
         ("parameters_v", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in _ARRAYS),
+        ("node_width", ctypes.c_int32),
+        *((name, ctypes.c_void_p) for name in ("place", "margins")),
         ("at", _Offsets),
         *((name, SmoothStructure) for name in ("rate", "rows", "gap")),
         *((name, KernelStructure) for name in ("retract", "turn")),
@@ -309,6 +313,8 @@ class Transcription:
                     parameters_v=at_v,
                     **addresses,
                     data=int(self._data.ctypes.data),
+                    node_rows=int(self._data.ctypes.data) + 8 * phase.node_rows[0],
+                    node_width=phase.node_rows[1],
                     place=codes[0],
                     margins=margins[0],
                     at=_Offsets(**{name: self._array(own[part]) for name, own in self._offsets.items()}),

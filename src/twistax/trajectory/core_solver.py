@@ -17,6 +17,7 @@ from . import strategies
 from .accuracy import Judge
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
+from .hessians import by_updates
 from .iterate import Errors, Scales
 from .outcome import Callback, Outcome
 from .quasi_newton import StageUpdates
@@ -74,7 +75,7 @@ class CoreSolver:
     def __init__(self, staged: Staged, parts: Sequence[Any], given: Given, tolerance: float) -> None:
         self.staged, self.tolerance, self._parts = staged, tolerance, parts
         self.transcribed = staged.transcribed
-        self._by_updates = any(part.hessian is not None and part.hessian.by_updates for part in parts)
+        self._by_updates = by_updates(parts)
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
         stages, border = staged.transcription.stages, staged.border

@@ -26,7 +26,7 @@ class Phase:
         final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
         initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
             phase before left.
-        controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
+        by_node, controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
         name: what results and messages call it; "phase 0", "phase 1", ... unless given.
     """
 
@@ -38,6 +38,7 @@ class Phase:
     initial: Any = None
     final: Any = None
     at: Any = None
+    by_node: Any = None
     controls: Any = None
     guess: Mapping[Any, Any] | None = None
     final_time_guess: Any = None

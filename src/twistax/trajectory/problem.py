@@ -17,6 +17,7 @@ from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import entry_names, name_of
 from .border import Border, boxes_of, times_of
+from .by_node import ByNode
 from .cases import TrajectoryResults, trajectory_results
 from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split
 from .cones import above, bounds_along, norm_controls
@@ -62,6 +63,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         params: values of the parameters by leaf or name, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
+        by_node: a list of parameters of the objective, references and weights, whose values in `params` have a row for
+            each node, or are one for all. They are linear in time between nodes; the final cost reads the last row.
         controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out), `tx.trajectory.Linear()` or
             `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
@@ -110,6 +113,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         at: Any = None,
         params: Mapping[Any, Any] | None = None,
         free: Any = None,
+        by_node: Any = None,
         controls: Any = None,
         guess: Mapping[Any, Any] | None = None,
         final_time_guess: Any = None,
@@ -180,6 +184,10 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         seen |= reads["rates"] | reads["constraints"]
         #: Parameters that the problem reads, and the names of those that cannot be changed any more.
         self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
+        self.by_node = ByNode.of(by_node, self.mesh.shares)
+        elsewhere = [*asked, *(row for _, row in self.norms.rows)]
+        priced = [e for e in (objective.final, self.norms.running) if e is not None]
+        self.by_node.check(priced, elsewhere, reads["rates"] | reads["constraints"])
         self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
         #: Parameters that stand for extremes, and slacks.
         self.bounds = boxes_of({**reduced.free, **softened.free}, self.readable, ())
@@ -198,7 +206,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
         (mesh,) = meshes
-        return Problem(**self._stated | mesh.stated(self._stated["at"]))
+        return Problem(**self._stated | {"by_node": self.by_node} | mesh.stated(self._stated["at"]))
 
     def as_phase(self, number: int, border: Border) -> None:
         """Make it a phase of a problem with these durations and free parameters."""
@@ -258,6 +266,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             border=self.border,
             phase=self.phase,
             pace=self.restated.pace,
+            by_node=self.by_node,
         )
         self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
@@ -460,6 +469,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
                 raise InputError(
                     f"the problem reads the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
                 )
+            if name in self.by_node.leaves:
+                found[name] = self.by_node.values(name, own.get(name, leaf.value))
+                continue
             found[name] = reals(f"params[{name!r}]", own.get(name, leaf.value), InputError)
             if found[name].shape != leaf.shape:
                 raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")

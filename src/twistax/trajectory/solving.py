@@ -24,6 +24,7 @@ from .cases import Cases, prepared
 from .core_solver import CoreSolver
 from .external import SolvedBy
 from .found import Tried
+from .hessians import by_updates
 from .many import solve_all
 from .mesh import Remeshed
 from .outcome import Callback, Outcome
@@ -147,8 +148,8 @@ class Solvable(ABC, Generic[One, Many]):
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not. Neither do problems that differ in numbers, nodes or guesses from one
-        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        The first call compiles, later ones do not. Neither do problems that differ in numbers, nodes or guesses from
+        one that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
         structure compiles anew: a zero, a factor of one, an exponent or a table.
         Several threads may solve one problem at once.
 
@@ -186,8 +187,8 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too, where a thousand
-                nodes are not enough.
+                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too, where
+                a thousand nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -211,6 +212,11 @@ class Solvable(ABC, Generic[One, Many]):
         if solver is not None and (isinstance(solver, type) or not isinstance(solver, SolvedBy)):
             raise TrajectoryError(
                 f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
+            )
+        if solver is not None and by_updates(self.parts):
+            raise TrajectoryError(
+                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian=; of IPOPT's own there is "
+                "IPOPT(options={'hessian_approximation': 'limited-memory'})"
             )
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)

@@ -60,9 +60,10 @@ class Functions:
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
-        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data}
+        row = {Argument.ROW: own.by_node.width} if own.by_node.leaves else {}
+        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data, **row}
         of_node = {**of_q, Argument.Z: n + g}
-        of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data}
+        of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data, **row}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
         boxes, group = self._layout.boxes, group_key(own)
         places = (tuple(own.layout.fixed), tuple(own.layout.end_states))
@@ -104,13 +105,18 @@ class Functions:
         structure = Structure([expr for part in parts for expr in part], self._layout.token)
 
         def traced(*given: jax.Array) -> jax.Array:
-            count = len(arguments)
-            data, roots = given[list(arguments).index(Argument.DATA)], iter(structure.roots)
-            params = self._numbers.params(data) | (structure.params(given[count]) if given[count:] else {})
+            known, roots = dict(zip([*arguments, Argument.NUMBERS], given)), iter(structure.roots)
+            params = self._numbers.params(known[Argument.DATA])
+            if Argument.NUMBERS in known:
+                params |= structure.params(known.pop(Argument.NUMBERS))
+            if Argument.ROW in known:
+                at = known.get(Argument.SHARE, jnp.ones(1))[0]
+                params |= self._shooting.by_node.at(known.pop(Argument.ROW), at)
             exchanged = [tuple(next(roots) for _ in part) for part in parts]
-            return function(*given[:count], params, *exchanged)
+            return function(*known.values(), params, *exchanged)
 
-        key = (self._layout.key, structure.key, tuple(map(len, parts)), rest)
+        by_node = tuple(self._shooting.by_node.leaves)
+        key = (self._layout.key, by_node, structure.key, tuple(map(len, parts)), rest)
         return SmoothKernels(traced, arguments, self._order if order is None else order, key, structure.numbers)
 
     def _add_squares(
@@ -220,7 +226,9 @@ class Part:
         method: Method,
         kernels: PhaseKernels,
         join: JoinKernels | None,
+        node_rows: tuple[int, int],
     ) -> None:
+        self._node_rows = node_rows
         self.shooting = shooting = segment.shooting
         self.stages = slice(segment.nodes.start, segment.nodes.stop)
         self.point = point_of(shooting)
@@ -247,6 +255,7 @@ class Part:
             np.zeros(path.shape),
             [np.zeros(len(own)) for own in rows],
             self._join,
+            self._node_rows,
         )
 
     def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
@@ -292,7 +301,8 @@ class Staged:
 
     def __init__(self, transcribed: Transcribed, parts: Sequence[Any], given: Given) -> None:
         self.transcribed, self.border = transcribed, transcribed.border
-        self.numbers = Numbers([point_of(part.shooting) for part in parts], given)
+        by_node = [part.shooting.by_node for part in parts]
+        self.numbers = Numbers([point_of(part.shooting) for part in parts], given, by_node)
         self.parts: list[Part] = []
         with in_double():
             every = [Functions(part.shooting, self.numbers, part.squares, part.order) for part in parts]
@@ -300,7 +310,9 @@ class Staged:
             joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
             for segment, part, functions, join in zip(transcribed.segments, parts, every, [*joins, None]):
                 rows = dict(part.node_rows)
-                self.parts.append(Part(segment, rows, method_of(part.transcription), functions.kernels(rows), join))
+                of_nodes = self.numbers.node_rows(len(self.parts))
+                kernels = functions.kernels(rows)
+                self.parts.append(Part(segment, rows, method_of(part.transcription), kernels, join, of_nodes))
         self._assemble(given)
 
     def _assemble(self, given: Given) -> None:

@@ -11,7 +11,7 @@ static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_no
   memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
   *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
   return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
-                      .weights = t->weights, .weight_width = (size_t)node->function.rows};
+                      .weights = t->weights, .weight_width = (size_t)node->function.rows, .stage = k};
 }
 
 /* Controls of a stage: those of the last one are of the join. */
