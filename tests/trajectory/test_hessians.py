@@ -132,7 +132,9 @@ def test_quasi_newton_has_the_optima_of_newton() -> None:
 
 
 def test_solvers_of_others_get_no_updates() -> None:
-    with pytest.raises(TrajectoryError, match=r"QuasiNewton\(\) has no second derivatives for IPOPT.*\n.*limited-memory"):
+    with pytest.raises(
+        TrajectoryError, match=r"QuasiNewton\(\) has no second derivatives for IPOPT.*\n.*limited-memory"
+    ):
         fastest(QuasiNewton()).solve(solver=tx.trajectory.IPOPT())
 
 

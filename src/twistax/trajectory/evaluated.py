@@ -47,6 +47,12 @@ class Evaluated:
         self._call("hessians", 0.0, np.zeros_like(self.c), y, ye, H)
         return H
 
+    def lagrangian(self, lam: Array, y: Array, ye: Array) -> Array:
+        """Second derivatives of the cost + lam . c + y . h + ye . e."""
+        H = np.zeros_like(self.H)
+        self._call("hessians", 1.0, lam, y, ye, H)
+        return H
+
     def blocks(self, flat: Array, rows: Any) -> list[Array]:
         """The matrices (rows, columns) of all stages."""
         sizes = [r * n for r, n in zip(rows, self.stages.columns)]

@@ -69,8 +69,9 @@ class QuasiNewton:
     derivative is compiled or evaluated: for rates that are large, or that call back to Python. A search takes more
     steps, most of them two to five times as many.
 
-    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a step s of its unknowns, counted in their
-    units, and the change y of the gradient of its share of the Lagrangian. Both are about the node before the step.
+    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a step s of its unknowns, counted in
+    their units, and the change y of the gradient of its share of the Lagrangian. Both are about the node before the
+    step.
     Source: Nocedal and Wright, Numerical Optimization (2006), (6.24).
 
     Example: `Problem(..., hessian=tx.trajectory.QuasiNewton())`.

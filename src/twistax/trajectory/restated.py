@@ -151,6 +151,14 @@ class Restated:
         return self._smooth.keys()
 
     @property
+    def derivatives(self) -> dict[str, str]:
+        """Name of a held derivative of a continuous control -> what it is, in the language."""
+        return {
+            held.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
+            for name, (states, held) in self._chains.items()
+        }
+
+    @property
     def pace(self) -> str | None:
         """The name of the control that says how long intervals are."""
         return None if self._mesh.free is None else _PACE

@@ -33,11 +33,15 @@ from .refine import refined
 from .solver import Solver
 from .staged import Staged
 from .transcribed import Given, Point, Transcribed
+from .undetermined import Undetermined, undetermined
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
+
+#: The tolerance of a solver that only looks at solutions.
+_LOOKED_AT = 1e-6
 
 #: Threads that solve one problem make its first solver once: that decides which rows there are.
 _MAKING = threading.RLock()
@@ -215,8 +219,8 @@ class Solvable(ABC, Generic[One, Many]):
             )
         if solver is not None and by_updates(self.parts):
             raise TrajectoryError(
-                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian=; of IPOPT's own there is "
-                "IPOPT(options={'hessian_approximation': 'limited-memory'})"
+                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian=; of IPOPT's own "
+                "there is IPOPT(options={'hessian_approximation': 'limited-memory'})"
             )
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
@@ -342,6 +346,15 @@ class Solvable(ABC, Generic[One, Many]):
                     staged.drop(redundant_rows(staged, point, given), given)
                 self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
         return self._cores[key]
+
+    def undetermined(self, warm: WarmStart) -> list[Undetermined]:
+        """The controls that a solution of it does not determine; with exact second derivatives alone."""
+        if any(part.hessian is not None for part in self.parts):
+            return []
+        with in_double():
+            given = self.started().given._replace(params=warm.params)
+            core = self._core(_LOOKED_AT, warm.point, given)
+            return undetermined(core.staged, warm, given, [part.restated.derivatives for part in self.parts])
 
     def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
         """What measures results of solvers of others, compiled."""
