@@ -15,6 +15,7 @@ from ..errors import IntegrationError, TrajectoryError
 from .accuracy import Accuracy
 from .border import Border
 from .outcome import Outcome
+from .singular import singular
 from .statement import largest_by_name
 from .transcribed import Transcribed
 from .undetermined import Undetermined
@@ -264,7 +265,8 @@ class Tried:
             if best.accuracy is None
             else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
-            "message": _message(problem.shooting, best, violations, shown, self.tolerance),
+            "message": _message(problem.shooting, best, violations, shown, self.tolerance)
+            + _singular(problem, best, params),
             "iterations": best.iterations,
             "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),
             "compile_seconds": self.compile_seconds,
@@ -339,6 +341,17 @@ def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
         more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
         found.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
     return found
+
+
+def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
+    """A sentence on what is not finite at an end of a phase."""
+    if outcome.status is not Status.NON_FINITE:
+        return ""
+    for part, segment in zip(problem.parts, problem.shooting.segments):
+        found = singular(part, segment.of(outcome.point), params, outcome.point.border)
+        if found is not None:
+            return f" {problem.shooting.named(segment, found)}."
+    return ""
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
