@@ -15,7 +15,7 @@ from .kernels import BatchKernel, KernelStructure, SmoothKernels, SmoothStructur
 from .library import library
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
-_NEWTON, _CLOSE = 20, 1e-9
+_NEWTON, _CLOSE = 60, 1e-9
 
 #: What rows of a stage are: dropped, or the number of an inequality, or -2 minus that of an equality.
 DROPPED = -1

@@ -220,7 +220,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers", "_cores")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -232,6 +232,10 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         every = zip(self._phases, self.parts, meshes, strict=True)
         found = [dataclasses.replace(p, by_node=part.by_node, **own.stated(p.at)) for p, part, own in every]
         return PhasedProblem(found, **self._stated)
+
+    def transcribed_by(self, transcription: Any) -> PhasedProblem:
+        other = {"transcription": transcription, "method": None, "substeps": None}
+        return PhasedProblem([dataclasses.replace(phase, **other) for phase in self._phases], **self._stated)
 
     @property
     def soft(self) -> set[str]:

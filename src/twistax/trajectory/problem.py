@@ -208,6 +208,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         (mesh,) = meshes
         return Problem(**self._stated | {"by_node": self.by_node} | mesh.stated(self._stated["at"]))
 
+    def transcribed_by(self, transcription: Any) -> Problem:
+        return Problem(**self._stated | {"transcription": transcription, "method": None, "substeps": None})
+
     def as_phase(self, number: int, border: Border) -> None:
         """Make it a phase of a problem with these durations and free parameters."""
         self.phase, self.border = number, border
@@ -285,7 +288,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_solvers", "_cores")}
+        return {
+            k: v
+            for k, v in self.__dict__.items()
+            if k not in ("shooting", "advanced", "_solvers", "_cores", "_implicit")
+        }
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

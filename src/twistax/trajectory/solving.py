@@ -32,10 +32,11 @@ from .redundant_rows import redundant_rows
 from .refine import refined
 from .solver import Solver
 from .staged import Staged
+from .stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
 from .transcribed import Given, Point, Transcribed
 from .undetermined import Undetermined, undetermined
 from .warm import WarmStart, warm_start, with_ends
-from .watch import Status
+from .watch import AT_OPTIMUM, Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
@@ -121,6 +122,10 @@ class Solvable(ABC, Generic[One, Many]):
         """The same problem on other meshes, one for each phase, without a guess."""
 
     @abstractmethod
+    def transcribed_by(self, transcription: Any) -> Any:
+        """The same problem, its phases integrated in another way."""
+
+    @abstractmethod
     def results(self, tried: Sequence[Tried]) -> Many:
         """The results of many cases."""
 
@@ -128,6 +133,7 @@ class Solvable(ABC, Generic[One, Many]):
         """Forget what was compiled."""
         self._solvers: dict[float, Solver] = {}
         self._cores: dict[tuple[float, int], CoreSolver] = {}
+        self._implicit: Any = None
 
     def solve(
         self,
@@ -156,6 +162,9 @@ class Solvable(ABC, Generic[One, Many]):
         one that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
         structure compiles anew: a zero, a factor of one, an exponent or a table.
         Several threads may solve one problem at once.
+
+        Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
+        of order 5, and the message says so; `result.problem` is the one that was solved.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -191,8 +200,8 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too, where
-                a thousand nodes are not enough.
+                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too,
+                where a thousand nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -263,11 +272,15 @@ class Solvable(ABC, Generic[One, Many]):
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
         result = self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
-        if refine is None:
-            return result
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
+        said = ""
+        if warm is None and solver is None:
+            start = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
+            result, said = self._by_implicit_steps(result, first, given, {**asked, **start, "between": between})
+        if refine is None:
+            return dataclasses.replace(result, message=result.message + said) if said else result
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
@@ -278,7 +291,7 @@ class Solvable(ABC, Generic[One, Many]):
         if between is not None and finest.solved:
             finest = dataclasses.replace(again(finest.problem, finest, between), meshes=finest.meshes)
         times = {name: sum(getattr(each, name) for each in spent) for name in ("compile_seconds", "solve_seconds")}
-        return dataclasses.replace(finest, **times)
+        return dataclasses.replace(finest, message=finest.message + said, **times)
 
     def solve_many(
         self,
@@ -346,6 +359,24 @@ class Solvable(ABC, Generic[One, Many]):
                     staged.drop(redundant_rows(staged, point, given), given)
                 self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
         return self._cores[key]
+
+    def _by_implicit_steps(self, result: Any, start: Point, given: Given, asked: dict[str, Any]) -> tuple[Any, str]:
+        """A result, or what implicit steps come to where explicit ones are unstable; and a sentence that says so."""
+        at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
+        if result.status in AT_OPTIMUM or at_once or result.iterations >= asked["max_iterations"]:
+            return result, ""
+        with in_double():
+            staged = self._core(float(asked["tolerance"]), start, given).staged
+            fastest = max(stiffness(staged, point, given) for point in (start, result.warm.point))
+        if fastest <= LARGEST:
+            return result, ""
+        if self._implicit is None:
+            self._implicit = self.transcribed_by(IMPLICIT)
+        other = self._implicit.solve(**asked)
+        said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
+        if other.status not in AT_OPTIMUM:
+            return result, f"{said}{IMPLICIT_NAME} did not help."
+        return other, f"{said}solved by {IMPLICIT_NAME}."
 
     def undetermined(self, warm: WarmStart) -> list[Undetermined]:
         """The controls that a solution of it does not determine; with exact second derivatives alone."""
