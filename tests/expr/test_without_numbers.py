@@ -64,6 +64,8 @@ APART: dict[str, tuple[Any, Any]] = {
     "a zero": (v - 0.0, v - 0.1),
     "a one": (1.0 * v, 1.1 * v),
     "a zero in a matrix": (x @ np.diag([2.0, 3.0]), x @ np.array([[2.0, 0.1], [0.0, 3.0]])),
+    "a zero or a one beside numbers": (np.array([2.0, 0.0]) * x, np.array([2.0, 1.0]) * x),
+    "a shape": (v * np.array([[0.7, 0.6]]), v * np.array([[0.7], [0.6]])),
     "an exponent": (v**2, v**3),
     "an exponent that is not whole": (v**2.5, v**3.5),
     "a table": (tx.Linterp(v, [0.0, 1.0], [2.0, 3.0]), tx.Linterp(v, [0.0, 1.0], [2.0, 4.0])),

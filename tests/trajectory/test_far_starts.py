@@ -10,7 +10,7 @@ from trajectory_systems import EULER, HEUN
 import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
-from twistax.trajectory.border import Border
+from twistax.trajectory.border import Border, times_of
 from twistax.trajectory.transcribed import Given, Point
 
 x, u = tx.State("x"), tx.Control("u")
@@ -215,10 +215,12 @@ def test_steps_that_explode_do_not_make_all_else_count_as_nothing() -> None:
     dynamics = tx.compile(tx.System(rates={x: -1e4 * (x - c)}))
     cost = tx.Minimize(running=(x - tx.Sin(3.0 * tx.Time())) ** 2)
     options: dict[str, Any] = {"nodes": 21, "final_time": 2.0, "initial": {x: 0.0}, "controls": Linear()}
-    assert not Problem(dynamics, cost, **options).solve().solved
+    explicit = Problem(dynamics, cost, **options).solve()
     stiff = Problem(dynamics, cost, **options, transcription=Collocation(tx.tableaus.RADAU_IIA5)).solve()
     assert stiff.solved
     assert stiff.cost < 1e-4
+    assert explicit.cost == pytest.approx(stiff.cost, rel=1e-6)  # solved by the same steps in the end
+    assert "Explicit steps are unstable" in explicit.message
     assert stiff.mesh_error["x"]["distance"] < 1e-5  # by implicit steps
     assert "exceeded along it: nothing" in stiff.explain()
 
@@ -262,3 +264,10 @@ def test_sizes_of_parameters_alone_need_no_bound() -> None:
     result = Problem(driven, cost, nodes=4, final_time=1.0, initial={x: 0.0}, final=budget, **EULER).solve()
     assert result.solved
     assert result.cost == pytest.approx(0.25)
+
+
+def test_a_free_time_starts_between_its_limits_however_far_apart_they_are() -> None:
+    for low in (1.0, 1e-6, 3e-7, 1e-200):
+        assert times_of((low, 100.0 * low), None)[1] == pytest.approx(50.5 * low)
+        assert times_of((low, 121.0 * low), None)[1] == pytest.approx(11.0 * low)
+    assert times_of((0.5, 20_000.0), 3.0)[1] == 3.0

@@ -8,9 +8,11 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.trajectory import Collocation, Linear, Mesh, Phase, Problem
+from twistax.trajectory.rollout import Rollout
 
 pytest.importorskip("llvmlite")
 
@@ -105,6 +107,22 @@ def test_guesses_and_ends_compile_nothing(made: list[str]) -> None:
     assert made == []
 
 
+def test_the_first_elements_of_groups_as_ends_compile_nothing(made: list[str]) -> None:
+    """Each group and precision for the first time in this process."""
+    for group in (tx.SE3, tx.SO3):
+        state = tx.State("g", group=group)
+        state.boundary("initial", np.eye(*group.shape))
+        group.identity(np.float32)
+    assert made == []
+
+
+def test_limits_between_nodes_compile_nothing(made: list[str]) -> None:
+    assert turned().solve(between=1e-4).solved
+    made.clear()
+    assert turned(inertia=2.5, nodes=9).solve(between=1e-4).solved
+    assert made == []
+
+
 def test_finer_meshes_compile_nothing(made: list[str]) -> None:
     assert pushed().solve(refine=1e-3).solved
     made.clear()
@@ -127,6 +145,19 @@ def test_other_transcriptions_too(options: dict[str, Any], made: list[str]) -> N
     made.clear()
     assert pushed(mass=1.45, limit=0.85, **options).solve().solved
     assert made == []
+
+
+@pytest.mark.parametrize("options", WAYS.values(), ids=WAYS.keys())
+def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any]) -> None:
+    """Of held controls, as `between` looks at them, beside `replay`: of a group, and of free nodes."""
+    problem = turned(**options)
+    result = problem.solve()
+    core, given = problem._core(1e-6, *problem.started()[:2]), problem.started().given
+    data = core.staged.numbers.vector(given)
+    rollout = Rollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
+    found, expected = rollout.states(result.warm.point), result.replay(steps=12)
+    for name, values in expected.xs.items():
+        np.testing.assert_allclose(found[name], values, atol=1e-11)
 
 
 # ---- the numbers are the right ones -------------------------------------------------------------------------------
@@ -181,3 +212,33 @@ def test_violations_are_of_the_limits_of_their_problem() -> None:
         assert excess > 0.1
         assert result.violations["ramp"] == pytest.approx(excess, abs=1e-12)
         assert result.violations["v <= 0.8"] == pytest.approx(max(0.0, result.xs["v"].max() - 0.8), abs=1e-12)
+
+
+ROLES: dict[str, tuple[Callable[[Any, Any, Any], tuple[Any, Any]], dict[str, Any], dict[str, Any]]] = {
+    "each by the other": (lambda p, v, u: (u - 0.3 * v, 0.8 * p), {}, {}),
+    "each by itself": (lambda p, v, u: (u - 0.3 * p, 0.8 * v), {}, {}),
+    "limits above": (lambda p, v, u: (v, u - 0.3 * v), {"max": 0.6}, {"max": 2.5}),
+    "limits below": (lambda p, v, u: (v, u - 0.3 * v), {"min": 0.1}, {"min": -0.5}),
+}
+
+
+def test_states_and_limits_of_other_roles_are_not_mixed_up() -> None:
+    """One after the other in one process: dynamics beside SciPy, limits at all points."""
+    for rates, of_speed, of_control in ROLES.values():
+        p, v, u = tx.State("p"), tx.State("v", **of_speed), tx.Control("u", **of_control)
+        result = Problem(
+            tx.compile(tx.System(rates=dict(zip((p, v), rates(p, v, u))))),
+            tx.Minimize(running=u * u + 0.2 * (p + v) ** 2),
+            nodes=9,
+            final_time=3.0,
+            initial={p: 0.0, v: 0.3},
+            final={p: 1.5},
+        ).solve()
+        assert result.solved
+        found = np.stack([result.xs["p"], result.xs["v"]], axis=1)
+        for k, control in enumerate(result.us["u"]):
+            rolled = solve_ivp(lambda t, x, c=control, f=rates: f(*x, c), (0.0, 3.0 / 8), found[k], rtol=1e-8)
+            np.testing.assert_allclose(found[k + 1], rolled.y[:, -1], atol=1e-3)
+        for own, values in ((of_speed, result.xs["v"]), (of_control, result.us["u"])):
+            assert values.max() <= own.get("max", np.inf) + 1e-6
+            assert values.min() >= own.get("min", -np.inf) - 1e-6

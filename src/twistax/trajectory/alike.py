@@ -21,7 +21,7 @@ class Layout:
 
     def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
         local, border = shooting.local, shooting.border
-        boxes = {box.name: ("free", k) for k, box in enumerate(border.boxes)}
+        boxes: dict[str, Hashable] = {box.name: ("free", k) for k, box in enumerate(border.boxes)}
         self.named: dict[str, Hashable] = {n: ("parameter", k) for k, n in enumerate(numbers.names)} | boxes
         self.named |= {name: ("state", k) for k, name in enumerate(local.group.factors)}
         self.named |= {name: ("control", k) for k, name in enumerate(local.controls.slices)}

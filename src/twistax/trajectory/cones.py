@@ -76,15 +76,29 @@ class NormControls:
 
     @property
     def rows(self) -> list[tuple[str, Expr]]:
-        """Smooth rows, <= 0, that say so, with a name."""
+        """Smooth rows, <= 0, that say so where the bounds are not negative, with a name."""
         pairs = zip(self.controls, self.sizes)
-        return [(s.name, row) for s, size in pairs for row in without_norms((size - s).canonicalize())]
+        return [(s.name, row.canonicalize()) for s, size in pairs for row in _above(s, size)]
 
     def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
         """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
         if not self.sizes:
             return []
         return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
+
+
+def _above(s: Control, size: Expr) -> list[Expr]:
+    return [_square(size) - s * s] if is_norm(size) else without_norms((size - s).canonicalize())
+
+
+def continuous_bound(size: Expr, s: Control) -> Expr:
+    """A residual, <= 0 where size <= s, s > 0, for an s that is a state: |a|^2 / s - s for a norm.
+
+    Its multiplier stays finite as s goes to zero. That of a square goes like 1 / s, and steps halve s.
+    Source: H. Y. Benson, R. J. Vanderbei, Solving problems with semidefinite and related constraints using
+    interior-point methods for nonlinear programming, Mathematical Programming 95 (2003), section 2.
+    """
+    return (_square(size) / s - s if is_norm(size) else size - s).canonicalize()
 
 
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
@@ -129,7 +143,7 @@ def norm_controls(running: Expr | None, sign: float) -> NormControls:
     found: dict[str, tuple[Control, Expr]] = {}
     for factor, part in linear_terms(running.canonicalize()):
         if is_size(part) and sign * factor > 0.0:
-            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}"), part))
+            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}", min=0.0), part))
         kept.append((factor, part))
     bounds = tuple(own for own, _ in found.values())
     return NormControls(sum_of(kept).canonicalize() if bounds else running, bounds, tuple(a for _, a in found.values()))

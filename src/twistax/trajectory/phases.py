@@ -220,7 +220,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers", "_cores", "_implicit")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

@@ -23,7 +23,6 @@ from numpy import ndarray as Array
 
 from ..expr import Control, Expr, State
 from ..lowering import XLA, Dynamics
-from ..lowering.array_call import array_call
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
@@ -52,6 +51,7 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         states: names of the states' tangents.
+        turns: (n,) which tangents are rotations.
         paced: where the control stands that says how long intervals are.
         by_node: the parameters that have a value for each node.
         alike: state -> the one whose scale it has, in this phase or in the first.
@@ -174,27 +174,18 @@ class Shooting(Transcribed):
     def rows_of(self, part: Segment, rows: Any) -> Any:
         return rows
 
-    def charts(self, xs: Arrays, d: jax.Array) -> jax.Array:
-        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
-        group = self.dynamics.group
-
-        def change(base: Arrays, d: jax.Array, e: jax.Array) -> jax.Array:
-            return group.difference(group.retract(base, d), group.retract(base, d + e))
-
-        return jax.vmap(jax.jacfwd(change, argnums=2), in_axes=(0, 0, None))(xs, d, jnp.zeros(self.n, d.dtype))
-
     # ---- values -------------------------------------------------------------------------------------------------
 
-    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+    def values(self, point: Point, given: Given) -> Values:
+        """Cost, defects and rows at a point."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), point.us.dtype)
         slots, shared = self._slots(point), (point.border, given.params)
         rolled = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(slots, left, d[:-1], point.us, *shared)
         rows, costs = jax.vmap(self._interval.at_points, in_axes=(0, 0, 0, 0, None, None))(
             slots, left, rolled, point.us, *shared
         )
-        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right) - d[1:]
+        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right)
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
@@ -295,16 +286,13 @@ class Shooting(Transcribed):
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
-    def derivatives(
-        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
-    ) -> Derivatives:
+    def derivatives(self, point: Point, y: jax.Array, w: jax.Array, given: Given) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), y.dtype)
         split = self.intervals * self.rows_per_interval
         inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self.layout.asked)], axis=1)
-        each = functools.partial(array_call, self._interval.derivatives)
-        found = jax.vmap(each, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
+        found = jax.vmap(self._interval.derivatives, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
             self._slots(point),
             left,
             d[:-1],

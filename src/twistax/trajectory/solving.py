@@ -30,7 +30,6 @@ from .mesh import Remeshed
 from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
-from .solver import Solver
 from .staged import Staged
 from .stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
 from .transcribed import Given, Point, Transcribed
@@ -131,7 +130,6 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._solvers: dict[float, Solver] = {}
         self._cores: dict[tuple[float, int], CoreSolver] = {}
         self._implicit: Any = None
 
@@ -158,10 +156,10 @@ class Solvable(ABC, Generic[One, Many]):
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not. Neither do problems that differ in numbers, nodes or guesses from
-        one that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
-        structure compiles anew: a zero, a factor of one, an exponent or a table.
-        Several threads may solve one problem at once.
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
 
         Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
         of order 5, and the message says so; `result.problem` is the one that was solved.
@@ -200,8 +198,8 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Meshes after the first compile nothing. The status is COARSE, too,
-                where a thousand nodes are not enough.
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -246,18 +244,13 @@ class Solvable(ABC, Generic[One, Many]):
             if self._is_bounded and (warm is None or guesses > 1):
                 plain = self.started(*arguments, self._sizes(core, plain, given)).point
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
-            others = None if solver is None else self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None or others is None:
+                if solver is None:
                     return core.run(start, given, max_iterations, report)
-                accepted = core.run_once(start, given, 0) if isinstance(start, WarmStart) else None
-                if accepted is not None and accepted.status is Status.SOLVED:
-                    return accepted
-                begin = start if isinstance(start, WarmStart) else jax.device_put(start)
-                found: Outcome = solver.run(others, begin, jax.device_put(given), max_iterations, report)
+                found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
             for attempt in range(guesses):
@@ -267,7 +260,7 @@ class Solvable(ABC, Generic[One, Many]):
                     start = core.perturbed(plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
-                    found = held(self, found, given, own, run, between)
+                    found = held(self, found, given, own, run, between, core.staged)
                 exceeded = tolerance if between is None else max(tolerance, between)
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
@@ -386,15 +379,6 @@ class Solvable(ABC, Generic[One, Many]):
             given = self.started().given._replace(params=warm.params)
             core = self._core(_LOOKED_AT, warm.point, given)
             return undetermined(core.staged, warm, given, [part.restated.derivatives for part in self.parts])
-
-    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """What measures results of solvers of others, compiled."""
-        if tolerance not in self._solvers:
-            with uncollected():
-                solver = Solver(self.shooting, tolerance)
-                solver.steps.prepare(point, given)
-            self._solvers[tolerance] = solver
-        return self._solvers[tolerance]
 
 
 def check_mesh_tolerance(size: Any) -> None:

@@ -31,8 +31,8 @@ _NOISE = 100.0
 _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
-#: The share of all iterations that one run may take: some are left for other strategies.
-_MOST = 0.5
+#: Iterations that one run may take: those left of the default are for other strategies.
+_MOST = 500
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -49,10 +49,10 @@ def solved(
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         nonlocal count
-        before, most = count, min(round(_MOST * max_iterations), max(max_iterations - count, 0))
+        before, most = count, min(_MOST, max(max_iterations - count, 0))
         later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
         found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
-        count += found.iterations
+        count += min(found.iterations, most)
         return found
 
     def near(begin: Any, given: Given) -> Outcome:
@@ -94,13 +94,13 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
             break
         if result.status in AT_OPTIMUM:
-            measured = solver.run_once(_warm(result, given), given, 0)
+            measured = solver.run_once(warm_at(result, given), given, 0)
             if measured.status in AT_OPTIMUM:
                 result = measured._replace(iterations=result.iterations, saddle=result.saddle)
                 break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(_warm(result, given) if near else result.point, given, floor)
+        again = solve(warm_at(result, given) if near else result.point, given, floor)
         if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
@@ -110,7 +110,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     return result
 
 
-def _warm(result: Outcome, given: Given) -> WarmStart:
+def warm_at(result: Outcome, given: Given) -> WarmStart:
     """A start at a result."""
     return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, given.params)
 

@@ -8,6 +8,9 @@
  * First derivatives are sensitivities of the stages by q. Second derivatives follow from their adjoints: each stage adds
  * G' M G, with M the second derivative of the rate weighted by its adjoint and G its sensitivity.
  *
+ * For solvers that know no manifolds nodes are steps d_k in charts at points that stay: eta begins at d_k, the defect is
+ * c_k - d_(k+1) as it is, and all derivatives are by d_k, exact at any step.
+ *
  * The functions rate, point, gap and so on are kernels: machine code for batches of rows. A phase calls each with a row
  * for every interval. Arrays of kernels are row-major, blocks of the core are column-major.
  */
@@ -62,6 +65,7 @@ typedef struct {
   int32_t node_width;
   const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */
   const double *margins;        /* by which path rows are tightened, the same */
+  const double *steps;          /* (K + 1, n): nodes are these steps from their points, in the charts there; NULL: zero */
   twx_offsets at;
   twx_smooth rate, rows, gap;   /* rows: path constraints, then the density of the running cost */
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
