@@ -193,7 +193,7 @@ def _rolled_out(result: Any) -> list[str]:
 
 def _open(every: list[Undetermined], sign: float) -> str:
     """Which controls are not determined, and what would determine them."""
-    named = ", ".join(f"{own.name} (in {own.count} of {len(own.moves)} intervals)" for own in every)
+    named = ", ".join(f"{own.name} (in {own.intervals} of {len(own.moves)} intervals)" for own in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
         f"{own.weight:g} * {own.entry}**2" for own in every
     )

@@ -112,10 +112,10 @@ class StageUpdates:
             old, new = (np.stack([z[a : a + phase.point] for a in begins[:-1]]) for z in (before, after))
             arguments = {Argument.Z: np.zeros((len(old), phase.n)), Argument.BASE: new, Argument.TARGET: old}
             moved = phase.kernels.gap.kernels[0](len(old), phase.n, arguments)
-            turn, sides = phase.kernels.turn, []
-            for side in (1.0, -1.0) if turn is not None else ():
-                sides.append(turn(len(old), phase.n**2, {Argument.Z: side * moved}).reshape(-1, phase.n, phase.n))
-            turns = [_Turn(*own) for own in zip(*sides)] or [None] * len(old)
+            turns: list[_Turn | None] = [None] * len(old)
+            if (turn := phase.kernels.turn) is not None:
+                sides = (turn(len(old), phase.n**2, {Argument.Z: side * moved}) for side in (1.0, -1.0))
+                turns = [_Turn(*own) for own in zip(*(a.reshape(-1, phase.n, phase.n) for a in sides))]
             for state, own, a, count in zip(moved, turns, begins + phase.point, controls):
                 found.append((np.concatenate([state, (after - before)[a : a + count], shared]), own))
             at = begins[-1]

@@ -270,10 +270,10 @@ class Solvable(ABC, Generic[One, Many]):
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
         said = ""
         if warm is None and solver is None:
-            start = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
-            result, said = self._by_implicit_steps(result, first, given, {**asked, **start, "between": between})
+            also = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
+            result, said = self._by_implicit_steps(result, plain, given, {**asked, **also, "between": between})
         if refine is None:
-            return dataclasses.replace(result, message=result.message + said) if said else result
+            return result
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
@@ -284,7 +284,8 @@ class Solvable(ABC, Generic[One, Many]):
         if between is not None and finest.solved:
             finest = dataclasses.replace(again(finest.problem, finest, between), meshes=finest.meshes)
         times = {name: sum(getattr(each, name) for each in spent) for name in ("compile_seconds", "solve_seconds")}
-        return dataclasses.replace(finest, message=finest.message + said, **times)
+        message = finest.message if finest.message.endswith(said) else finest.message + said
+        return dataclasses.replace(finest, message=message, **times)
 
     def solve_many(
         self,
@@ -368,8 +369,10 @@ class Solvable(ABC, Generic[One, Many]):
         other = self._implicit.solve(**asked)
         said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
         if other.status not in AT_OPTIMUM:
-            return result, f"{said}{IMPLICIT_NAME} did not help."
-        return other, f"{said}solved by {IMPLICIT_NAME}."
+            other, said = result, f"{said}{IMPLICIT_NAME} did not help."
+        else:
+            said += f"solved by {IMPLICIT_NAME}."
+        return dataclasses.replace(other, message=other.message + said), said
 
     def undetermined(self, warm: WarmStart) -> list[Undetermined]:
         """The controls that a solution of it does not determine; with exact second derivatives alone."""

@@ -43,8 +43,8 @@ class Undetermined(NamedTuple):
     weight: float
 
     @property
-    def count(self) -> int:
-        """Of the intervals where it may move."""
+    def intervals(self) -> int:
+        """How many there are where it may move."""
         return int((self.moves > _SHARE).sum())
 
 
@@ -78,12 +78,12 @@ def undetermined(
             weight = _PRICE * float(scales.cost) / (size**2 * float(seconds[number]))
             name = staged.transcribed.named(segment, entry)
             found.append(Undetermined(name, entry, own, float(f"{weight:.0e}")))
-    return [own for own in found if own.count]
+    return [own for own in found if own.intervals]
 
 
 def _seen(part: Part, derivatives: Mapping[str, str]) -> list[tuple[str, int]]:
     """The entries of controls, without what stands for norms and slacks, and their columns."""
-    own, found = part.shooting, []
+    own, found = part.shooting, list[tuple[str, int]]()
     shapes = {c.name: c.shape for c in own.dynamics.controls}
     for name, columns in own.local.controls.slices.items():
         if name in shapes and columns != own.paced:
