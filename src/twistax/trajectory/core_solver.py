@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import functools
-import time
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,11 +14,12 @@ from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
 from . import strategies
 from .accuracy import Judge
+from .budget import Budget
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .hessians import by_updates
 from .iterate import Errors, Scales
-from .outcome import Callback, Outcome
+from .outcome import Outcome
 from .quasi_newton import StageUpdates
 from .staged import Staged
 from .start_units import StartUnits
@@ -57,7 +57,7 @@ _STATUS = {
     CoreStatus.MAX_ITERATIONS: Status.MAX_ITERATIONS,
     CoreStatus.INFEASIBLE: Status.INFEASIBLE,
     CoreStatus.NON_FINITE: Status.NON_FINITE,
-    CoreStatus.STOPPED: Status.OUT_OF_TIME,
+    CoreStatus.STOPPED: Status.STOPPED,
     CoreStatus.UNBOUNDED: Status.UNBOUNDED,
 }
 
@@ -100,11 +100,9 @@ class CoreSolver:
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
 
-    def run(
-        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
-    ) -> Outcome:
+    def run(self, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
         """Solve from a start, with the strategies."""
-        return strategies.solved(self, start, given, max_iterations, callback)
+        return strategies.solved(self, start, given, budget)
 
     def moved(self, point: Point, step: Step) -> Point:
         """A point after a step."""
@@ -142,8 +140,7 @@ class CoreSolver:
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
-        callback: Callback | None = None,
-        max_seconds: float | None = None,
+        budget: Budget | None = None,
         cost_floor: float = 0.0,
         as_stated: bool = False,
         **options: float,
@@ -161,7 +158,7 @@ class CoreSolver:
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
-        watch = _Watch(callback, max_seconds)
+        watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
         warm = self._warm(point, start.dynamics, start.rows)
@@ -368,21 +365,19 @@ class CoreSolver:
 
 
 class _Watch:
-    """What is called before each iteration: Python sees signals there, and the time.
+    """What is called before each iteration: Python sees signals there, and what a solve may take.
 
     Attributes:
         before: iterations before this call of the core.
         also: asked then, too; whether the core should stop.
     """
 
-    def __init__(self, callback: Callback | None, max_seconds: float | None) -> None:
-        self._callback, self._due = callback, np.inf if max_seconds is None else time.monotonic() + max_seconds
-        self.before, self.also = 0, lambda iteration, z: False
+    def __init__(self, budget: Budget) -> None:
+        self.budget, self.before, self.also = budget, 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None and (iteration > 0 or self.before == 0):  # not twice in other units
-            self._callback(self.before + iteration, cost, violation)
-        return time.monotonic() > self._due or self.also(iteration, z)
+        is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.also(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

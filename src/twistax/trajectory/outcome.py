@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from numpy import ndarray as Array
 
@@ -14,8 +14,8 @@ from .watch import Status
 if TYPE_CHECKING:
     from .accuracy import Accuracy, Flat
 
-#: Called with (iterations so far, objective, largest violation) before every step.
-Callback = Callable[[int, float, float], None]
+#: Called with (iterations so far, objective, largest violation) before every step; True ends the search.
+Callback = Callable[[int, float, float], Any]
 
 
 class Outcome(NamedTuple):

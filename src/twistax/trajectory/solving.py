@@ -20,6 +20,7 @@ from ..walk import uncollected
 from .accuracy import MESH
 from .between import held
 from .border import Border
+from .budget import Budget
 from .cases import Cases, prepared
 from .core_solver import CoreSolver
 from .external import SolvedBy
@@ -148,6 +149,7 @@ class Solvable(ABC, Generic[One, Many]):
         seed: int | None = None,
         callback: Callback | None = None,
         max_iterations: int = 1000,
+        max_seconds: float | None = None,
         tolerance: float = 1e-6,
         solver: Any = None,
         between: float | None = None,
@@ -183,8 +185,11 @@ class Solvable(ABC, Generic[One, Many]):
                 parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
                 at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
                 large as its scale, and as the guess's gaps.
-            callback: called with (iteration, cost, violation) before each step.
+            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
+                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
             max_iterations: iterations a try may use.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
+                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
@@ -235,6 +240,11 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        if max_seconds is not None:
+            number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
+            if solver is not None:
+                raise TrajectoryError(f"max_seconds: give it to the solver, {type(solver).__name__}(max_seconds=...)")
+        budget = Budget(max_iterations, max_seconds, report)
         with in_double():
             begin = time.perf_counter()
             arguments = (guess, initial, final, params, final_time, final_time_guess, free)
@@ -249,11 +259,14 @@ class Solvable(ABC, Generic[One, Many]):
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
                 if solver is None:
-                    return core.run(start, given, max_iterations, report)
+                    budget.used = 0
+                    return core.run(start, given, budget)
                 found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
             for attempt in range(guesses):
+                if budget.ended is not None:
+                    break
                 start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
@@ -269,14 +282,16 @@ class Solvable(ABC, Generic[One, Many]):
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
         said = ""
-        if warm is None and solver is None:
+        if warm is None and solver is None and budget.ended is None:
             also = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
-            result, said = self._by_implicit_steps(result, plain, given, {**asked, **also, "between": between})
+            also |= {"between": between, "max_seconds": budget.seconds_left}
+            result, said = self._by_implicit_steps(result, plain, given, {**asked, **also})
         if refine is None:
             return result
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
+            asked["max_seconds"] = budget.seconds_left
             spent.append(problem.solve(warm=warm, between=between, **asked))
             return spent[-1]
 

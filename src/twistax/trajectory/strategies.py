@@ -11,7 +11,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from . import durations
-from .outcome import Callback, Outcome
+from .budget import Budget
+from .outcome import Outcome
 from .transcribed import Given, Point, Step
 from .warm import WarmStart
 from .watch import AT_OPTIMUM, Status
@@ -41,19 +42,14 @@ _AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
 _AWAY = (0.1, 0.3, 1.0)
 
 
-def solved(
-    solver: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
-) -> Outcome:
+def solved(solver: CoreSolver, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
-    count = 0
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
-        nonlocal count
-        before, most = count, min(_MOST, max(max_iterations - count, 0))
-        later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
-        found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
-        count += min(found.iterations, most)
-        return found
+        most = min(_MOST, budget.left)
+        found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated)
+        budget.used += min(found.iterations, most)
+        return found._replace(status=budget.ended or found.status) if found.status is Status.STOPPED else found
 
     def near(begin: Any, given: Given) -> Outcome:
         first = in_fitting_units(solver, once, begin, given)
@@ -62,19 +58,19 @@ def solved(
     result = near(start, given)
     if result.status is Status.INFEASIBLE and result.iterations <= 1:  # before the first step
         return result
-    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
+    if result.status in _AT_REST and isinstance(start, Point) and not budget.is_spent:
         stated = once(start, given, as_stated=True)  # the units of a statement are often well chosen
         if stated.status in AT_OPTIMUM:
             result = at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), stated)
     for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
-        if result.status not in _AT_REST or not isinstance(start, Point) or count >= max_iterations:
+        if result.status not in _AT_REST or not isinstance(start, Point) or budget.is_spent:
             break
         other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
         if other.status in AT_OPTIMUM:
             result = other
-    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
-        result = with_fixed_durations(solver, near, result, start, given, lambda: count < max_iterations)
-    return result._replace(iterations=count)
+    if result.status in _AT_REST and isinstance(start, Point) and not budget.is_spent:
+        result = with_fixed_durations(solver, near, result, start, given, budget)
+    return result._replace(iterations=budget.used)
 
 
 def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, given: Given) -> Outcome:
@@ -131,17 +127,17 @@ def with_fixed_durations(
     rested: Outcome,
     start: Point,
     given: Given,
-    may_go_on: Callable[[], bool],
+    budget: Budget,
 ) -> Outcome:
     """What runs find that begin with fixed durations; the earlier outcome if no such run succeeds.
 
     Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
     """
     for point, fixed in durations.fixed(solver.staged.border, start, given):
-        if not may_go_on():
+        if budget.is_spent:
             break
         found = solve(point, fixed)
-        if found.status is not Status.SOLVED or not may_go_on():
+        if found.status is not Status.SOLVED or budget.is_spent:
             continue
         freed = solve(found.point, given)
         if freed.status is Status.SOLVED:

@@ -23,6 +23,7 @@ class Status(enum.Enum):
     )
     MAX_ITERATIONS = "the iterations ran out before the first-order conditions held"
     OUT_OF_TIME = "the time ran out before the first-order conditions held"
+    STOPPED = "the callback ended the search before the first-order conditions held"
     STALLED = "the search found nothing better, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
 
