@@ -114,6 +114,22 @@ def test_phases_have_rows_of_their_own() -> None:
     assert found.cost == pytest.approx(Problem(by_time).solve().cost, rel=1e-9)
 
 
+def test_weights_of_soft_constraints_differ_by_node() -> None:
+    """The price of a limit from a node on, beside the same as a function of time."""
+    steps = (np.arange(NODES) >= 4).astype(float)
+    cost, price = tx.Minimize(running=u**2), tx.Interp(tx.Time(), axes=TIME * SHARES, values=5.0 * steps)
+    ends: Any = {"nodes": NODES, "final_time": TIME, "initial": AT_REST, "final": {p: 1.0, v: 0.0}}
+    costs = []
+    for own, by_node in ((weight, [weight]), (price, None)):
+        dynamics = tx.compile(tx.System(rates=RATES, constraints={"slow": tx.Soft(v <= 0.6, l1=own)}))
+        result = Problem(
+            dynamics, cost, by_node=by_node, params={weight: 5.0 * steps} if by_node else {}, **ends
+        ).solve()
+        assert result.solved
+        costs.append(result.cost)
+    assert costs[0] == pytest.approx(costs[1], rel=1e-6)
+
+
 def test_free_times_stretch_the_rows() -> None:
     stated = follow(final_time=(1.0, 4.0), nodes=Mesh(NODES))
     found = stated.solve(params={wanted: ROWS})

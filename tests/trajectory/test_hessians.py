@@ -133,7 +133,7 @@ def test_quasi_newton_has_the_optima_of_newton() -> None:
 
 def test_solvers_of_others_get_no_updates() -> None:
     with pytest.raises(
-        TrajectoryError, match=r"QuasiNewton\(\) has no second derivatives for IPOPT.*\n.*limited-memory"
+        TrajectoryError, match=r"QuasiNewton\(\) has no second derivatives for IPOPT.*\n.*leave out hessian= or solver="
     ):
         fastest(QuasiNewton()).solve(solver=tx.trajectory.IPOPT())
 
@@ -174,6 +174,19 @@ def test_quasi_newton_needs_no_second_derivative() -> None:
     ).solve()
     assert found.solved
     assert found.cost == pytest.approx(pendulum(swing=True).solve().cost, rel=1e-6)
+
+
+def test_prices_of_soft_constraints_are_squares_and_what_is_linear() -> None:
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}, constraints={"slow": tx.Soft(v <= 0.4, l1=weight, l2=2.0)}))
+    ends: Any = {"initial": {p: 0.0, v: 0.0}, "final": {p: 0.5, v: 0.0}, "nodes": 9, "final_time": 2.0}
+    exact, found, updated = (
+        Problem(dynamics, tx.Minimize(running=u**2), hessian=hessian, **ends).solve()
+        for hessian in (None, GaussNewton(), QuasiNewton())
+    )
+    assert exact.solved
+    assert found.cost == pytest.approx(exact.cost, rel=1e-6)
+    assert updated.cost == pytest.approx(exact.cost, rel=1e-6)
+    assert found.iterations <= exact.iterations + 2
 
 
 @pytest.mark.parametrize("hessian", [GaussNewton(), QuasiNewton()])

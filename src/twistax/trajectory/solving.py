@@ -231,8 +231,7 @@ class Solvable(ABC, Generic[One, Many]):
             )
         if solver is not None and by_updates(self.parts):
             raise TrajectoryError(
-                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian=; of IPOPT's own "
-                "there is IPOPT(options={'hessian_approximation': 'limited-memory'})"
+                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian= or solver="
             )
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
