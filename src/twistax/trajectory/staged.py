@@ -115,7 +115,7 @@ class Functions:
             exchanged = [tuple(next(roots) for _ in part) for part in parts]
             return function(*known.values(), params, *exchanged)
 
-        by_node = tuple(self._shooting.by_node.leaves)
+        by_node = tuple(leaf.shape for leaf in self._shooting.by_node.leaves.values())
         key = (self._layout.key, by_node, structure.key, tuple(map(len, parts)), rest)
         return SmoothKernels(traced, arguments, self._order if order is None else order, key, structure.numbers)
 
