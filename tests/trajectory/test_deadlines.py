@@ -1,4 +1,4 @@
-"""Solves that end early: the best iterate, its measures, and why."""
+"""Solves that end early: the best iterate, its measures, and why; and strategies left out."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ import pytest
 
 import twistax as tx
 from twistax.errors import TrajectoryError
-from twistax.trajectory import IPOPT, Problem, Status
+from twistax.trajectory import IPOPT, Problem, Status, Strategy
 
 
 def swing_up(nodes: int = 41) -> Problem:
@@ -74,3 +74,14 @@ def test_times_without_meaning_are_refused(seconds: float) -> None:
 def test_solvers_of_others_have_a_limit_of_their_own() -> None:
     with pytest.raises(TrajectoryError, match=r"IPOPT\(max_seconds=\.\.\.\)"):
         swing_up().solve(max_seconds=1.0, solver=IPOPT())
+
+
+def test_strategies_are_chosen_by_name() -> None:
+    """The scales of this start fit nothing: alone the method takes another number of steps."""
+    problem = swing_up()
+    far = {"guess": {"torque": np.full(40, 0.3)}, "initial": {"angle": 0.0, "rate": 0.0}}
+    assert problem.solve(**far, strategies=tuple(Strategy)).iterations == problem.solve(**far).iterations
+    alone = problem.solve(**far, strategies=(), max_iterations=300)
+    assert alone.iterations != problem.solve(**far).iterations
+    with pytest.raises(TrajectoryError, match="Strategy"):
+        problem.solve(strategies=("RESCALING",))

@@ -10,7 +10,7 @@ import pytest
 from scipy.integrate import quad
 
 import twistax as tx
-from twistax.trajectory import Collocation, MultipleShooting, Phase, Problem, Status
+from twistax.trajectory import Collocation, MultipleShooting, Phase, Problem, Status, Strategy
 
 HORIZON = 1000.0
 x, u = tx.State("x"), tx.Control("u")
@@ -45,7 +45,7 @@ def test_collocation_is_tried_and_said() -> None:
     assert result.solved
     assert result.cost == pytest.approx(exact(), rel=5e-3)  # held controls
     assert SAID in result.message
-    assert result.message.endswith("solved by Collocation(tx.tableaus.RADAU_IIA5).")
+    assert result.message.endswith("solved again by Collocation(tx.tableaus.RADAU_IIA5).")
     assert isinstance(result.problem.transcription, Collocation)
     np.testing.assert_allclose(result.xs["x"][38:42], 0.0, atol=1e-3)
 
@@ -70,6 +70,16 @@ def test_what_others_chose_is_tried_first() -> None:
     explicit = hypersensitive(nodes, transcription=MultipleShooting(tx.RKMK(tx.tableaus.RK4), substeps=4)).solve()
     assert explicit.cost == pytest.approx(radau.cost, rel=1e-6)
     assert SAID in explicit.message
+
+
+def test_it_is_a_strategy() -> None:
+    stated = hypersensitive()
+    for left_out in ((), tuple(it for it in Strategy if it is not Strategy.IMPLICIT_STEPS)):
+        result = stated.solve(strategies=left_out)
+        assert result.status is Status.NON_FINITE
+        assert SAID not in result.message
+    assert stated.solve(strategies=(Strategy.IMPLICIT_STEPS,)).status is Status.COARSE
+    assert stated.solve(callback=lambda *_: True).status is Status.STOPPED
 
 
 def test_phases_are_integrated_anew() -> None:

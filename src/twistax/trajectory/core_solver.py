@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,6 +23,7 @@ from .outcome import Outcome
 from .quasi_newton import StageUpdates
 from .staged import Staged
 from .start_units import StartUnits
+from .strategies import Strategy
 from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
@@ -100,9 +101,11 @@ class CoreSolver:
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
 
-    def run(self, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
-        """Solve from a start, with the strategies."""
-        return strategies.solved(self, start, given, budget)
+    def run(
+        self, start: Point | WarmStart, given: Given, budget: Budget, used: Collection[Strategy] = tuple(Strategy)
+    ) -> Outcome:
+        """Solve from a start, with strategies."""
+        return strategies.solved(self, start, given, budget, used)
 
     def moved(self, point: Point, step: Step) -> Point:
         """A point after a step."""
@@ -143,6 +146,7 @@ class CoreSolver:
         budget: Budget | None = None,
         cost_floor: float = 0.0,
         as_stated: bool = False,
+        rescaling: bool = True,
         **options: float,
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
@@ -160,7 +164,8 @@ class CoreSolver:
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
         watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
-            return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
+            fitted = _FITTED_AT if rescaling and not as_stated else ()
+            return self._from_point(point, given, units, {**chosen, **options}, watch, fitted)
         warm = self._warm(point, start.dynamics, start.rows)
         outcome = self.measured(point, start.dynamics, start.rows, given, units)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:

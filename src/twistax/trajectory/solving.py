@@ -6,7 +6,7 @@ import dataclasses
 import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
@@ -33,6 +33,7 @@ from .redundant_rows import redundant_rows
 from .refine import refined
 from .staged import Staged
 from .stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
+from .strategies import Strategy
 from .transcribed import Given, Point, Transcribed
 from .undetermined import Undetermined, undetermined
 from .warm import WarmStart, warm_start, with_ends
@@ -155,6 +156,7 @@ class Solvable(ABC, Generic[One, Many]):
         between: float | None = None,
         refine: Any = None,
         mesh_tolerance: float = MESH,
+        strategies: Collection[Any] = tuple(Strategy),
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
@@ -205,6 +207,8 @@ class Solvable(ABC, Generic[One, Many]):
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
                 `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
                 thousand nodes are not enough.
+            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
+                method alone. Solvers of others have some of their own.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -239,6 +243,9 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        for strategy in strategies:
+            if not isinstance(strategy, Strategy):
+                raise TrajectoryError(f"strategies expects members of tx.trajectory.Strategy, got {strategy!r}")
         if max_seconds is not None:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
             if solver is not None:
@@ -259,7 +266,7 @@ class Solvable(ABC, Generic[One, Many]):
             def run(start: Point | WarmStart, given: Given) -> Outcome:
                 if solver is None:
                     budget.used = 0
-                    return core.run(start, given, budget)
+                    return core.run(start, given, budget, strategies)
                 found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
@@ -280,8 +287,9 @@ class Solvable(ABC, Generic[One, Many]):
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
+        asked["strategies"] = strategies
         said = ""
-        if warm is None and solver is None and budget.ended is None:
+        if Strategy.IMPLICIT_STEPS in strategies and warm is None and solver is None and budget.ended is None:
             also = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
             also |= {"between": between, "max_seconds": budget.seconds_left}
             result, said = self._by_implicit_steps(result, plain, given, {**asked, **also})
@@ -369,7 +377,7 @@ class Solvable(ABC, Generic[One, Many]):
         return self._cores[key]
 
     def _by_implicit_steps(self, result: Any, start: Point, given: Given, asked: dict[str, Any]) -> tuple[Any, str]:
-        """A result, or what implicit steps come to where explicit ones are unstable; and a sentence that says so."""
+        """A result, or a better one by implicit steps where explicit ones are unstable; and a sentence that says so."""
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
         if result.status in AT_OPTIMUM or at_once or result.iterations >= asked["max_iterations"]:
             return result, ""
@@ -382,10 +390,11 @@ class Solvable(ABC, Generic[One, Many]):
             self._implicit = self.transcribed_by(IMPLICIT)
         other = self._implicit.solve(**asked)
         said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
-        if other.status not in AT_OPTIMUM:
+        helps = other.status in AT_OPTIMUM or result.status is Status.NON_FINITE is not other.status
+        if not helps:
             other, said = result, f"{said}{IMPLICIT_NAME} did not help."
         else:
-            said += f"solved by {IMPLICIT_NAME}."
+            said += f"solved again by {IMPLICIT_NAME}."
         return dataclasses.replace(other, message=other.message + said), said
 
     def undetermined(self, warm: WarmStart) -> list[Undetermined]:

@@ -5,7 +5,8 @@ Each uses the solver as it is, from another start or in other units.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import enum
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -42,33 +43,64 @@ _AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
 _AWAY = (0.1, 0.3, 1.0)
 
 
-def solved(solver: CoreSolver, start: Point | WarmStart, given: Given, budget: Budget) -> Outcome:
+class Strategy(enum.Enum):
+    """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
+
+    RESCALING = "scales are measured anew within a run, and the run is repeated where they do not fit its result"
+    STATED_SCALES = "a run that fails is repeated in the units of the statement"
+    PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
+    FIXED_DURATIONS = "where nothing else helps, free durations are fixed first"
+    LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
+    IMPLICIT_STEPS = (
+        "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
+    )
+
+
+def solved(
+    solver: CoreSolver,
+    start: Point | WarmStart,
+    given: Given,
+    budget: Budget,
+    strategies: Collection[Strategy] = tuple(Strategy),
+) -> Outcome:
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
+    rescaling = Strategy.RESCALING in strategies
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         most = min(_MOST, budget.left)
-        found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated)
+        found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling)
         budget.used += min(found.iterations, most)
         return found._replace(status=budget.ended or found.status) if found.status is Status.STOPPED else found
 
+    def fitting(begin: Any, given: Given) -> Outcome:
+        return in_fitting_units(solver, once, begin, given) if rescaling else once(begin, given)
+
+    def at_minimum(result: Outcome, given: Given) -> Outcome:
+        if Strategy.LEAVING_SADDLES not in strategies:
+            return result
+        return at_a_minimum(solver, lambda other: fitting(other, given), result)
+
     def near(begin: Any, given: Given) -> Outcome:
-        first = in_fitting_units(solver, once, begin, given)
-        return at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), first)
+        return at_minimum(fitting(begin, given), given)
+
+    def may_repeat(strategy: Strategy) -> bool:
+        return result.status in _AT_REST and not budget.is_spent and strategy in strategies
 
     result = near(start, given)
-    if result.status is Status.INFEASIBLE and result.iterations <= 1:  # before the first step
-        return result
-    if result.status in _AT_REST and isinstance(start, Point) and not budget.is_spent:
+    at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
+    if at_once or not isinstance(start, Point):
+        return result._replace(iterations=budget.used)
+    if may_repeat(Strategy.STATED_SCALES):
         stated = once(start, given, as_stated=True)  # the units of a statement are often well chosen
         if stated.status in AT_OPTIMUM:
-            result = at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), stated)
+            result = at_minimum(stated, given)
     for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
-        if result.status not in _AT_REST or not isinstance(start, Point) or budget.is_spent:
+        if not may_repeat(Strategy.PERTURBED_STARTS):
             break
         other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
         if other.status in AT_OPTIMUM:
             result = other
-    if result.status in _AT_REST and isinstance(start, Point) and not budget.is_spent:
+    if may_repeat(Strategy.FIXED_DURATIONS):
         result = with_fixed_durations(solver, near, result, start, given, budget)
     return result._replace(iterations=budget.used)
 
