@@ -60,6 +60,20 @@ def test_strict_minima_have_none(running: Any) -> None:
     assert fastest(running, final_time=3.0).solve().undetermined == {}
 
 
+def test_a_steered_thrust_is_determined_whatever_its_unit_is() -> None:
+    """Problem 9 of COPS: the rate of the angle is fifty times as large as its unit."""
+    x, y = tx.State("x", shape=(2,)), tx.State("y", shape=(2,))
+    angle = tx.Control("angle", min=-1.5, max=1.5)
+    dynamics = tx.compile(
+        tx.System(rates={x: tx.Concat(x[1], 100.0 * tx.Cos(angle)), y: tx.Concat(y[1], 100.0 * tx.Sin(angle))})
+    )
+    ends: Any = {"initial": {x: [0.0, 0.0], y: [0.0, 0.0]}, "final": {x: [None, 45.0], y: [5.0, 0.0]}}
+    options: Any = {"nodes": 31, "final_time": (0.1, 10.0), "controls": Linear()}
+    result = Problem(dynamics, tx.Minimize(tx.Time()), **ends, **options).solve()
+    assert result.final_time == pytest.approx(0.554571, rel=1e-3)
+    assert result.undetermined == {}
+
+
 def test_what_has_no_exact_hessian_says_nothing() -> None:
     assert fastest(hessian=QuasiNewton()).solve().undetermined == {}
     assert fastest().solve(max_iterations=3).undetermined == {}

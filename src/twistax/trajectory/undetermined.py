@@ -62,7 +62,8 @@ def undetermined(
         derivatives: of each phase: name of a held derivative of a control -> what it is.
     """
     staged.set_given(given)
-    scales, moves = warm.scales, _Moves(staged, warm)
+    scales, sizes = warm.scales, _control_sizes(staged, warm)
+    moves = _Moves(staged, warm, sizes)
     if moves.count > _MOST:
         return []
     free = moves.unheld(warm)
@@ -74,11 +75,20 @@ def undetermined(
     for number, (part, segment) in enumerate(zip(staged.parts, staged.transcribed.segments)):
         for entry, column in _seen(part, derivatives[number]):
             own = np.array([shares[moves.places[k][column]] for k in moves.stages(part)])
-            size = float(np.mean(np.asarray(scales.u)[part.stages.start :][: len(own), column - part.shooting.n]))
+            size = float(sizes[part.stages.start, column - part.shooting.n])
             weight = _PRICE * float(scales.cost) / (size**2 * float(seconds[number]))
             name = staged.transcribed.named(segment, entry)
             found.append(Undetermined(name, entry, own, float(f"{weight:.0e}")))
     return [own for own in found if own.intervals]
+
+
+def _control_sizes(staged: Staged, warm: WarmStart) -> Array:
+    """(intervals, m) the unit of each control, or what it comes to in its phase where that is more."""
+    found, us = np.array(warm.scales.u), np.abs(warm.point.us)
+    for part in staged.parts:
+        own = slice(part.stages.start, part.stages.start + part.shooting.intervals)
+        found[own] = np.maximum(found[own], us[own]).max(axis=0)
+    return found
 
 
 def _seen(part: Part, derivatives: Mapping[str, str]) -> list[tuple[str, int]]:
@@ -97,14 +107,17 @@ def _seen(part: Part, derivatives: Mapping[str, str]) -> list[tuple[str, int]]:
 class _Moves:
     """All unknowns by those that may be chosen, in units, to first order; and the second derivative of the Lagrangian.
 
+    Args:
+        controls: sizes of the controls.
+
     Attributes:
         places: of each stage, where its own columns are chosen; -1 where they are not.
         hessian: (count, count) by what is chosen.
     """
 
-    def __init__(self, staged: Staged, warm: WarmStart) -> None:
+    def __init__(self, staged: Staged, warm: WarmStart, controls: Array) -> None:
         stages, free = staged.transcription.stages, staged.transcribed.free
-        sizes = staged.step(*(np.asarray(a) for a in warm.scales[:3]))
+        sizes = staged.step(np.asarray(warm.scales.d), controls, np.asarray(warm.scales.border))
         chosen = staged.step(*(np.asarray(a, float) for a in free)) != 0.0
         at = Evaluated(staged.transcription, staged.flat(warm.point))
         at.differentiate()
