@@ -67,7 +67,7 @@ class QuasiNewton:
     After each step of the search the second derivative of the Lagrangian by the state, the control, the times and the
     free parameters of a stage is corrected so that it explains how first derivatives have changed. No second
     derivative is compiled or evaluated: for rates that are large, or that call back to Python. A search takes more
-    steps, most of them two to five times as many.
+    steps, most of them two to six times as many.
 
     The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a step s of its unknowns, counted in
     their units, and the change y of the gradient of its share of the Lagrangian. Both are about the node before the

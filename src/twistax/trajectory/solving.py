@@ -390,8 +390,8 @@ class Solvable(ABC, Generic[One, Many]):
             self._implicit = self.transcribed_by(IMPLICIT)
         other = self._implicit.solve(**asked)
         said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
-        helps = other.status in AT_OPTIMUM or result.status is Status.NON_FINITE is not other.status
-        if not helps:
+        is_finite = result.status is Status.NON_FINITE and other.status is not Status.NON_FINITE
+        if other.status not in AT_OPTIMUM and not is_finite:
             other, said = result, f"{said}{IMPLICIT_NAME} did not help."
         else:
             said += f"solved again by {IMPLICIT_NAME}."
