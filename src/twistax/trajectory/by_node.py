@@ -63,7 +63,9 @@ class ByNode:
                     "node is for the objective.\n  fix: take a table over time there, or a square in place of a norm"
                 )
             if name not in known:
-                raise ModelError(f"by_node names {name!r}, which the objective does not read")
+                raise ModelError(
+                    f"by_node names {name!r}, which the objective does not read.\n  fix: leave it out of by_node"
+                )
 
     def values(self, name: str, given: Any) -> Array:
         """(nodes, ...) of a parameter, from as many, from those for the nodes as stated, or from one for all.
