@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.errors import InputError, ModelError, ShapeError
+from twistax.errors import InputError, ModelError, ShapeError, TrajectoryError
 from twistax.trajectory import Collocation, GaussNewton, Mesh, Phase, Problem, solution
 
 NODES, TIME = 9, 2.0
@@ -138,12 +138,14 @@ def test_free_times_stretch_the_rows() -> None:
     assert found.cost == pytest.approx(fixed.cost, rel=1e-8)
 
 
-def test_an_optimum_has_a_derivative_by_rows() -> None:
-    optimum = solution(follow())
-    direction = np.cos(np.arange(2.0 * NODES)).reshape(NODES, 2)
-    cost = lambda s: optimum(params={"wanted": ROWS + s * direction}).cost  # noqa: E731
-    slope = float(jax.jacfwd(cost)(0.0))
-    assert slope == pytest.approx(float(cost(1e-4) - cost(-1e-4)) / 2e-4, rel=1e-5)
+def test_an_optimum_has_derivatives_with_rows_in_place() -> None:
+    optimum = solution(follow(params={wanted: ROWS, weight: WEIGHTS}))
+    cost = lambda speed: optimum(initial={"v": speed}).cost  # noqa: E731
+    slope = float(jax.jacfwd(cost)(0.1))
+    assert slope == pytest.approx(float(cost(0.1 + 1e-4) - cost(0.1 - 1e-4)) / 2e-4, rel=1e-5)
+    assert float(cost(0.0)) == pytest.approx(follow().solve(params={wanted: ROWS, weight: WEIGHTS}).cost, rel=1e-8)
+    with pytest.raises(TrajectoryError, match=r"'wanted', which has a value for each node.*\n.*fix: "):
+        optimum(params={"wanted": ROWS})
 
 
 @pytest.mark.parametrize(

@@ -13,13 +13,14 @@ import pytest
 import twistax as tx
 from twistax.errors import TrajectoryError
 from twistax.expr.elementwise import Function
-from twistax.trajectory import Collocation, GaussNewton, Phase, Problem, QuasiNewton
+from twistax.trajectory import Collocation, GaussNewton, Phase, Problem, QuasiNewton, solution
 
 p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
 pair, push = tx.State("pair", shape=(2,)), tx.Control("push", shape=(2,))
 weight, target = tx.Parameter("weight", value=0.3), tx.Parameter("target", value=[1.0, -0.5], shape=(2,))
 WEIGHTS = np.array([[2.0, 0.5], [0.5, 1.0]])
 off = pair - target
+ALL = (None, GaussNewton(), QuasiNewton())
 
 SQUARES: dict[str, Any] = {
     "squares of entries": push[0] ** 2 + 2.0 * push[1] ** 2 + off[0] * off[0] * weight,
@@ -174,6 +175,12 @@ def test_quasi_newton_needs_no_second_derivative() -> None:
     ).solve()
     assert found.solved
     assert found.cost == pytest.approx(pendulum(swing=True).solve().cost, rel=1e-6)
+
+
+def test_an_optimum_by_updates_has_exact_derivatives() -> None:
+    optima = [solution(pendulum(hessian)) for hessian in ALL]
+    slopes = [jax.jacfwd(lambda v0, own=own: own(initial={"rate": v0}).cost)(0.1) for own in optima]
+    np.testing.assert_allclose(slopes, np.full(3, slopes[0]), rtol=1e-6)
 
 
 def test_prices_of_soft_constraints_are_squares_and_what_is_linear() -> None:
