@@ -2438,6 +2438,51 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "trajectory/squares.py",
+        (
+            "squares without their two",
+            "factor * (product + product.T)",
+            "factor * product",
+            "trajectory/test_hessians.py",
+        ),
+    ),
+    *_at(
+        "trajectory/quasi_newton.py",
+        (
+            "updates in one tangent space",
+            "    if turn is None:\n        return gradient",
+            "    if True:\n        return gradient",
+            "trajectory/test_hessians.py",
+        ),
+    ),
+    *_at(
+        "trajectory/by_node.py",
+        (
+            "rows that are held",
+            "here[[*range(1, len(here)), -1]]",
+            "here",
+            "trajectory/test_by_node.py",
+        ),
+    ),
+    *_at(
+        "trajectory/undetermined.py",
+        (
+            "limits that do not hold a move",
+            "rows.append(move[(low | high)[columns]])",
+            "rows.append(move[:0])",
+            "trajectory/test_undetermined.py",
+        ),
+    ),
+    *_at(
+        "trajectory/stiff.py",
+        (
+            "explicit steps whatever the rates are",
+            "LARGEST = 2.8",
+            "LARGEST = 1e9",
+            "trajectory/test_unstable_steps.py",
+        ),
+    ),
+    *_at(
         "scenes/free_rotation.py",
         (
             "modulus of the elliptic functions",

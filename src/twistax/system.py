@@ -40,6 +40,7 @@ from .expr.mathml import mathml
 from .expr.packing import pack, unpack
 from .expr.picture import Picture, svg
 from .expr.printing import name_latex
+from .expr.soft import Asked, Soft, hard
 from .expr.vmap import no_elements
 from .groups import Product
 
@@ -57,7 +58,7 @@ class System:
         rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
             The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
         outputs: named expressions to be computed on demand.
-        constraints: constraints (`a <= b`, `a >= b`, `a == b`): one, a list, or a mapping from names.
+        constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
         corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
             bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
             step, `Dynamics.project` until they vanish.
@@ -70,6 +71,7 @@ class System:
         states, controls, parameters: tuples of leaves in order.
         rates: mapping from state name to expression.
         outputs, constraints, corrections: mappings from name to expression.
+        soft: mapping from the names of soft constraints to their `Soft`.
         slopes: mapping from state name to pairs of expressions.
         group: the product group the state lives on.
 
@@ -83,7 +85,7 @@ class System:
         self,
         rates: Mapping[State | str, ExprLike],
         outputs: Mapping[str, ExprLike] | None = None,
-        constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
+        constraints: Asked | Iterable[Asked] | Mapping[str, Asked] = (),
         *,
         corrections: Mapping[State | str, ExprLike] | None = None,
         controls: Iterable[Control] | None = None,
@@ -100,7 +102,9 @@ class System:
                 raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
-        self.constraints: dict[str, Constraint] = _named_constraints(constraints)
+        named = _named_constraints(constraints)
+        self.soft = {name: own for name, own in named.items() if isinstance(own, Soft)}
+        self.constraints: dict[str, Constraint] = {name: hard(own) for name, own in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
             raise ModelError(f"corrections must be a dict from states to expressions, got {short(corrections)}")
         self.corrections: dict[str, Expr] = {
@@ -340,20 +344,18 @@ def free_name(text: str, taken: Container[str]) -> str:
     return next(name for name in numbered if name not in taken)
 
 
-def _named_constraints(
-    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
-) -> dict[str, Constraint]:
+def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
     if isinstance(constraints, Mapping):
         named = dict(constraints)
-    elif not isinstance(constraints, Iterable):
+    elif not isinstance(constraints, (Iterable, Soft)):
         raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
     else:
         named = {}
-        for constraint in [constraints] if isinstance(constraints, Expr) else constraints:
-            named[free_name(repr(constraint), named)] = constraint
+        for constraint in [constraints] if isinstance(constraints, (Expr, Soft)) else constraints:
+            named[free_name(repr(hard(constraint)), named)] = constraint
     for name, constraint in named.items():
         refuse_conditions("a system", constraint)
-        if not isinstance(constraint, Constraint):
+        if not isinstance(constraint, (Constraint, Soft)):
             raise ModelError(
                 f"constraint {name!r} is not a constraint but {type(constraint).__name__}.\n"
                 "  fix: compare expressions, e.g. tx.linalg.Norm(F) <= 10.0"

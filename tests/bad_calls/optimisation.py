@@ -33,6 +33,13 @@ def two_phases():
     return tx.trajectory.Problem([phase(initial=X, name="a"), phase(name="b")])
 
 
+price = tx.Parameter("price", value=1.0)
+
+
+def weighted(**options):
+    return problem(objective=tx.Minimize(running=price * force**2), **options)
+
+
 peak, work = tx.trajectory.Maximum(force), tx.trajectory.Integral(force**2)
 
 ROWS = [
@@ -47,6 +54,36 @@ ROWS = [
     bad("limits at a solve of what is not free", lambda: easy().solve(free={"mass": (1.0, 2.0)}), "'mass'", "free"),
     bad("limits at a solve that are a number", lambda: easy().solve(free=3.0), "free", "3.0"),
     bad("parameters at a solve that are a number", lambda: easy().solve(params=3.0), "params", "3.0"),
+    bad("a Hessian by name", lambda: problem(hessian="GaussNewton"), "hessian", "'GaussNewton'", "GaussNewton()"),
+    bad("a Hessian that is a class", lambda: problem(hessian=tx.trajectory.GaussNewton), "hessian", "GaussNewton()"),
+    bad(
+        "Gauss-Newton of a product",
+        lambda: problem(objective=tx.Minimize(running=force * position), hessian=tx.trajectory.GaussNewton()),
+        *("GaussNewton", "sum of squares", "force * position", "fix:"),
+    ),
+    bad(
+        "updates for a solver of others",
+        lambda: problem(hessian=tx.trajectory.QuasiNewton()).solve(solver=tx.trajectory.IPOPT()),
+        *("QuasiNewton", "IPOPT", "fix:"),
+    ),
+    bad("values by node of a name", lambda: problem(by_node=["weight"]), "by_node", "list of parameters", "'weight'"),
+    bad("values by node of one parameter", lambda: weighted(by_node=price), "by_node", "list of parameters"),
+    bad("values by node that nothing reads", lambda: problem(by_node=[price]), "by_node", "'price'", "does not read"),
+    bad(
+        "values by node in a condition",
+        lambda: weighted(by_node=[price], final=[position == price]),
+        *("by_node", "'price'", "constraint", "fix:"),
+    ),
+    bad(
+        "values for other nodes",
+        lambda: weighted(by_node=[price]).solve(params={price: [1.0, 2.0]}),
+        *("params['price']", "(5,)", "(2,)"),
+    ),
+    bad("values by node that are text", lambda: weighted(by_node=[price]).solve(params={price: "a"}), "price", "'a'"),
+    bad("a soft number", lambda: tx.Soft(3.0, l1=1.0), "Soft", "constraint", "float"),
+    bad("a soft constraint without a price", lambda: tx.Soft(position <= 1.0), "Soft", "l1=", "l2="),
+    bad("a price below zero", lambda: tx.Soft(position <= 1.0, l1=-1.0), "Soft", "l1", "0 or more"),
+    bad("a price of another shape", lambda: tx.Soft(position <= 1.0, l2=[1.0, 2.0]), "Soft", "l2", "(2,)"),
     bad("ends of phases by state", lambda: two_phases().solve(initial={position: 0.0}), "'position'", "'a', 'b'"),
     bad("ends of phases that are a number", lambda: two_phases().solve(final=3.0), "final", "3.0", "phases"),
     bad("a time of no phase", lambda: two_phases().solve(final_time={"c": 1.0}), "'c'", "'a', 'b'"),

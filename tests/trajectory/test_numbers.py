@@ -11,7 +11,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import twistax as tx
-from twistax.trajectory import Collocation, Linear, Mesh, Phase, Problem
+from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
 from twistax.trajectory.rollout import Rollout
 
 pytest.importorskip("llvmlite")
@@ -137,14 +137,30 @@ WAYS: dict[str, dict[str, Any]] = {
     "collocation": {"transcription": Collocation(tx.tableaus.GAUSS_LEGENDRE4)},
     "free nodes": {"nodes": Mesh(7, free=True)},
 }
+HESSIANS: dict[str, dict[str, Any]] = {
+    "Gauss-Newton": {"hessian": GaussNewton()},
+    "quasi-Newton": {"hessian": QuasiNewton()},
+}
 
 
-@pytest.mark.parametrize("options", WAYS.values(), ids=WAYS.keys())
+@pytest.mark.parametrize("options", (WAYS | HESSIANS).values(), ids=(WAYS | HESSIANS).keys())
 def test_other_transcriptions_too(options: dict[str, Any], made: list[str]) -> None:
     assert pushed(**options).solve().solved
     made.clear()
     assert pushed(mass=1.45, limit=0.85, **options).solve().solved
     assert made == []
+
+
+def test_rows_of_other_nodes_compile_nothing(made: list[str]) -> None:
+    q, c, costs = tx.State("q"), tx.Control("c"), list[float]()
+    dynamics = tx.compile(tx.System(rates={q: c - 0.2 * q}))
+    for nodes, wanted in ((6, tx.Parameter("wanted", value=0.0)), (9, tx.Parameter("other", value=1.0))):
+        made.clear()
+        cost = tx.Minimize((q - wanted) ** 2, running=c**2)
+        problem = Problem(dynamics, cost, nodes=nodes, final_time=1.0, initial={q: 0.0}, by_node=[wanted])
+        costs.append(problem.solve(params={wanted: np.linspace(0.0, 1.0, nodes)}).cost)
+    assert made == []
+    assert costs[1] == pytest.approx(costs[0], rel=1e-2)
 
 
 @pytest.mark.parametrize("options", WAYS.values(), ids=WAYS.keys())

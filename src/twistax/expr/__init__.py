@@ -48,6 +48,7 @@ from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
 from .node import Expr, all_nodes, to_expr
 from .orders import check_orders
 from .rate import Rate
+from .soft import Soft
 from .solve import Inv, Solve
 from .solve_positive import InverseFactor, InversePositive, SolvePositive
 from .spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
@@ -59,7 +60,8 @@ __all__ = [
     "Abs", "Acos", "Add", "All", "Any", "Asin", "Atan", "Atan2", "Bilerp", "Block", "Cinterp", "Concat", "Cond",
     "Constant", "Constraint", "Control", "Cos", "Cosh", "Div", "Equality", "Example", "Exp", "Expr", "Hstack", "Huber",
     "Index", "Inequality", "Interp", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul",
-    "Neg", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Sqrt", "Square",
-    "Stack", "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr", "traverse",
+    "Neg", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Soft", "Sqrt",
+    "Square", "Stack", "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr",
+    "traverse",
 ]
 # fmt: on

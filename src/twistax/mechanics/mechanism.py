@@ -12,9 +12,10 @@ import numpy as np
 
 from ..checks import listed, short
 from ..errors import ModelError
-from ..expr import Constant, Constraint, Control, Expr, State
+from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
+from ..expr.soft import Asked
 from .arguments import of_shape
 from .bodies import SpatialInertia
 from .drives import Drive
@@ -350,7 +351,7 @@ class Mechanism:
         wrenches: Mapping[str, ExprLike] | None = None,
         rates: Mapping[State | str, ExprLike] | None = None,
         outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None = None,
-        constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint] = (),
+        constraints: Asked | Iterable[Asked] | Mapping[str, Asked] = (),
     ) -> System:
         """The mechanism as a `tx.System`, with the states `q` and `qd`.
 

@@ -8,9 +8,10 @@ from typing import Any
 
 from ..checks import callable_with, listed
 from ..errors import ModelError
-from ..expr import Concat, Constant, Constraint, Expr, State
+from ..expr import Concat, Constant, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.rate import rates_by_name
+from ..expr.soft import Asked
 from ..system import System
 from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics
@@ -25,7 +26,7 @@ def system_of(
     wrenches: Wrenches | None,
     rates: Mapping[State | str, ExprLike] | None,
     outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
-    constraints: Constraint | Iterable[Constraint] | Mapping[str, Constraint],
+    constraints: Asked | Iterable[Asked] | Mapping[str, Asked],
 ) -> System:
     """What `Mechanism.system` does."""
     if not mechanism.dofs:

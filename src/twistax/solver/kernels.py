@@ -41,6 +41,7 @@ class Argument(enum.IntEnum):
     DATA = 4
     NUMBERS = 5
     WEIGHTS = 6
+    ROW = 7
 
 
 class KernelStructure(ctypes.Structure):

@@ -15,7 +15,7 @@ from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels, Smoo
 from .library import library
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
-_NEWTON, _CLOSE = 20, 1e-9
+_NEWTON, _CLOSE = 60, 1e-9
 
 #: What rows of a stage are: dropped, or the number of an inequality, or -2 minus that of an equality.
 DROPPED = -1
@@ -89,6 +89,7 @@ class Phase:
         conditions: the same of the conditions of each node.
         path_margins, margins: by which these are tightened.
         join: to the next phase.
+        node_rows: where in the data the numbers of the nodes begin, and how many each has.
     """
 
     n: int
@@ -103,6 +104,7 @@ class Phase:
     path_margins: Array
     margins: Sequence[Array]
     join: JoinKernels | None = None
+    node_rows: tuple[int, int] = (0, 0)
 
     @property
     def intervals(self) -> int:
@@ -162,7 +164,7 @@ class _Offsets(ctypes.Structure):
 
 
 _COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
-_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins", "steps")
+_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "node_rows")
 
 
 class _Phase(ctypes.Structure):
@@ -172,11 +174,14 @@ class _Phase(ctypes.Structure):
         ("parameters_z", ctypes.c_int64),
         ("parameters_v", ctypes.c_int64),
         *((name, ctypes.c_void_p) for name in _ARRAYS),
+        ("node_width", ctypes.c_int32),
+        *((name, ctypes.c_void_p) for name in ("place", "margins", "steps")),
         ("at", _Offsets),
         *((name, SmoothStructure) for name in ("rate", "rows", "gap")),
         *((name, KernelStructure) for name in ("retract", "turn")),
         ("node", ctypes.c_void_p),
         ("join", ctypes.c_void_p),
+        ("cost_slopes", ctypes.c_void_p),
         ("work", ctypes.c_void_p),
     ]
 
@@ -203,6 +208,8 @@ class Transcription:
         path_places: of each phase (intervals, substeps + 1, rows), the number of each path row among the inequalities,
             or among the equalities, of all stages; -1 where it is neither.
         node_places: the same of the conditions of nodes.
+        cost_slopes: of each phase (stages, parameters), what each stage adds to the gradient of the cost by parameters,
+            of the last Jacobians.
     """
 
     def __init__(self, phases: Sequence[Phase], parameters: int, data: Array) -> None:
@@ -227,6 +234,7 @@ class Transcription:
         found = [self._among_all(*own) for own in zip(phases, self.first, places)]
         self.path_places: list[Array] = [path for path, _ in found]
         self.node_places: list[list[Array]] = [nodes for _, nodes in found]
+        self.cost_slopes = [np.zeros((len(phase.controls), parameters)) for phase in phases]
         self._structures = (_Phase * len(phases))(*self._described(places, data))
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
@@ -344,6 +352,8 @@ class Transcription:
                     parameters_v=at_v,
                     **addresses,
                     data=int(self._data.ctypes.data),
+                    node_rows=int(self._data.ctypes.data) + 8 * phase.node_rows[0],
+                    node_width=phase.node_rows[1],
                     place=codes[0],
                     margins=margins[0],
                     at=_Offsets(**{name: self._array(own[part]) for name, own in self._offsets.items()}),
@@ -351,6 +361,7 @@ class Transcription:
                     **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
                     node=ctypes.addressof(nodes),
                     join=self._join(number),
+                    cost_slopes=self._array(self.cost_slopes[number]),
                 )
             )
         return found

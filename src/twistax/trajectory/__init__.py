@@ -8,6 +8,7 @@ from .discretize import Discretization, discretize
 from .external import IPOPT, Fatrop
 from .found import Optimality
 from .functionals import Initial, Integral, Maximum, Minimum
+from .hessians import GaussNewton, QuasiNewton
 from .linearize import Linearization, linearize
 from .mesh import Mesh
 from .modes import Mode as Mode  # tx.Mode, tx.Trim and tx.trim are their home
@@ -33,6 +34,7 @@ __all__ = [
     "Collocation",
     "Discretization",
     "Fatrop",
+    "GaussNewton",
     "Initial",
     "Integral",
     "Linearization",
@@ -51,6 +53,7 @@ __all__ = [
     "PhasedResults",
     "Problem",
     "Progress",
+    "QuasiNewton",
     "Solution",
     "Spline",
     "Status",

@@ -23,6 +23,7 @@ class Layout:
         local, border = shooting.local, shooting.border
         boxes: dict[str, Hashable] = {box.name: ("free", k) for k, box in enumerate(border.boxes)}
         self.named: dict[str, Hashable] = {n: ("parameter", k) for k, n in enumerate(numbers.names)} | boxes
+        self.named |= {name: ("row", k) for k, name in enumerate(shooting.by_node.leaves)}
         self.named |= {name: ("state", k) for k, name in enumerate(local.group.factors)}
         self.named |= {name: ("control", k) for k, name in enumerate(local.controls.slices)}
         self.boxes = tuple((self.named[b.leaf], b.entry, b.sign) for b in shooting.path.bounds)

@@ -28,6 +28,7 @@ from ..expr import (
     refuse_conditions,
 )
 from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
+from ..expr.soft import Asked, hard
 from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
 from .statement import bounds_of, check_leaves, limited, without_end
@@ -73,7 +74,7 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
     for own, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
         name = f"{place}: {own}"
         check_leaves(dynamics, name, constraint, controls=False)
-        residual = _residual(constraint)
+        residual = residual_of(constraint)
         shape, is_equality = residual.check_shape(), isinstance(constraint, Equality)
         row = residual.canonicalize()
         asked = limited(name, row, is_equality)
@@ -85,7 +86,7 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
 
 
-def _residual(constraint: Constraint) -> Expr:
+def residual_of(constraint: Constraint) -> Expr:
     """lhs - rhs; Log(rhs^-1 lhs) where both are rotations or poses, whose entries depend on each other."""
     left, right = constraint.lhs, constraint.rhs
     if isinstance(constraint, Equality) and left.is_group_element and right.is_group_element:
@@ -94,17 +95,17 @@ def _residual(constraint: Constraint) -> Expr:
     return constraint.residual()
 
 
-def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]:
+def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
     """Values and named constraints from what an end may be: a mapping, a constraint, or a list of both."""
     values: dict[Any, Any] = {}
-    constraints: dict[str, Constraint] = {}
+    constraints: dict[str, Asked] = {}
     items: Sequence[Any] = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
     for item in items:
         refuse_conditions(what, item)
         if isinstance(item, Mapping):
             values |= item
-        elif isinstance(item, Constraint):
-            constraints[free_name(repr(item), constraints)] = item
+        elif isinstance(hard(item), Constraint):
+            constraints[free_name(repr(hard(item)), constraints)] = item
         else:
             raise ModelError(
                 f"{what} expects values by name and constraints, or a list of them, got a {type(item).__name__}; "
@@ -113,7 +114,7 @@ def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Constraint]]
     return values, constraints
 
 
-def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Constraint]]:
+def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
     """The constraints on inner nodes by name, from `at={node: constraint or a list of them}`."""
     if at is not None and not isinstance(at, Mapping):
         raise ModelError(

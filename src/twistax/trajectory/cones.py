@@ -70,6 +70,10 @@ class NormControls:
     controls: tuple[Control, ...]
     sizes: tuple[Expr, ...]
 
+    def asked(self, name: str, residual: Expr, is_equality: bool) -> list[tuple[Expr, bool]]:
+        """The residuals that stand for that of a constraint along the path, and which are equalities."""
+        return [(residual, is_equality)]
+
     @property
     def rows(self) -> list[tuple[str, Expr]]:
         """Smooth rows, <= 0, that say so where the bounds are not negative, with a name."""
@@ -78,7 +82,7 @@ class NormControls:
 
     def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
         """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
-        if not self.controls:
+        if not self.sizes:
             return []
         return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
 

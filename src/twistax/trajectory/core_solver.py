@@ -18,8 +18,10 @@ from .accuracy import Judge
 from .budget import Budget
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
+from .hessians import by_updates
 from .iterate import Errors, Scales
 from .outcome import Outcome
+from .quasi_newton import StageUpdates
 from .staged import Staged
 from .start_units import StartUnits
 from .strategies import Strategy
@@ -75,6 +77,7 @@ class CoreSolver:
     def __init__(self, staged: Staged, parts: Sequence[Any], given: Given, tolerance: float) -> None:
         self.staged, self.tolerance, self._parts = staged, tolerance, parts
         self.transcribed = staged.transcribed
+        self._by_updates = by_updates(parts)
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
         stages, border = staged.transcription.stages, staged.border
@@ -238,10 +241,12 @@ class CoreSolver:
         watch: Watch | None = None,
     ) -> Solution:
         """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
-        staged = self.staged
+        staged, functions = self.staged, self.staged.transcription.functions
+        if self._by_updates:
+            functions = StageUpdates(staged.transcription, units.v, units.cost).functions
         result = solve(
             staged.transcription.stages,
-            staged.transcription.functions,
+            functions,
             *staged.limits(point, given),
             staged.flat(point),
             staged.coordinates(point),

@@ -83,6 +83,12 @@ class Evaluated:
         failed = self.failed or self._call("hessians", weight, *others, H)
         return np.full_like(H, np.nan) if failed else H
 
+    def lagrangian(self, lam: Array, y: Array, ye: Array) -> Array:
+        """Second derivatives of the cost + lam . c + y . h + ye . e."""
+        H = np.zeros_like(self.H)
+        self._call("hessians", 1.0, lam, y, ye, H)
+        return H
+
     def blocks(self, flat: Array, rows: Any) -> list[Array]:
         """The matrices (rows, columns) of all stages."""
         sizes = [r * n for r, n in zip(rows, self.stages.columns)]

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy import ndarray as Array
 
 from .transcribed import Given, PhaseEnds
+
+if TYPE_CHECKING:
+    from .by_node import ByNode
 
 
 class Flat:
@@ -43,10 +46,13 @@ class Numbers:
     Args:
         points: a node's states of each phase.
         given: what it is solved for, for shapes.
+        by_node: the parameters of each phase that have a value for each node. Their rows follow the numbers.
     """
 
-    def __init__(self, points: Sequence[Flat], given: Given) -> None:
-        self._params = Flat({name: np.shape(value) for name, value in given.params.items()})
+    def __init__(self, points: Sequence[Flat], given: Given, by_node: Sequence[ByNode]) -> None:
+        self.by_node = by_node
+        apart = {name for own in by_node for name in own.leaves}
+        self._params = Flat({name: np.shape(value) for name, value in given.params.items() if name not in apart})
         self._points, self._limits = points, np.shape(given.limits)
         sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
         self._ends = np.cumsum([0, *sizes]).tolist()
@@ -62,7 +68,13 @@ class Numbers:
         parts = [self._params.joined(given.params)]
         for point, initial, final in zip(self._points, ends.initial, ends.final):
             parts += [point.joined(initial), point.joined(final)]
-        return np.concatenate([*parts, np.ravel(given.limits)])
+        rows = [own.rows(given.params).ravel() for own in self.by_node]
+        return np.concatenate([*parts, np.ravel(given.limits), *rows])
+
+    def node_rows(self, phase: int) -> tuple[int, int]:
+        """Where the rows of a phase begin, and how many entries each has."""
+        sizes = [own.width * len(own.shares) for own in self.by_node[:phase]]
+        return self.size + sum(sizes), self.by_node[phase].width
 
     def places(self, params: Iterable[str], final: Iterable[str]) -> Array:
         """Where values of parameters stand, and of states at the end of the last phase."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -14,8 +15,10 @@ from ..errors import IntegrationError, TrajectoryError
 from .accuracy import Accuracy
 from .border import Border
 from .outcome import Outcome
+from .singular import singular
 from .statement import largest_by_name
 from .transcribed import Transcribed
+from .undetermined import Undetermined
 from .warm import WarmStart
 from .watch import AT_OPTIMUM, Status
 
@@ -75,6 +78,7 @@ class Found:
             searches from beside it found nothing better.
     """
 
+    problem: Any
     final_time: float
     params: dict[str, Array]
     cost: float
@@ -99,8 +103,27 @@ class Found:
         """Whether the status is SOLVED."""
         return self.status is Status.SOLVED
 
+    @property
+    def soft(self) -> dict[str, float]:
+        """Name of a soft constraint, entry by entry -> its largest violation at the nodes, in its own unit."""
+        return {name: size for name, size in self.violations.items() if name in self.problem.soft}
+
+    @functools.cached_property
+    def undetermined(self) -> dict[str, Array]:
+        """Name of an entry of a control -> (intervals,) which share of a move of it alone changes nothing, 0 to 1.
+
+        Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
+        order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
+        """
+        return {own.name: own.moves for own in self._undetermined}
+
+    @functools.cached_property
+    def _undetermined(self) -> list[Undetermined]:
+        found: list[Undetermined] = self.problem.undetermined(self.warm) if self.solved else []
+        return found
+
     def explain(self) -> str:
-        """How good it is, a line each: errors, active constraints, what a finer rollout misses and exceeds."""
+        """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
         return _explained(self)
 
     def shifted(self, steps: int = 1) -> WarmStart:
@@ -135,6 +158,10 @@ def _explained(result: Any) -> str:
         f"first-order conditions: {errors}",
         f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
     ]
+    if result.soft:
+        lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
+    if result._undetermined:
+        lines.append(_open(result._undetermined, result.problem.sign))
     if result.accuracy is not None:
         lines.append(_mesh(result.accuracy, result.status))
     try:
@@ -162,6 +189,18 @@ def _rolled_out(result: Any) -> list[str]:
         f"misses of a finer rollout at the end: {missed}",
         "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
     ]
+
+
+def _open(every: list[Undetermined], sign: float) -> str:
+    """Which controls are not determined, and what would determine them."""
+    named = ", ".join(f"{own.name} (in {own.intervals} of {len(own.moves)} intervals)" for own in every)
+    weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
+        f"{own.weight:g} * {own.entry}**2" for own in every
+    )
+    return (
+        f"the optimum does not determine {named}: other values cost the same; "
+        f"a small weight on their squares does: running=... {weights}"
+    )
 
 
 def _mesh(own: Accuracy, status: Status) -> str:
@@ -226,7 +265,8 @@ class Tried:
             if best.accuracy is None
             else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
-            "message": _message(problem.shooting, best, violations, shown, self.tolerance),
+            "message": _message(problem.shooting, best, violations, shown, self.tolerance)
+            + _singular(problem, best, params),
             "iterations": best.iterations,
             "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),
             "compile_seconds": self.compile_seconds,
@@ -301,6 +341,17 @@ def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
         more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
         found.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
     return found
+
+
+def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
+    """A sentence on what is not finite at an end of a phase."""
+    if outcome.status is not Status.NON_FINITE:
+        return ""
+    for part, segment in zip(problem.parts, problem.shooting.segments):
+        found = singular(part, segment.of(outcome.point), params, outcome.point.border)
+        if found is not None:
+            return f" {problem.shooting.named(segment, found)}."
+    return ""
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:

@@ -95,6 +95,13 @@ class Local:
         x, held = self.group.retract(base, eta), self.controls.split(u)
         return self.rows(t, x, held, params), self._value(self.expressions.running, t, x, held, params)
 
+    def values(
+        self, exprs: Sequence[Expr], t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays
+    ) -> list[Any]:
+        """Expressions at a point."""
+        inputs = Inputs(t, self.group.retract(base, eta), self.controls.split(u), params, t.dtype)
+        return list(evaluate_all(exprs, lambda leaf: leaf.read(inputs)))
+
     def rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """The path rows at a point, as the solver sees them."""
         return self._with_boxes(self.expressions.rows, Inputs(t, x, u, params, t.dtype))

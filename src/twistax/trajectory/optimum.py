@@ -100,6 +100,7 @@ class Asked:
         self._numbers: Numbers = core.staged.numbers
         self._places = self._numbers.places(names["params"], names["final"])
         self._data = self._numbers.vector(given)
+        self._by_node = {name: given.params[name] for name in problem.by_node.leaves}
         functions = _WithNumbers(self.shooting, self._numbers, self._places)
         kernels = functions.kernels(dict(problem.node_rows))
         phase = dataclasses.replace(self._part.phase, kernels=kernels)
@@ -289,7 +290,8 @@ class Asked:
         us, border, asked = (a + b for a, b in zip(others, steps))
         data = _replaced(jnp.asarray(self._data, asked.dtype), self._places, asked)
         numbers = self._numbers
-        given = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
+        by_node = {name: jnp.asarray(rows, data.dtype) for name, rows in self._by_node.items()}
+        given = Given(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
         values = self.shooting.values(Point(self._part.point.split(xs), us, border), given, d)
         return values.cost, values.defects.reshape(-1), *(values.rows[places] for places in self._rows)
 
@@ -313,7 +315,12 @@ class _WithNumbers(Functions):
         self._places = places
 
     def smooth(
-        self, function: Callable[..., jax.Array], arguments: Mapping[Argument, int], key: Hashable, numbers: Array
+        self,
+        function: Callable[..., jax.Array],
+        arguments: Mapping[Argument, int],
+        order: int,
+        key: Hashable,
+        numbers: Array,
     ) -> SmoothKernels:
         count, at = len(self._places), list(arguments).index(Argument.DATA)
 
@@ -323,7 +330,7 @@ class _WithNumbers(Functions):
             return function(*given)
 
         longer = {**arguments, Argument.Z: arguments[Argument.Z] + count}
-        return SmoothKernels(with_numbers, longer, 2, (key, tuple(self._places)), numbers)
+        return SmoothKernels(with_numbers, longer, order, (key, tuple(self._places)), numbers)
 
 
 def _replaced(data: Any, places: Array, values: Any) -> Any:

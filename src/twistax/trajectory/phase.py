@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..expr import Expr, leaves_of
+from ..expr.soft import parts_of
 from ..lowering import Dynamics
 from .border import boxes_of
 from .conditions import split
@@ -25,7 +26,7 @@ class Phase:
         final_time: how long the phase takes, a number in s, or limits (low, high) to leave it free.
         initial, final, at: as for a `Problem`. After the first phase, values in `initial` stand in place of what the
             phase before left.
-        controls, guess, final_time_guess, transcription, method, substeps: as for a `Problem`.
+        by_node, controls, guess, final_time_guess, transcription, method, substeps, hessian: as for a `Problem`.
         name: what results and messages call it; "phase 0", "phase 1", ... unless given.
     """
 
@@ -37,12 +38,14 @@ class Phase:
     initial: Any = None
     final: Any = None
     at: Any = None
+    by_node: Any = None
     controls: Any = None
     guess: Mapping[Any, Any] | None = None
     final_time_guess: Any = None
     transcription: Any = None
     method: Any = None
     substeps: int | None = None
+    hessian: Any = None
     name: str | None = None
 
 
@@ -68,5 +71,6 @@ def asked(phase: Phase) -> list[Expr]:
     exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
     at = phase.at.values() if isinstance(phase.at, Mapping) else []
     for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
-        exprs += split(what, given)[1].values()
+        for constraint in split(what, given)[1].values():
+            exprs += parts_of(constraint)
     return [e for e in exprs if isinstance(e, Expr)]

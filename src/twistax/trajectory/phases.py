@@ -16,6 +16,7 @@ from ..expr import Expr, Parameter, State, leaves_of, to_expr
 from ..lowering.dynamics import need_compiled
 from ..system import free_name, name_of
 from .border import Border, boxes_of
+from .by_node import only_once
 from .cases import PhasedResults, phased_results
 from .conditions import Ends
 from .found import Tried
@@ -57,7 +58,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         phases: Sequence[Any],
         links: Sequence[Mapping[Any, Any] | None] | None = None,
         *,
-        params: Mapping[str, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
         free: Any = None,
     ) -> None:
         strangers = [phase for phase in phases if not isinstance(phase, Phase)]
@@ -79,7 +80,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
             )
         self.none: Objective = kinds.pop()(0.0)
-        given, free = dict(params or {}), as_dict(free)
+        given, free = {name_of(key): value for key, value in (params or {}).items()}, as_dict(free)
         carried = [[leaf for leaf in functionals_of(*asked(p)) if isinstance(leaf, Initial)] for p in phases]
         within = [
             InPhase(name, tuple(itertools.chain(*carried[index:])), first=index == 0)
@@ -119,11 +120,13 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 at=phase.at,
                 params={key: value for key, value in params.items() if key in read},
                 free={key: value for key, value in free.items() if name_of(key) in read},
+                by_node=phase.by_node,
                 controls=phase.controls,
                 guess=phase.guess,
                 transcription=phase.transcription,
                 method=phase.method,
                 substeps=phase.substeps,
+                hessian=phase.hessian,
                 _within=within,
             )
 
@@ -169,6 +172,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         limits = np.array([part.time_limits for part in self.parts])
         self.border = Border(tuple(f"duration of {name}" for name in self.names), limits, boxes)
         self.leaves = leaves
+        only_once([part.by_node for part in self.parts])
         self.params = self._values(params)
 
     def _values(self, params: Mapping[str, Any]) -> dict[str, Array]:
@@ -189,6 +193,10 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 raise InputError(
                     f"links read the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
                 )
+            own = next((part.by_node for part in self.parts if name in part.by_node.leaves), None)
+            if own is not None:
+                found[name] = own.values(name, value)
+                continue
             found[name] = reals(f"params[{name!r}]", value, InputError)
             if found[name].shape != leaf.shape:
                 raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")
@@ -212,7 +220,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -221,8 +229,18 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
     # ---- what a solve starts from, and what it gives ----------------------------------------------------------------
 
     def on(self, meshes: Sequence[Remeshed]) -> PhasedProblem:
-        found = [dataclasses.replace(p, **own.stated(p.at)) for p, own in zip(self._phases, meshes, strict=True)]
+        every = zip(self._phases, self.parts, meshes, strict=True)
+        found = [dataclasses.replace(p, by_node=part.by_node, **own.stated(p.at)) for p, part, own in every]
         return PhasedProblem(found, **self._stated)
+
+    def transcribed_by(self, transcription: Any) -> PhasedProblem:
+        other = {"transcription": transcription, "method": None, "substeps": None}
+        return PhasedProblem([dataclasses.replace(phase, **other) for phase in self._phases], **self._stated)
+
+    @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        return {f"{name}: {row}" for name, part in zip(self.names, self.parts) for row in part.soft}
 
     @property
     def parts(self) -> Sequence[Problem]:

@@ -15,19 +15,22 @@ from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
-from ..system import name_of
+from ..system import entry_names, name_of
 from .border import Border, boxes_of, times_of
+from .by_node import ByNode
 from .cases import TrajectoryResults, trajectory_results
-from .conditions import Ends, at_nodes, conditions, ends_of, split
+from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split
 from .cones import above, bounds_along, norm_controls
 from .controls import continuous_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
+from .hessians import checked_hessian
 from .mesh import Remeshed, mesh_of
 from .reduction import InPhase, Reduction
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
+from .slacks import NodeSlacks, slack_controls
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point
@@ -60,6 +63,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         params: values of the parameters by leaf or name, the objective's too; those left out take their own.
         free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
             of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
+        by_node: a list of parameters of the objective, references and weights, whose values in `params` have a row for
+            each node, or are one for all. They are linear in time between nodes; the final cost reads the last row.
         controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out), `tx.trajectory.Linear()` or
             `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
         guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
@@ -71,6 +76,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
         method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if
             left out, and its steps in an interval, 2 if left out.
+        hessian: second derivatives other than exact ones: `tx.trajectory.GaussNewton()` or
+            `tx.trajectory.QuasiNewton()`.
 
     Raises:
         ModelError: unknown names or values without meaning.
@@ -106,12 +113,14 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         at: Any = None,
         params: Mapping[Any, Any] | None = None,
         free: Any = None,
+        by_node: Any = None,
         controls: Any = None,
         guess: Mapping[Any, Any] | None = None,
         final_time_guess: Any = None,
         transcription: Any = None,
         method: Any = None,
         substeps: Any = None,
+        hessian: Any = None,
         _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
         need_compiled("Problem", dynamics)
@@ -126,9 +135,13 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.nodes = self.mesh.nodes
         time_limits, self.time_guess = times_of(final_time, final_time_guess)
         (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
-        inner = at_nodes(at, self.nodes)
+        inner, soft = at_nodes(at, self.nodes), dynamics.system.soft
+        places = {"initial": asked_first, "final": asked_last, **{f"node {k}": own for k, own in inner.items()}}
+        #: What soft conditions at nodes became.
+        self.softened = softened = NodeSlacks(objective, places, f"{_within.name}: " if _within.name else "")
+        first_rows, last_rows, *inner_rows = softened.plain.values()
         smooth = continuous_controls(controls, dynamics.controls)
-        reduced = Reduction(dynamics, objective, asked_first, asked_last, inner.values(), _within, smooth)
+        reduced = Reduction(dynamics, softened.objective, first_rows, last_rows, inner_rows, _within, smooth)
         #: What functionals of the path became.
         self.reduced = reduced
         ways = reduced.shapes_of_bounds(controls)
@@ -143,21 +156,22 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         objective = self.objective
         self.ends = ends_of(dynamics.states, first, last)
         self.final_rows = conditions(
-            dynamics, "final", restated.plain(reduced.plain(asked_last) | restated.at_end, last=True)
+            dynamics, "final", restated.plain(reduced.plain(last_rows) | restated.at_end, last=True)
         )
         #: Conditions at nodes before the last.
-        plain = {k: restated.plain(reduced.plain(own)) for k, own in inner.items()}
+        plain = {k: restated.plain(reduced.plain(own)) for k, own in zip(inner, inner_rows)}
         self.node_rows = {k: conditions(dynamics, f"node {k}", own) for k, own in plain.items()}
-        asked_first = restated.plain(asked_first | reduced.at_start)
-        if asked_first:
-            self.node_rows[0] = conditions(dynamics, "initial", asked_first)
+        first_rows = restated.plain(first_rows | reduced.at_start)
+        if first_rows:
+            self.node_rows[0] = conditions(dynamics, "initial", first_rows)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
         self._leaves |= {c.name: c for c in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self.transcription = transcription_of(transcription, method, substeps)
-        self.norms = norm_controls(objective.running, objective.sign)
+        self.hessian = checked_hessian(hessian)
+        self.norms = slack_controls(norm_controls(objective.running, objective.sign), restated, soft)
         asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
-        exprs = [e for e in (objective.final, objective.running, *asked) if e is not None]
+        exprs = [e for e in (objective.final, objective.running, self.norms.running, *asked) if e is not None]
         known = {leaf.name for leaf in dynamics.parameters}
         #: Parameters that the system does not have.
         self._own = {
@@ -170,9 +184,13 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         seen |= reads["rates"] | reads["constraints"]
         #: Parameters that the problem reads, and the names of those that cannot be changed any more.
         self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
+        self.by_node = ByNode.of(by_node, self.mesh.shares)
+        elsewhere = [*asked, *(row for _, row in self.norms.rows)]
+        priced = [e for e in (objective.final, self.norms.running) if e is not None]
+        self.by_node.check(priced, elsewhere, reads["rates"] | reads["constraints"])
         self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
-        #: Parameters that stand for extremes.
-        self.bounds = boxes_of(reduced.free, self.readable, ())
+        #: Parameters that stand for extremes, and slacks.
+        self.bounds = boxes_of({**reduced.free, **softened.free}, self.readable, ())
         boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
         self.border = Border(("final time",), np.array([time_limits]), boxes)
         self.phase = 0
@@ -188,7 +206,14 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
         (mesh,) = meshes
-        return Problem(**self._stated | mesh.stated(self._stated["at"]))
+        return Problem(**self._stated | {"by_node": self.by_node} | mesh.stated(self._stated["at"]))
+
+    def transcribed_by(self, transcription: Any) -> Problem:
+        return self.stated_with(transcription=transcription, method=None, substeps=None)
+
+    def stated_with(self, **others: Any) -> Problem:
+        """The same problem with other arguments."""
+        return Problem(**self._stated | others)
 
     def as_phase(self, number: int, border: Border) -> None:
         """Make it a phase of a problem with these durations and free parameters."""
@@ -199,6 +224,22 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     def bounded(self) -> bool:
         """Whether it has bounds of its own: of norms, of magnitudes, or extremes."""
         return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes or self.restated.bounds)
+
+    @property
+    def conditions(self) -> dict[int, Conditions]:
+        """The conditions at nodes by number."""
+        return {**self.node_rows, self.nodes - 1: self.final_rows}
+
+    @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        along = self.norms.soft.items()
+        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.softened.rows
+
+    @property
+    def order(self) -> int:
+        """Of the derivatives that are compiled."""
+        return 2 if self.hessian is None else 1
 
     @property
     def parts(self) -> Sequence[Problem]:
@@ -232,7 +273,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             border=self.border,
             phase=self.phase,
             pace=self.restated.pace,
+            by_node=self.by_node,
         )
+        self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self.built()
         self.advanced = jax.jit(self.shooting.advanced)
@@ -249,7 +292,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_cores")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -378,24 +421,28 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         # Rows may have any sign: controls that say nothing count with both.
         sides = [{name: side * a for name, a in sizes.items()} for side in (1.0, -1.0)]
         points = [(xs, us), *((_sized(xs, own), _sized(us, own)) for own in sides)]
-        guess = {**self._extremes(points, params, durations), **given}
+        ts, rows = self.shooting.times(durations), self._shown_at(points, params, durations)
+        guess = self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params) if rows else {}
+        residuals = self.softened.values(self.conditions, xs, ts, params) if self.softened.slacks else {}
+        guess = {**guess, **self.softened.start(residuals), **given}
         border = self.border.start(durations, params, guess, limits)
         flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
         norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
-        return Point(xs, np.concatenate([*flat, *norms], axis=1), border)
+        slacks = self.norms.start(rows[0], list(self.path.shown), count) if self.norms.slacks else []
+        return Point(xs, np.concatenate([*flat, *norms, *slacks], axis=1), border)
 
-    def _extremes(
+    def _shown_at(
         self, points: Sequence[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], durations: Array
-    ) -> dict[str, Array]:
-        """Bounds that stand for extremes: those of states and controls at their nodes, the largest of some of them."""
-        if not self.reduced.extremes:
-            return {}
-        ts = self.shooting.times(durations)[:-1]
-        norms, rows = {c.name: np.zeros(self.nodes - 1) for c in self.norms.controls}, []
+    ) -> list[Array]:
+        """The path rows as users wrote them of states and controls at nodes, where something has to fit them."""
+        if not (self.reduced.extremes or self.norms.slacks):
+            return []
+        ts, rows = self.shooting.times(durations)[:-1], []
+        norms = {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.norms.controls}
         for xs, us in points:
             before = {name: a[:-1] for name, a in xs.items()}
             rows.append(np.asarray(self.shown_rows(ts, before, us | norms, dict(params))))
-        return self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params)
+        return rows
 
     def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
         """What a solve with these ends, parameters and limits of the border is for."""
@@ -430,6 +477,9 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
                 raise InputError(
                     f"the problem reads the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
                 )
+            if name in self.by_node.leaves:
+                found[name] = self.by_node.values(name, own.get(name, leaf.value))
+                continue
             found[name] = reals(f"params[{name!r}]", own.get(name, leaf.value), InputError)
             if found[name].shape != leaf.shape:
                 raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")

@@ -208,7 +208,7 @@ def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int
     # Each interval is looked at with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
     held = {name: np.repeat(values, steps + 1, axis=0) for name, values in held_of(result).items()}
-    held |= {c.name: np.zeros(window.size) for c in problem.norms.controls}
+    held |= {c.name: np.zeros((window.size, *c.shape)) for c in problem.norms.controls}
     return np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
 
 
@@ -216,6 +216,7 @@ def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps:
     problem, found = result.problem, dict[str, float]()
     for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
         here = {name: values[k * steps] for name, values in xs.items()}
-        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, result.params))
+        params = {**result.params, **problem.softened.without}
+        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, params))
         found |= largest_by_name(rows.names, violations(values, rows.equality))
     return found

@@ -93,8 +93,8 @@ class Restated:
         if self._chains or mesh.free is not None:
             final, running = self.objective.final, self.objective.running
             self.objective = type(objective)(
-                None if final is None else self._put(final, last=True),
-                running=None if running is None else self._put(running),
+                None if final is None else self.put(final, last=True),
+                running=None if running is None else self.put(running),
             )
             self.dynamics = self._compiled(dynamics, rows, clock)
 
@@ -105,7 +105,7 @@ class Restated:
         self._exchange |= {leaf.key(): states[0], held.key(): held}
         self._exchange |= {Control(s.name, s.shape).key(): s for s in states[1:]}
 
-    def _put(self, expr: Expr, last: bool = False) -> Expr:
+    def put(self, expr: Expr, last: bool = False) -> Expr:
         """The same expression, restated. At the last node time is the final time."""
         clock = Time().key()
         return substitute(expr, {key: e for key, e in self._exchange.items() if not (last and key == clock)})
@@ -114,12 +114,12 @@ class Restated:
         """The same constraints on a node, restated."""
         if not self._exchange:
             return dict(constraints)
-        return {n: type(c)(self._put(c.lhs, last), self._put(c.rhs, last)) for n, c in constraints.items()}
+        return {n: type(c)(self.put(c.lhs, last), self.put(c.rhs, last)) for n, c in constraints.items()}
 
     def _compiled(self, dynamics: Dynamics, rows: Mapping[str, Constraint], clock: State) -> Dynamics:
         """The system restated, compiled as it was."""
         system, functions = dynamics.system, dynamics._functions
-        rates: dict[State | str, Any] = {state: self._put(system.rates[state.name]) for state in system.states}
+        rates: dict[State | str, Any] = {state: self.put(system.rates[state.name]) for state in system.states}
         for states, held in self._chains.values():
             rates |= zip(states, [*states[1:], held])
         kept = set(self.rates) | self.hidden
@@ -135,8 +135,8 @@ class Restated:
         return compile(
             System(
                 rates=rates,
-                outputs={name: self._put(e) for name, e in system.outputs.items()},
-                constraints={n: type(c)(self._put(c.lhs), self._put(c.rhs)) for n, c in constraints.items()},
+                outputs={name: self.put(e) for name, e in system.outputs.items()},
+                constraints={n: type(c)(self.put(c.lhs), self.put(c.rhs)) for n, c in constraints.items()},
                 controls=controls,
                 parameters=(*system.parameters, *new.values()),
             ),
@@ -149,6 +149,14 @@ class Restated:
     def smooth(self) -> Collection[str]:
         """The names of the continuous controls, and of continuous bounds on their sizes."""
         return self._smooth.keys()
+
+    @property
+    def derivatives(self) -> dict[str, str]:
+        """Name of a held derivative of a continuous control -> what it is, in the language."""
+        return {
+            held.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
+            for name, (states, held) in self._chains.items()
+        }
 
     @property
     def pace(self) -> str | None:

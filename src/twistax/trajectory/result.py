@@ -200,4 +200,6 @@ def violations_of(problem: Problem, outcome: Outcome, params: dict[str, Array]) 
         found |= largest_by_name(path.shown, np.maximum(*sizes))
     own = shooting.own
     lost = violations(np.asarray(outcome.values.rows), shooting.equality)
-    return found | largest_by_name([str(name) for name in shooting.names[own]], lost[own])
+    found |= largest_by_name([str(name) for name in shooting.names[own]], lost[own])
+    xs = {name: np.asarray(values) for name, values in point.xs.items()}
+    return found | problem.softened.violations(problem.conditions, xs, times_of(problem, point), params)

@@ -18,6 +18,7 @@ from ..system import name_of
 from .accuracy import MESH
 from .called import Called, Row
 from .core_solver import CoreSolver
+from .hessians import by_updates
 from .optimum import Asked, Move, Optimum
 from .transcribed import Given, jitted
 from .watch import Status
@@ -91,6 +92,8 @@ def solution(
     """
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
+    if by_updates(problem.parts):  # derivatives need exact ones
+        problem = problem.stated_with(hessian=None)
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
 
@@ -169,6 +172,12 @@ class _Named:
         problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
         shapes = {name: np.shape(value) for name, value in problem.params.items()}
         of_states = {name: state.shape for name, state in states.items()}
+        for name in theta.params:
+            if name in problem.by_node.leaves:
+                raise TrajectoryError(
+                    f"solution: params names {name!r}, which has a value for each node, and is no argument.\n"
+                    "  fix: state the problem with its values, params={...}"
+                )
         for what, known in (("params", shapes), ("initial", of_states), ("final", of_states)):
             for name, value in getattr(theta, what).items():
                 if name not in known:

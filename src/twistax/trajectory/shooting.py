@@ -21,13 +21,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Control, State
+from ..expr import Control, Expr, State
 from ..lowering import XLA, Dynamics
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
 from ..system import entry_names
 from .border import Border
+from .by_node import ByNode
 from .conditions import Conditions, Ends
 from .cones import NormControls
 from .interval import Interval, Slot
@@ -52,6 +53,7 @@ class Shooting(Transcribed):
         states: names of the states' tangents.
         turns: (n,) which tangents are rotations.
         paced: where the control stands that says how long intervals are.
+        by_node: the parameters that have a value for each node.
         alike: state -> the one whose scale it has, in this phase or in the first.
     """
 
@@ -70,7 +72,11 @@ class Shooting(Transcribed):
         border: Border,
         phase: int = 0,
         pace: str | None = None,
+        by_node: ByNode,
     ) -> None:
+        self.by_node = by_node
+        #: Whether the parameters of nodes come with a value for each node.
+        self._interpolates = bool(by_node.leaves)
         self.alike: dict[str, str] = {}
         self.phase, self.is_last = phase, phase == border.phases - 1
         self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
@@ -117,7 +123,7 @@ class Shooting(Transcribed):
     def by(self, local: Local) -> Shooting:
         """The same with other functions of single points; only for these."""
         found = copy.copy(self)
-        found.local = local
+        found.local, found._interpolates = local, False
         return found
 
     def _interval_of(self, transcription: MultipleShooting | Collocation, asked: Array) -> Interval:
@@ -239,6 +245,10 @@ class Shooting(Transcribed):
         eta, u, b = jnp.split(q, [self.n, self.n + self.m])
         return eta, u, *self.span(b), params | self.border.params(b)
 
+    def _at_share(self, params: Arrays, share: Any) -> Arrays:
+        """The parameters, those with a value for each node at a share of the duration."""
+        return params | self.by_node.along(params, share) if self._interpolates else params
+
     def span(self, b: Any) -> tuple[Any, Any]:
         """When the phase begins, and how long it takes."""
         return b[: self.phase].sum(), b[self.phase]
@@ -250,9 +260,16 @@ class Shooting(Transcribed):
 
     def point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """The path rows, and the running cost times T."""
-        eta, u, begin, length, params = self._parts(q, params)
+        eta, u, begin, length, params = self._parts(q, self._at_share(params, share))
         rows, density = self.local.point(begin + share * length, eta, u, base, params)
         return jnp.concatenate([rows, (length * self._pace(u) * density)[None]])
+
+    def values_at(
+        self, exprs: Sequence[Expr], q: jax.Array, share: jax.Array, base: Arrays, params: Arrays
+    ) -> tuple[jax.Array, list[Any]]:
+        """T, and expressions at time share * T."""
+        eta, u, begin, length, params = self._parts(q, params)
+        return length * self._pace(u), self.local.values(exprs, begin + share * length, eta, u, base, params)
 
     def _pace(self, u: jax.Array) -> Any:
         """How long the interval is over what its share says."""
@@ -261,7 +278,7 @@ class Shooting(Transcribed):
     def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""
         base, b = last[0], last[1] + z[self.n :]
-        params = given.params | self.border.params(b)
+        params = self._at_share(given.params, 1.0) | self.border.params(b)
         begin, length = self.span(b)
         conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, given.final, params)
         limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)

@@ -25,19 +25,25 @@ from .cases import Cases, prepared
 from .core_solver import CoreSolver
 from .external import SolvedBy
 from .found import Tried
+from .hessians import by_updates
 from .many import solve_all
 from .mesh import Remeshed
 from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
 from .staged import Staged
+from .stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
 from .strategies import Strategy
 from .transcribed import Given, Point, Transcribed
+from .undetermined import Undetermined, undetermined
 from .warm import WarmStart, warm_start, with_ends
-from .watch import Status
+from .watch import AT_OPTIMUM, Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
+
+#: The tolerance of a solver that only looks at solutions.
+_LOOKED_AT = 1e-6
 
 #: Threads that solve one problem make its first solver once: that decides which rows there are.
 _MAKING = threading.RLock()
@@ -119,12 +125,17 @@ class Solvable(ABC, Generic[One, Many]):
         """The same problem on other meshes, one for each phase, without a guess."""
 
     @abstractmethod
+    def transcribed_by(self, transcription: Any) -> Any:
+        """The same problem, its phases integrated in another way."""
+
+    @abstractmethod
     def results(self, tried: Sequence[Tried]) -> Many:
         """The results of many cases."""
 
     def built(self) -> None:
         """Forget what was compiled."""
         self._cores: dict[tuple[float, int], CoreSolver] = {}
+        self._implicit: Any = None
 
     def solve(
         self,
@@ -155,6 +166,9 @@ class Solvable(ABC, Generic[One, Many]):
         that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
         structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
         at once.
+
+        Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
+        of order 5, and the message says so; `result.problem` is the one that was solved.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -221,6 +235,10 @@ class Solvable(ABC, Generic[One, Many]):
             raise TrajectoryError(
                 f"solver expects tx.trajectory.IPOPT() or tx.trajectory.Fatrop(), or nothing, got {solver!r}"
             )
+        if solver is not None and by_updates(self.parts):
+            raise TrajectoryError(
+                f"QuasiNewton() has no second derivatives for {solver!r}.\n  fix: leave out hessian= or solver="
+            )
         if callback is not None:
             callable_with("callback", callback, ["iteration", "cost", "violation"], TrajectoryError)
         sign = self.sign
@@ -270,12 +288,17 @@ class Solvable(ABC, Generic[One, Many]):
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
         result = self.result(Tried(outcomes, own, tolerance, compiled - begin, done - compiled))
-        if refine is None:
-            return result
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
         asked["strategies"] = strategies
+        said = ""
+        if Strategy.IMPLICIT_STEPS in strategies and warm is None and solver is None and budget.ended is None:
+            also = {"guess": guess, "final_time_guess": final_time_guess, "guesses": guesses, "seed": seed}
+            also |= {"between": between, "max_seconds": budget.seconds_left}
+            result, said = self._by_implicit_steps(result, plain, given, {**asked, **also})
+        if refine is None:
+            return result
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
@@ -287,7 +310,8 @@ class Solvable(ABC, Generic[One, Many]):
         if between is not None and finest.solved:
             finest = dataclasses.replace(again(finest.problem, finest, between), meshes=finest.meshes)
         times = {name: sum(getattr(each, name) for each in spent) for name in ("compile_seconds", "solve_seconds")}
-        return dataclasses.replace(finest, **times)
+        message = finest.message if finest.message.endswith(said) else finest.message + said
+        return dataclasses.replace(finest, message=message, **times)
 
     def solve_many(
         self,
@@ -355,6 +379,36 @@ class Solvable(ABC, Generic[One, Many]):
                     staged.drop(redundant_rows(staged, point, given), given)
                 self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
         return self._cores[key]
+
+    def _by_implicit_steps(self, result: Any, start: Point, given: Given, asked: dict[str, Any]) -> tuple[Any, str]:
+        """A result, or a better one by implicit steps where explicit ones are unstable; and a sentence that says so."""
+        at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
+        if result.status in AT_OPTIMUM or at_once or result.iterations >= asked["max_iterations"]:
+            return result, ""
+        with in_double():
+            staged = self._core(float(asked["tolerance"]), start, given).staged
+            fastest = max(stiffness(staged, point, given) for point in (start, result.warm.point))
+        if fastest <= LARGEST:
+            return result, ""
+        if self._implicit is None:
+            self._implicit = self.transcribed_by(IMPLICIT)
+        other = self._implicit.solve(**asked)
+        said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
+        is_finite = result.status is Status.NON_FINITE and other.status is not Status.NON_FINITE
+        if other.status not in AT_OPTIMUM and not is_finite:
+            other, said = result, f"{said}{IMPLICIT_NAME} did not help."
+        else:
+            said += f"solved again by {IMPLICIT_NAME}."
+        return dataclasses.replace(other, message=other.message + said), said
+
+    def undetermined(self, warm: WarmStart) -> list[Undetermined]:
+        """The controls that a solution of it does not determine; with exact second derivatives alone."""
+        if any(part.hessian is not None for part in self.parts):
+            return []
+        with in_double():
+            given = self.started().given._replace(params=warm.params)
+            core = self._core(_LOOKED_AT, warm.point, given)
+            return undetermined(core.staged, warm, given, [part.restated.derivatives for part in self.parts])
 
 
 def check_mesh_tolerance(size: Any) -> None:

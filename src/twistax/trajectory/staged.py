@@ -24,6 +24,7 @@ from .flat import Flat, Numbers
 from .interval import simpson
 from .joined import Join
 from .shooting import Shooting
+from .squares import Squares, SquaresBends, Term
 from .transcribed import Given, Point, Segment, Transcribed
 from .transcription import Collocation, MultipleShooting
 
@@ -53,22 +54,23 @@ class Functions:
     Numbers within expressions are arguments too: kernels of phases that differ in them alone are one.
     """
 
-    def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
-        self._shooting, self._numbers = shooting, numbers
+    def __init__(self, shooting: Shooting, numbers: Numbers, squares: Squares | None = None, order: int = 2) -> None:
+        self._shooting, self._numbers, self._squares, self._order = shooting, numbers, squares, order
         self.point, self._layout = point_of(shooting), Layout(shooting, numbers)
 
     def smooth(
-        self, function: _Traced, arguments: Mapping[Argument, int], key: Hashable, numbers: Array
+        self, function: _Traced, arguments: Mapping[Argument, int], order: int, key: Hashable, numbers: Array
     ) -> SmoothKernels:
         """Kernels of one of them that reads unknowns, numbers of a solve, and numbers within expressions last."""
-        return SmoothKernels(function, arguments, 2, key, numbers)
+        return SmoothKernels(function, arguments, order, key, numbers)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
-        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data}
+        row = {Argument.ROW: own.by_node.width} if own.by_node.leaves else {}
+        of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data, **row}
         of_node = {**of_q, Argument.Z: n + g}
-        of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data}
+        of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data, **row}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
         boxes, group = self._layout.boxes, group_key(own)
         places = (tuple(own.layout.fixed), tuple(own.layout.end_states))
@@ -76,37 +78,66 @@ class Functions:
         made, pace = own.local.expressions, own.paced and (own.paced.start, own.paced.stop)
         conditions = [(k, self._of(self._node(c), of_node, [c.residuals], "node")) for k, c in nodes.items()]
         end = self._of(self._end, of_end, [made.conditions, made.rows, made.limits, made.final], at_end)
+        rows = self._of(self._rows, of_q, [made.rows, made.limits, made.running], ("rows", pace, boxes))
+        if self._squares is not None:
+            bends = SquaresBends(own, self.point)
+            self._add_squares(rows, bends.running, of_q, self._squares.running, ("running", pace))
+            self._add_squares(end, bends.final, of_end, self._squares.final, "final")
         flat = all(factor.flat for factor in own.dynamics.group.factors.values())
         move = {Argument.Z: n, Argument.BASE: self.point.size}
         return PhaseKernels(
             self._of(self._rate, of_q, [made.rates], ("rate", pace)),
-            self._of(self._rows, of_q, [made.rows, made.limits, made.running], ("rows", pace, boxes)),
-            SmoothKernels(self._gap, gap, key=("gap", group)),
+            rows,
+            SmoothKernels(self._gap, gap, self._order, ("gap", group)),
             [*conditions, (own.intervals, end)],
             None if flat else SmoothKernels(self._retract, move, 0, ("retract", group)).kernels[0],
             None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0, ("turn", group)).kernels[0],
         )
 
     def _of(
-        self, function: _Traced, arguments: Mapping[Argument, int], parts: Sequence[Sequence[Expr]], rest: Hashable
+        self,
+        function: _Traced,
+        arguments: Mapping[Argument, int],
+        parts: Sequence[Sequence[Expr]],
+        rest: Hashable,
+        order: int | None = None,
     ) -> SmoothKernels:
         """The kernels of a function of (arguments, all parameters, expressions).
 
         Args:
             parts: the expressions, in groups.
             rest: what it depends on beside these and the layout.
+            order: of the derivatives, if not as in the whole problem.
         """
         structure = Structure([expr for part in parts for expr in part], self._layout.token)
 
         def traced(*given: jax.Array) -> jax.Array:
-            count = len(arguments)
-            data, roots = given[list(arguments).index(Argument.DATA)], iter(structure.roots)
-            params = self._numbers.params(data) | (structure.params(given[count]) if given[count:] else {})
+            known, roots = dict(zip([*arguments, Argument.NUMBERS], given)), iter(structure.roots)
+            params = self._numbers.params(known[Argument.DATA])
+            if Argument.NUMBERS in known:
+                params |= structure.params(known.pop(Argument.NUMBERS))
+            if Argument.ROW in known:
+                at = known.get(Argument.SHARE, jnp.ones(1))[0]
+                params |= self._shooting.by_node.at(known.pop(Argument.ROW), at)
             exchanged = [tuple(next(roots) for _ in part) for part in parts]
-            return function(*given[:count], params, *exchanged)
+            return function(*known.values(), params, *exchanged)
 
-        key = (self._layout.key, structure.key, tuple(map(len, parts)), rest)
-        return self.smooth(traced, arguments, key, structure.numbers)
+        by_node = tuple(leaf.shape for leaf in self._shooting.by_node.leaves.values())
+        key = (self._layout.key, by_node, structure.key, tuple(map(len, parts)), rest)
+        return self.smooth(traced, arguments, self._order if order is None else order, key, structure.numbers)
+
+    def _add_squares(
+        self,
+        to: SmoothKernels,
+        function: _Traced,
+        arguments: Mapping[Argument, int],
+        terms: Sequence[Term],
+        rest: Hashable,
+    ) -> None:
+        """Put second derivatives of squares where those of the whole function stand."""
+        if terms:
+            arguments = {**arguments, Argument.WEIGHTS: to.rows}
+            to.kernels += self._of(function, arguments, list(zip(*terms)), ("squares", rest), 0).kernels
 
     def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
         """The phase with other expressions."""
@@ -202,7 +233,9 @@ class Part:
         method: Method,
         kernels: PhaseKernels,
         join: JoinKernels | None,
+        node_rows: tuple[int, int],
     ) -> None:
+        self._node_rows = node_rows
         self.shooting = shooting = segment.shooting
         self.stages = slice(segment.nodes.start, segment.nodes.stop)
         self.point = point_of(shooting)
@@ -229,6 +262,7 @@ class Part:
             np.zeros(path.shape),
             [np.zeros(len(own)) for own in rows],
             self._join,
+            self._node_rows,
         )
 
     def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
@@ -274,15 +308,18 @@ class Staged:
 
     def __init__(self, transcribed: Transcribed, parts: Sequence[Any], given: Given) -> None:
         self.transcribed, self.border = transcribed, transcribed.border
-        self.numbers = Numbers([point_of(part.shooting) for part in parts], given)
+        by_node = [part.shooting.by_node for part in parts]
+        self.numbers = Numbers([point_of(part.shooting) for part in parts], given, by_node)
         self.parts: list[Part] = []
         with in_double():
-            every = [Functions(part.shooting, self.numbers) for part in parts]
+            every = [Functions(part.shooting, self.numbers, part.squares, part.order) for part in parts]
             pairs = zip(every, transcribed.joins, parts[1:])
             joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
             for segment, part, functions, join in zip(transcribed.segments, parts, every, [*joins, None]):
                 rows = dict(part.node_rows)
-                self.parts.append(Part(segment, rows, method_of(part.transcription), functions.kernels(rows), join))
+                of_nodes = self.numbers.node_rows(len(self.parts))
+                kernels = functions.kernels(rows)
+                self.parts.append(Part(segment, rows, method_of(part.transcription), kernels, join, of_nodes))
         self._assemble(given)
 
     def _assemble(self, given: Given) -> None:

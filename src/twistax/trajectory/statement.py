@@ -164,19 +164,24 @@ def describe_path(
     states: list[frozenset[str]] = []
     timed: list[bool] = []
     loose: list[bool] = []
-    for kind, own in functions.constraints.items():
-        for name, residual in own.items():
-            asked = limited(name, residual, kind == "equality")
-            for row in [residual] if kind == "equality" else without_norms(residual) if asked.any() else []:
-                entries, leaves = int(asked.sum()), list(leaves_of(row))
-                left = row if asked.all() else row[np.nonzero(asked)]
-                residuals.append(left if kind == "equality" else without_end(left))
-                names += itertools.compress(entry_names(name, row.shape), asked.ravel())
-                equality += [kind == "equality"] * entries
-                reads += [_reads(leaves)] * entries
-                states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
-                timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
-                loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
+    asked_for = [
+        (name, *each)
+        for kind, own in functions.constraints.items()
+        for name, residual in own.items()
+        for each in norms.asked(name, residual, kind == "equality")
+    ]
+    for name, residual, is_equality in asked_for:
+        asked = limited(name, residual, is_equality)
+        for row in [residual] if is_equality else without_norms(residual) if asked.any() else []:
+            entries, leaves = int(asked.sum()), list(leaves_of(row))
+            left = row if asked.all() else row[np.nonzero(asked)]
+            residuals.append(left if is_equality else without_end(left))
+            names += itertools.compress(entry_names(name, row.shape), asked.ravel())
+            equality += [is_equality] * entries
+            reads += [_reads(leaves)] * entries
+            states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
+            timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
+            loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
     for name, row in norms.rows:
         residuals.append(without_end(row))
         names.append(name)

@@ -51,6 +51,9 @@ class Strategy(enum.Enum):
     PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
     FIXED_DURATIONS = "where nothing else helps, free durations are fixed first"
     LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
+    IMPLICIT_STEPS = (
+        "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
+    )
 
 
 def solved(

@@ -93,12 +93,27 @@ static double improve(const twx_memory *t, const double *z, size_t substep) {
   return worst;
 }
 
+/* Slopes at the start of a substep; where there is none, as of p / v at v = 0, that of the way to the next node. */
+static void first_slopes(const twx_memory *t, const double *z, size_t substep, double *slopes) {
+  const twx_phase *f = t->phase;
+  int32_t singular = 0;
+  rates(t, z, substep * (size_t)f->stages, slopes);
+  for (size_t i = 0; i < t->K * t->n; i++) singular |= !isfinite(slopes[i]);
+  if (!singular) return;
+  twx_call(&f->gap.value, t, twx_inputs_at(t, z, 0), t->K, t->defects, t->n);
+  for (size_t k = 0; k < t->K; k++) {
+    singular = 0;
+    for (size_t i = 0; i < t->n; i++) singular |= !isfinite(slopes[k * t->n + i]);
+    for (size_t i = 0; i < t->n && singular; i++) slopes[k * t->n + i] = -t->defects[k * t->n + i] / f->widths[k];
+  }
+}
+
 static int32_t solve_stages(const twx_memory *t, const double *z, size_t substep) {
   const twx_phase *f = t->phase;
   const size_t s = (size_t)f->stages, block = t->K * t->n;
   double *first = t->slopes + substep * s * block;
   advance(t, substep, NULL, 0, stage_place(t, substep * s));
-  rates(t, z, substep * s, first);
+  first_slopes(t, z, substep, first);
   for (size_t i = 1; i < s; i++) memcpy(first + i * block, first, sizeof(double) * block);
   for (int32_t i = 0; i < f->iterations; i++) {
     const double size = improve(t, z, substep);

@@ -11,7 +11,7 @@ static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_no
   memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
   *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
   return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
-                      .weights = t->weights, .weight_width = (size_t)node->function.rows};
+                      .weights = t->weights, .weight_width = (size_t)node->function.rows, .stage = k};
 }
 
 /* Controls of a stage: those of the last one are of the join. */
@@ -47,6 +47,8 @@ void twx_node_jacobians(twx_memory *t, const double *z, double *gradient, double
     twx_call(&node->function.slopes, t, node_inputs(t, z, node, &share), 1, t->row_slopes, (size_t)node->function.rows * columns);
     for (int32_t r = 0; r < rows; r++)
       twx_add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, columns, controls_at(f, k), Jh, Je);
+    for (size_t j = n; has_cost(f, i) && j < columns; j++)
+      f->cost_slopes[t->K * (columns - n) + j - n] = t->row_slopes[(size_t)rows * columns + j];
     for (size_t j = 0; has_cost(f, i) && j < columns; j++)
       gradient[j < n ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - n] += t->row_slopes[(size_t)rows * columns + j];
   }

@@ -31,6 +31,7 @@ TWX_INTERNAL size_t twx_lay_out(twx_memory *memory, const twx_phase *phase, doub
 typedef struct { /* what a kernel reads: rows of `width` and `weight_width` numbers; target NULL: the node after base */
   const double *z, *share, *base, *target, *weights;
   size_t width, weight_width;
+  size_t stage; /* of the first row */
 } twx_inputs;
 TWX_INTERNAL void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size);
 /* out (rows, columns) = A (rows, n) B (n, columns) */

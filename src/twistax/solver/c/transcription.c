@@ -49,8 +49,10 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
       twx_along(R + 1, t->n, size, t->row_slopes + k * (R + 1) * size, maps, t->row_moved);
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
         twx_add_row(f, k, places_at(t, point, k)[r], t->row_moved + r * size, size, 0, Jh, Je);
-      for (size_t j = 0; j < size; j++)
+      for (size_t j = 0; j < size; j++) {
         gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * t->row_moved[R * size + j];
+        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * t->row_moved[R * size + j];
+      }
     }
   }
 }
@@ -207,6 +209,7 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
 int32_t twx_transcribed_jacobians(void *user, const double *z, double *gradient, double *F, double *Jh, double *Je) {
   FOR_PHASES(user, f, t) {
     if (twx_sensitivities(&t, z)) return 1;
+    memset(f->cost_slopes, 0, sizeof(double) * (t.K + 1) * (size_t)f->p);
     rows_jacobians(&t, z, gradient, Jh, Je);
     twx_node_jacobians(&t, z, gradient, Jh, Je);
     gap_jacobians(&t, z, F);

@@ -19,8 +19,8 @@
 #include "core.h"
 
 /* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; numbers of the
- * kernel; weights. */
-typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
+ * kernel; weights; the numbers of a node. */
+typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ROW, TWX_ARGUMENTS } twx_argument;
 
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
   void (*run)(const int64_t *table, int64_t first, int64_t end);
@@ -61,6 +61,8 @@ typedef struct {
   const double *weights;        /* of the running cost, of a unit interval: of the ends of substeps, then of all stages */
   const double *starts, *widths; /* of the intervals, shares of the duration */
   const double *data;
+  const double *node_rows;      /* (intervals + 1, node_width) numbers of the nodes */
+  int32_t node_width;
   const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */
   const double *margins;        /* by which path rows are tightened, the same */
   const double *steps;          /* (K + 1, n): nodes are these steps from their points, in the charts there; NULL: zero */
@@ -69,6 +71,7 @@ typedef struct {
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
   const twx_node *node;         /* the last one is the end, with the final cost as its last row */
   const twx_join *join;         /* to the next phase, or NULL */
+  double *cost_slopes;          /* (intervals + 1, p): what each stage adds to the gradient of the cost by p, of the last jacobians */
   double *work;
 } twx_phase;
 
