@@ -1616,6 +1616,21 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
+        "mechanics/loop_rows.py",
+        (
+            "rows that are all round-off are rows",
+            "float(self._metric.tolerance), blocks, UNIT)",
+            "float(self._metric.tolerance), blocks, 0.0)",
+            "mechanics/test_redundant_loops.py",
+        ),
+        (
+            "the place of a mechanism is its size",
+            "place - origin * at",
+            "place - 0.0 * origin * at",
+            "mechanics/test_redundant_loops.py",
+        ),
+    ),
+    *_at(
         "mechanics/momentum.py",
         (
             "energy without springs",
