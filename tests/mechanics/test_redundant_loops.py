@@ -6,6 +6,7 @@ energy, ranks by singular values.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -152,6 +153,17 @@ def test_an_axis_that_is_off_locks_the_linkage() -> None:
     assert 1e-5 < float(found["reciprocal_condition"]) < 1e-2
     loose = four_bar(1e-2, loops.Point("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
     assert int(moving(loose).outputs(0.0, start())["redundant"]) == 1
+
+
+def test_where_a_linkage_stands_is_no_length_of_it() -> None:
+    loop, far = loops.Point("c", "pin", "tip"), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
+    near = four_bar(0.0, loop)
+    links = [
+        dataclasses.replace(each, mount=far @ each.mount.value) if each.parent is None else each for each in near.links
+    ]
+    found, expected = (moving(each).outputs(0.0, start()) for each in (Mechanism(links, loops=[loop]), near))
+    for name in ("F", "rank", "reciprocal_condition"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, atol=1e-9)
 
 
 # ---- a door on two hinges --------------------------------------------------------------------------------------------
