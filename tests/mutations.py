@@ -243,6 +243,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "expr/arithmetic.py",
         ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
+        (
+            "negative powers in products have derivatives alone",
+            "if not exponent < 0.0:",
+            "if not exponent < -1e9:",
+            "lowering/test_range.py",
+        ),
     ),
     *_at(
         "expr/spellings.py",
