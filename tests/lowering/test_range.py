@@ -63,11 +63,15 @@ def test_gravity_of_the_sun_has_its_gradient(way: str) -> None:
     dynamics, x = tx.compile(tx.System({P: V, V: pull})), {"p": p, "v": np.zeros(3, np.float32)}
     near(dynamics.jacobian(0.0, x)["x"][3:, :3], right)
     near(tx.trajectory.linearize(dynamics, 0.0, x).A[3:, :3], right)
-    lowered = tx.lower(pull)
-    for function in (lambda p: dynamics(0.0, {**x, "p": p})["v"], lambda p: lowered(0.0, {"p": p})):
+    lowered, eye = tx.lower(pull), jnp.eye(3, dtype=np.float32)
+
+    def check(function: Callable[[Any], Any]) -> None:
         near(jax.jacfwd(function)(jnp.asarray(p)), right)
         near(jax.jit(jax.jacfwd(function))(jnp.asarray(p)), right)
-        near(jax.vmap(lambda v: jax.jvp(function, (jnp.asarray(p),), (v,))[1])(jnp.eye(3, dtype=np.float32)).T, right)
+        near(jax.vmap(lambda v: jax.jvp(function, (jnp.asarray(p),), (v,))[1])(eye).T, right)
+
+    check(lambda p: dynamics(0.0, {**x, "p": p})["v"])
+    check(lambda p: lowered(0.0, {"p": p}))
 
 
 @pytest.mark.parametrize("way", WAYS)

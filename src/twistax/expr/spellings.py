@@ -6,6 +6,7 @@ Methods and attributes of arrays, functions of `jax.numpy` and `math`, and funct
 from __future__ import annotations
 
 import dis
+import inspect
 import sys
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -103,10 +104,17 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
     if not name.startswith("_"):
         text = repr(expr)
         x = text if len(text) <= 20 else "x"
-        fix = spelled(name, x, _rank(expr) if name in CODE else 1) or (f"np.{name}({x})" if of_numpy else None)
+        fix = spelled(name, x, _rank(expr) if name in CODE else 1) or (_called(name, x) if of_numpy else None)
         if fix:
             return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
+
+
+def _called(name: str, x: str) -> str:
+    """A call of a function of NumPy, with dots for other arguments that it needs."""
+    parameters = inspect.signature(getattr(np, name)).parameters.values()
+    needed = [p for p in parameters if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
+    return f"np.{name}({x}, ...)" if len(needed) > 1 else f"np.{name}({x})"
 
 
 def _rank(expr: Any) -> int:
