@@ -43,7 +43,8 @@ NO_ERRORS = {
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
-        trajectory.Solution trajectory.Status trajectory.TrajectoryResult trajectory.TrajectoryResults
+        trajectory.Solution trajectory.Status trajectory.Strategy trajectory.TrajectoryResult
+        trajectory.TrajectoryResults
         trajectory.WarmStart view.Body view.Scene""",
     "it takes no arguments": """
         JAX Time mechanics.chain_models.panda trajectory.Held charts.Ambient tables.BSpline tables.Clamped

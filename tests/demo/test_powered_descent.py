@@ -1,5 +1,6 @@
 """The powered descent against an evaluation of Newton and Euler written by hand, in the world frame."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -95,3 +96,21 @@ def test_the_start_is_the_one_described(dynamics: tx.Dynamics) -> None:
     turned = dynamics.retract(x, 1e-3 * np.concatenate([np.zeros(3), x["V"][3:], np.zeros(7)]))
     before, after = (float(dynamics.outputs(0.0, at, {"T": np.ones(3)})["tilt"]) for at in (x, turned))
     assert (before - after) / 1e-3 == pytest.approx(np.deg2rad(4.6), rel=1e-6)
+
+
+def test_another_start_compiles_nothing() -> None:
+    """The guesses, too."""
+    made, vehicle = list[str](), scene.Vehicle()
+    scene.guess(scene.Start(), vehicle, 7, 13.0)
+
+    def listen(event: str, seconds: float, **_: object) -> None:
+        made.append(event)
+
+    jax.monitoring.register_event_duration_secs_listener(listen)
+    try:
+        poses = scene.guess(scene.Start(tilt=0.4), vehicle, 7, 11.0)["g"]
+    finally:
+        jax.monitoring.unregister_event_duration_listener(listen)
+    assert made == []
+    np.testing.assert_allclose(poses[0, :3, :3], rotation(scene.Start().axis, 0.4), atol=1e-14)
+    np.testing.assert_allclose(poses[:, :3, 3], np.linspace(1.0, 0.0, 7)[:, None] * scene.Start().position, rtol=1e-14)

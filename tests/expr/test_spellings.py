@@ -222,3 +222,13 @@ def test_copies_pickles_and_texts_are_as_before() -> None:
     assert f"{e}" == str(e) == repr(e)
     assert e._repr_latex_().startswith("$")
     assert jax.tree.leaves({"a": e})[0] is e
+
+
+def test_no_text_is_made_for_an_attribute_without_spelling(monkeypatch: pytest.MonkeyPatch) -> None:
+    """`hasattr` asks often, and the text of a large expression takes long."""
+    expr, made = V + F, list[str]()
+    monkeypatch.setattr(type(expr), "__repr__", lambda self: made.append("text") or "V + F")
+    assert not hasattr(expr, "transform")
+    assert made == []
+    assert not hasattr(expr, "dtype")
+    assert made

@@ -6,15 +6,12 @@ import time
 import jax.numpy as jnp
 import numpy as np
 import pytest
-import scipy.sparse
+from program_derivatives import assert_derivatives
 from trajectory_systems import EULER, HEUN, double_integrator
 
 import twistax as tx
-from twistax.trajectory.interior_point import InteriorPoint
-from twistax.trajectory.program import Program, Reference
-from twistax.trajectory.scaling import unit_scales
-from twistax.trajectory.solver import Solver
-from twistax.trajectory.transcribed import Given, Point
+from twistax.precision import in_double
+from twistax.trajectory.program import Program
 
 casadi = pytest.importorskip("casadi")
 
@@ -42,65 +39,41 @@ def turning() -> tx.trajectory.Problem:
     )
 
 
-def somewhere(problem: tx.trajectory.Problem) -> Reference:
-    """A point with motion, in scales of 1."""
-    rng, shooting = np.random.default_rng(0), problem.shooting
+def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[Program, np.ndarray]:
+    """The program about a point with motion, and unknowns away from it, where charts are curved."""
+    rng = np.random.default_rng(0)
     Rs = np.stack([np.asarray(tx.SO3.exp(jnp.asarray(a))) for a in 0.4 * rng.normal(size=(9, 3))])
-    point = Point({"R": jnp.asarray(Rs), "w": jnp.asarray(rng.normal(size=(9, 3)))}, rng.normal(size=(8, 3)), [3.0])
-    point = Point(point.xs, jnp.asarray(point.us), jnp.asarray(point.border))
-    final = {"R": jnp.eye(3), "w": jnp.zeros(3)}
-    return Reference(point, unit_scales(shooting), Given({}, final, jnp.array([[0.5, 10.0]])))
+    guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
+    with in_double():
+        started = problem.started(guess, final_time_guess=3.0)
+        staged = problem._core(1e-6, started.point, started.given).staged
+        program = Program(staged, started.given, with_copies=copies)
+        start = program.start(started.point, started.given, None)
+    return program, start.x + 0.3 * rng.normal(size=program.size)
 
 
 @pytest.mark.parametrize("copies", [False, True])
 def test_derivatives_of_the_program_are_those_of_its_values(turning: tx.trajectory.Problem, copies: bool) -> None:
-    program = Program(turning.shooting, InteriorPoint(turning.shooting, 1e-6), with_copies=copies)
-    reference, rng, h = somewhere(turning), np.random.default_rng(1), 1e-5
-    # Away from the reference, where charts are curved; copies of the time agree, as values take for granted.
-    border = program._places[1][:, 0]
-    z, dz, multipliers = (
-        0.3 * rng.normal(size=program.size),
-        rng.normal(size=program.size),
-        rng.normal(size=program.count),
-    )
-    z[border], dz[border] = 0.2, 0.7
-
-    def slopes(z: np.ndarray) -> tuple[np.ndarray, scipy.sparse.csc_matrix]:
-        gradient, numbers = program.slopes(z, reference)
-        places = program.jacobian
-        shape = program.count, program.size
-        return gradient, scipy.sparse.csc_matrix((numbers, (places.rows, places.columns)), shape)
-
-    (f1, g1), (f0, g0) = (program.values(z + s * h * dz, reference) for s in (1.0, -1.0))
-    gradient, jacobian = slopes(z)
-    assert gradient @ dz == pytest.approx((f1 - f0) / (2 * h), rel=1e-8)
-    assert np.allclose(jacobian @ dz, (g1 - g0) / (2 * h), rtol=0.0, atol=1e-8)
-
-    pull = [(lambda f, g: 2.0 * f + g.T @ multipliers)(*slopes(z + s * h * dz)) for s in (1.0, -1.0)]
-    places = program.hessian
-    numbers = program.bend(z, reference, 2.0, multipliers)
-    hessian = scipy.sparse.csc_matrix((numbers, (places.rows, places.columns)), (program.size, program.size))
-    own, wanted = hessian @ dz, (pull[0] - pull[1]) / (2 * h)
-    others = np.setdiff1d(np.arange(program.size), border)
-    assert np.allclose(own[others], wanted[others], rtol=0.0, atol=1e-6)
-    once = np.unique(border)
-    assert own[once].sum() == pytest.approx(wanted[once].sum(), abs=1e-6)
-    without = program.bend(z, reference, 0.0, multipliers) + 2.0 * program.bend(z, reference, 1.0, 0.0 * multipliers)
-    assert np.allclose(without, numbers, rtol=0.0, atol=1e-9)
+    program, x = stated(turning, copies)
+    border, rng = program._copies[:, 0], np.random.default_rng(1)
+    dx, multipliers = rng.normal(size=program.size), rng.normal(size=program.count)
+    x[border], dx[border] = 3.2, 0.7
+    assert_derivatives(program, x, dx, multipliers)
 
 
 def test_multipliers_follow_the_charts(turning: tx.trajectory.Problem) -> None:
     """What a change of a node costs is the same in the charts about where it was and about where it is."""
-    reference, rng = somewhere(turning), np.random.default_rng(3)
-    program = Program(turning.shooting, InteriorPoint(turning.shooting, 1e-6), with_copies=False)
-    z, multipliers = 0.5 * rng.normal(size=program.size), rng.normal(size=program.count)
-    before, _ = program.multipliers(multipliers)
-    found, d, h = program.reached(z, reference, multipliers), program.step(z).d, 1e-6
+    program, x = stated(turning, False)
+    rng, h = np.random.default_rng(3), 1e-6
+    multipliers = rng.normal(size=program.count)
+    found = program.reached(x, np.zeros(program.size), multipliers)
+    z, v = program._at(x)
+    bases, d, before = program._staged.point(z).xs["R"], program._steps(v)[0], -multipliers[program._row_places[0]]
     for k in range(1, 9):
-        here, e = np.asarray(reference.point.xs["R"][k]), rng.normal(size=3)
-        ahead, back = (np.asarray(tx.SO3.retract(here, d[k, :3] + s * h * e)) for s in (1.0, -1.0))
+        e, y = rng.normal(size=3), before[6 * k - 6 : 6 * k - 3]
+        ahead, back = (np.asarray(tx.SO3.retract(bases[k], d[k, :3] + s * h * e)) for s in (1.0, -1.0))
         moved = np.asarray(tx.SO3.log(back.T @ ahead)) / (2.0 * h)
-        assert found.dynamics[k - 1, :3] @ moved == pytest.approx(before[k - 1, :3] @ e, abs=1e-7)
+        assert found.dynamics[k - 1, :3] @ moved == pytest.approx(y @ e, abs=1e-7)
 
 
 def test_they_find_what_the_interior_point_finds(turning: tx.trajectory.Problem) -> None:
@@ -181,7 +154,7 @@ def test_a_solver_that_hangs_is_ended() -> None:
 def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> None:
     solver = tx.trajectory.Fatrop({"max_soc": 4})
     pushing.solve(solver=solver)
-    (own,) = pushing._solvers.values()
+    (own,) = pushing._cores.values()
     (made,) = (made for key, made in own.made.items() if "max_soc" in str(key))
     process = made._process
 
@@ -199,17 +172,6 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
     assert process.poll() is not None
 
 
-def test_what_they_find_is_looked_at(pushing: tx.trajectory.Problem, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Taken for a saddle it is searched for again, from beside it, as often as may be."""
-    plain = pushing.solve(solver=SOLVERS[0])
-    assert not plain.saddle
-    monkeypatch.setattr(Solver, "falls", lambda *_: True)
-    again = pushing.solve(solver=SOLVERS[0])
-    assert again.saddle
-    assert again.iterations >= 2 * plain.iterations
-    assert again.cost == pytest.approx(plain.cost, rel=1e-6)
-
-
 def test_saddles_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     """2 rad about z with rates in a box: straight it takes 2 s, and less by way of the other axes."""
     R, w = tx.State("R", group=tx.SO3), tx.Control("w", shape=(3,), min=-1.0, max=1.0)
@@ -221,7 +183,7 @@ def test_saddles_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.solved
     assert not result.saddle
     assert result.final_time < 1.9
-    monkeypatch.setattr(tx.trajectory.solver, "_AWAY", ())
+    monkeypatch.setattr(tx.trajectory.strategies, "_AWAY", ())
     result = problem.solve(solver=SOLVERS[0])
     assert result.saddle
     assert result.final_time == pytest.approx(2.0, rel=1e-5)

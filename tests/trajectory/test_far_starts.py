@@ -10,7 +10,7 @@ from trajectory_systems import EULER, HEUN
 import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
-from twistax.trajectory.border import Border
+from twistax.trajectory.border import Border, times_of
 from twistax.trajectory.transcribed import Given, Point
 
 x, u = tx.State("x"), tx.Control("u")
@@ -262,3 +262,10 @@ def test_sizes_of_parameters_alone_need_no_bound() -> None:
     result = Problem(driven, cost, nodes=4, final_time=1.0, initial={x: 0.0}, final=budget, **EULER).solve()
     assert result.solved
     assert result.cost == pytest.approx(0.25)
+
+
+def test_a_free_time_starts_between_its_limits_however_far_apart_they_are() -> None:
+    for low in (1.0, 1e-6, 3e-7, 1e-200):
+        assert times_of((low, 100.0 * low), None)[1] == pytest.approx(50.5 * low)
+        assert times_of((low, 121.0 * low), None)[1] == pytest.approx(11.0 * low)
+    assert times_of((0.5, 20_000.0), 3.0)[1] == 3.0

@@ -1,7 +1,6 @@
 """Parameters that the optimiser may move: known optima, their multipliers, and what is refused."""
 
 import functools
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -11,9 +10,6 @@ from trajectory_systems import EULER, HEUN
 import twistax as tx
 from twistax.errors import ModelError, TrajectoryError
 from twistax.trajectory import Problem, Status
-from twistax.trajectory.interior_point import InteriorPoint
-from twistax.trajectory.scaling import unit_scales
-from twistax.trajectory.transcribed import Point, Step
 
 #: Inertias of load and rotor, torque, and how far to turn.
 LOAD, ROTOR, TORQUE, TURN = 2.0, 0.5, 2.0, 3.0
@@ -48,10 +44,10 @@ def least_time(gear: float) -> float:
 
 
 def test_the_best_gear_matches_the_inertias() -> None:
-    """gear = sqrt(LOAD / ROTOR), from where the objective has another slope."""
+    """gear = sqrt(LOAD / ROTOR), from where the objective has another slope; the other sign turns the motor round."""
     result = fastest(free=["gear"], guess={"gear": 0.7}).solve()
     assert result.status is Status.SOLVED
-    assert result.params["gear"] == pytest.approx(np.sqrt(LOAD / ROTOR), rel=1e-4)
+    assert abs(result.params["gear"]) == pytest.approx(np.sqrt(LOAD / ROTOR), rel=1e-4)
     assert result.final_time == pytest.approx(least_time(2.0), rel=1e-6)
     assert not any(name.startswith("gear") for name in result.multipliers)
     assert result.mesh_error["p"]["distance"] < 1e-6
@@ -115,28 +111,6 @@ def test_an_end_may_be_a_parameter_that_constraints_limit() -> None:
     assert result.solved
     assert result.params["place"] == pytest.approx(0.5, abs=1e-6)
     assert result.multipliers["near"] == pytest.approx([1.0], abs=1e-5)
-
-
-def test_parameters_and_controls_change_so_far_in_a_step() -> None:
-    """A parameter that is large in its scale at most halves, and at most triples; one that is small may change sign.
-
-    A control goes thirty times as far as it and its scale are large.
-    """
-    shooting = fastest(free=["gear"]).shooting
-    method, unit = InteriorPoint(shooting, 1e-6), unit_scales(shooting)
-
-    def share(gear: float, move: float, size: float = 0.0, pushes: float = 1.0) -> float:
-        """How much of a step of the gear and the control is taken, whose scales are 1."""
-        state = SimpleNamespace(point=Point(None, size * unit.u, np.array([3.0, gear])), scales=unit)
-        return float(method.in_chart(Step(np.zeros_like(unit.d), pushes * unit.u, np.array([0.0, move])), state))
-
-    assert share(3.0, -5.0) == pytest.approx(1.5 / 5.0)
-    assert share(-3.0, 5.0) == pytest.approx(1.5 / 5.0)
-    assert share(3.0, 5.0) == 1.0
-    assert share(3.0, 60.0) == pytest.approx(6.0 / 60.0)
-    assert share(0.5, -5.0) == pytest.approx(2.0 / 5.0)
-    assert share(3.0, 0.0, 0.5, 40.0) == pytest.approx(30.0 / 40.0)
-    assert share(3.0, 0.0, 2.0, -80.0) == pytest.approx(60.0 / 80.0)
 
 
 BAD: list[tuple[Any, type[Exception], str]] = [

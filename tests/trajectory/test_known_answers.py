@@ -182,9 +182,9 @@ def test_a_direction_without_limit_or_cost() -> None:
         initial={r: 1.0, vr: 0.0, vt: 1.0},
         final=[vr == 0.0, vt == 1.0 / tx.Sqrt(r)],
         controls=tx.trajectory.Linear(),
-        guess={a: np.repeat([0.3, 5.9], 30)},
     )
-    result = problem.solve()
-    assert result.solved
-    assert abs(result.cost - 1.525) < 1e-3
-    assert result.iterations < 50
+    guess = np.repeat([0.3, 5.9], 30)
+    noise = np.random.default_rng(0).normal(scale=0.3, size=60)
+    results = [problem.solve(guess={a: start}) for start in (guess, guess + noise)]  # an angle may wind once more
+    assert all(result.solved and result.iterations < 50 for result in results)
+    assert abs(max(result.cost for result in results) - 1.525) < 1e-3

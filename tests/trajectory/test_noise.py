@@ -9,7 +9,7 @@ from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, watch
+from twistax.trajectory import Problem, Status
 
 #: Acceleration, distance and the least time from rest to rest.
 PUSH, FAR = 10.0, 1000.0
@@ -88,14 +88,3 @@ def test_random_starts_mean_something(rate: Any) -> None:
         result = problem.solve(seed=seed)
         assert result.solved
         assert result.cost == pytest.approx(plain.cost, rel=1e-5)
-
-
-def test_strides_are_as_short_as_python_needs_to_see_signals(monkeypatch: pytest.MonkeyPatch) -> None:
-    clock = iter([0.0, 0.0, 0.5, 0.9, 0.9001, 5.0])
-    monkeypatch.setattr("time.perf_counter", lambda: next(clock))
-    own = watch.Watch(1e-6, 500)
-    steps = []
-    for count in (0, 1, 6, 26, 27):
-        own.count = count
-        steps.append(own.until())
-    assert steps == [1, 1, 2, 474, 1]

@@ -10,9 +10,7 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.precision import in_double
 from twistax.trajectory import Problem, Status, TrajectoryResult, strategies
-from twistax.trajectory.scaling import levelled, unit_scales
 
 
 @functools.cache
@@ -283,20 +281,6 @@ def test_a_worst_trajectory_is_left_or_told(monkeypatch: pytest.MonkeyPatch) -> 
     assert worst.message in worst.explain()
 
 
-def test_bends_are_looked_at_along_entries_that_hardly_move() -> None:
-    """A saddle is one along entries that rest there."""
-    x, R, u = tx.State("x", shape=(2,)), tx.State("R", group=tx.SO3), tx.Control("u", shape=(3,))
-    dynamics = tx.compile(tx.System(rates={x: u[:2], R: u}))
-    problem = Problem(dynamics, tx.Minimize(running=u @ u), nodes=3, final_time=1.0, initial={x: [0.0, 0.0]}, **EULER)
-    scales = unit_scales(problem.shooting)
-    columns = problem.dynamics.group.slices
-    scales.d[:, columns["x"]], scales.d[:, columns["R"]], scales.u[:] = [1e-3, 2.0], [0.1, 0.2, 0.3], [3.0, 1e-4, 1.0]
-    found = levelled(problem.shooting, scales)
-    np.testing.assert_array_equal(found.d[:, columns["x"]], np.full((3, 2), 2.0))
-    np.testing.assert_array_equal(found.d[:, columns["R"]], np.tile([0.1, 0.2, 0.3], (3, 1)))
-    np.testing.assert_array_equal(found.u, np.full((2, 3), 3.0))
-
-
 @functools.cache
 def hill(declared: bool) -> Problem:
     """Straight over a hill is a saddle, around it is better. The same with two states in one unit gives 0.8994."""
@@ -339,31 +323,6 @@ def test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end() -> No
     assert result.status in (Status.MAX_ITERATIONS, Status.SOLVED)
     assert result.cost < 1e-6
     assert not result.saddle
-
-
-def test_a_run_creeps_and_jams_only_as_is_said() -> None:
-    with in_double():
-        point, given, *_ = fastest(1.0).started()
-        steps = fastest(1.0)._solver(1e-6, point, given).steps
-        opening = steps.opened(point, given)
-        state = steps.looked_at(opening.state, given)[1]
-    state = state._replace(raised=1e-3, errors=state.errors._replace(feasibility=1e-4))
-    far = state._replace(values=state.values._replace(cost=state.values.cost + 0.01 * state.scales.cost))
-    rough = state._replace(errors=state.errors._replace(feasibility=1e-2))
-    steps_decisions = steps._decisions
-    crept = steps_decisions.went
-    memory = opening.memory._replace(creeping=29)
-    assert steps_decisions.creeps(crept(state, memory, True))
-    for other in (state._replace(raised=1e-7), rough, far):
-        assert crept(other, memory, True).creeping == 0
-    assert crept(far, memory, True).level == far.values.cost
-    assert crept(state, memory, False).creeping == 29
-    assert crept(rough, memory._replace(creeping=-5), True).creeping == -5
-    jams = lambda state, steps=True: steps_decisions.jams(crept(state, memory._replace(jammed=9), steps))  # noqa: E731
-    short = rough._replace(share=1e-3)
-    assert jams(short)
-    assert not any(map(jams, (rough, state._replace(share=1e-3))))
-    assert not jams(short, False)
 
 
 def test_a_run_that_starts_with_far_too_little_time_finds_more() -> None:

@@ -2,20 +2,17 @@
 
 import functools
 import pickle
-from types import SimpleNamespace
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
-from trajectory_systems import EULER, HEUN, quick_jit
+from program_derivatives import assert_derivatives
+from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.precision import in_double
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
-from twistax.trajectory.interior_point import InteriorPoint
-from twistax.trajectory.scaling import unit_scales
-from twistax.trajectory.transcribed import Point, Step
+from twistax.trajectory.program import Program
 
 G0 = 9.80665
 
@@ -63,26 +60,11 @@ def with_a_free_jump() -> Problem:
     return Problem([first, last], links=[{x: None}])
 
 
-def test_steps_of_controls_are_measured_by_phase() -> None:
-    """Thirty scales far, which are 1,000 in the first of two phases, and 1 in the second and of the jump between."""
-    shooting = with_a_free_jump().shooting
-    method, unit, first = InteriorPoint(shooting, 1e-6), unit_scales(shooting), shooting.joins[0].stage
-    unit.u[:first] = 1e3
-    state = SimpleNamespace(point=SimpleNamespace(us=0.0 * unit.u, border=np.ones_like(unit.border)), scales=unit)
-    for stage in range(shooting.intervals):
-        step = Step(0.0 * unit.d, np.zeros_like(unit.u), 0.0 * unit.border)
-        step.u[stage] = 60.0
-        assert float(method.in_chart(step, state)) == pytest.approx(0.5), stage
-
-
 def test_a_free_jump_is_no_control_without_a_limit() -> None:
     problem = with_a_free_jump()
     result = problem.solve()
     assert result.solved
     assert result.cost == pytest.approx(0.0, abs=1e-9)
-    with in_double():
-        point, given, *_ = problem.started()
-        assert bool(problem._solver(1e-6, point, given).steps.opened(point, given).bound)
 
 
 def test_time_goes_on_from_phase_to_phase() -> None:
@@ -234,53 +216,19 @@ def rich() -> Problem:
     )
 
 
-SIZE = 2e-3
-
-
-def test_all_derivatives_of_joined_phases() -> None:
-    """Against differences: slopes of defects, rows and cost, and the second derivative of the Lagrangian."""
-    joined, rng = rich().shooting, np.random.default_rng(2)
-    assert (joined.n, joined.m, joined.nodes, joined.intervals) == (6, 3, 7, 6)
-    rotations = [np.array(jax.vmap(tx.SO3.exp)(0.4 * rng.normal(size=(k, 3)))) for k in (4, 3)]
-    xs = ({"R": rotations[0], "w": rng.normal(size=(4, 3))}, {"z": rng.normal(size=3), "R": rotations[1]})
-    us = np.where(joined.free.u, rng.normal(size=(6, 3)), 0.0)
-    point = Point(xs, us, np.array([0.12, 0.1, 0.7]))
-    given = jax.device_put(rich().started().given)
-    values = quick_jit(lambda step: joined.values(joined.move(point, step), given))
-    y, weights = rng.normal(size=(6, 6)), rng.normal(size=len(joined.exists))
-    weights = np.where(joined.exists, weights, 0.0)
-    for parity in (0, 1):
-        moving = np.arange(7) % 2 == parity
-        own = moving[:-1]
-        u = np.where(joined.free.u, rng.normal(size=(6, 3)), 0.0)
-        way = Step(
-            np.where(joined.free.d & moving[:, None], rng.normal(size=(7, 6)), 0.0), u, np.array([0.03, 0.02, 0.5])
-        )
-        steps = (-2.0, -1.0, 0.0, 1.0, 2.0)
-        line = [jax.tree.map(np.asarray, values(Step(*(SIZE * k * a for a in way)))) for k in steps]
-        y_own = np.where(own[:, None], y, 0.0)
-        found = jax.tree.map(np.asarray, quick_jit(joined.derivatives)(point, y_own, weights, given))
-        z = np.concatenate([way.d[:-1], way.u, np.tile(way.border, (6, 1))], axis=1)
-        end = np.concatenate([way.d[-1], way.border])
-
-        def slope(of: Any, line: Any = line) -> Any:
-            a, b, _, c, d = (np.asarray(of(v)) for v in line)
-            return (8.0 * (c - b) - (d - a)) / (12.0 * SIZE)
-
-        def bend(of: Any, line: Any = line) -> Any:
-            a, b, m, c, d = (np.asarray(of(v)) for v in line)
-            return (16.0 * (b + c) - (a + d) - 30.0 * m) / (12.0 * SIZE**2)
-
-        defects = np.einsum("kna,ka->kn", found.defects, z)
-        np.testing.assert_allclose(defects[own], slope(lambda v: v.defects)[own], atol=1e-7)
-        rows = np.concatenate([np.einsum("kra,ka->kr", found.rows, z).ravel(), found.end_rows @ end])
-        np.testing.assert_allclose(rows, slope(lambda v: v.rows), atol=1e-7)
-        np.testing.assert_allclose(
-            (found.gradient * z).sum() + found.end_gradient @ end, slope(lambda v: v.cost), atol=1e-7
-        )
-        total = np.einsum("ka,kab,kb->", z, found.hessian, z) + end @ found.end_hessian @ end
-        of = lambda v, y=y_own: v.cost + (y * v.defects).sum() + weights @ v.rows  # noqa: E731
-        assert total == pytest.approx(bend(of), abs=2e-4)
+@pytest.mark.parametrize("seed", range(2))
+def test_all_derivatives_of_joined_phases(seed: int) -> None:
+    """Of all that solvers get: the objective, the dynamics, the jumps of joins, the rows of all phases."""
+    problem, rng = rich(), np.random.default_rng(seed)
+    with in_double():
+        started = problem.started()
+        staged = problem._core(1e-6, started.point, started.given).staged
+        program = Program(staged, started.given, with_copies=False)
+        x = program.start(started.point, started.given, None).x
+        border = program._copies[0]
+        x += np.where(np.isin(np.arange(program.size), border), 0.0, 0.4 * rng.normal(size=program.size))
+        x[border] = [0.12, 0.1, 0.7]
+        assert_derivatives(program, x, rng.normal(size=program.size), rng.normal(size=program.count))
 
 
 # ---- what is refused ---------------------------------------------------------------------------------------------

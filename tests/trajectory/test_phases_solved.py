@@ -6,7 +6,6 @@ import dataclasses
 import functools
 from typing import Any
 
-import jax
 import numpy as np
 import pytest
 from scipy.optimize import minimize
@@ -15,6 +14,7 @@ from trajectory_systems import HEUN
 import twistax as tx
 from twistax.errors import InputError, ModelError, TrajectoryError
 from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem, refine
+from twistax.trajectory.evaluated import Evaluated
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)
@@ -90,7 +90,7 @@ def test_by_solvers_of_others(solver: Any) -> None:
     result = problem().solve(solver=solver)
     assert result.solved
     ours = problem().solve(tolerance=1e-7)
-    assert result.cost == pytest.approx(ours.cost, rel=1e-7)
+    assert result.cost == pytest.approx(ours.cost, rel=5e-7)  # they relax limits by 1e-8
     for own, other in zip(result.phases, ours.phases):
         np.testing.assert_allclose(own.xs["p"], other.xs["p"], atol=1e-5)
     np.testing.assert_allclose(result.phases[1].xs["w"], ours.phases[1].xs["w"], atol=1e-5)
@@ -124,9 +124,10 @@ def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
     finer, warm = refine._finer(result, errors, 1e-3, rests=False) or (None, None)
     assert finer is not None
     assert all(part.nodes > NODES for part in finer.parts)
-    values = jax.jit(finer.shooting.values)(warm.point, finer.started().given)
-    np.testing.assert_allclose(values.defects, 0.0, atol=1e-9)
-    assert values.cost == pytest.approx(result.cost, rel=1e-9)
+    staged = finer._core(1e-6, warm.point, finer.started().given).staged
+    values = Evaluated(staged.transcription, staged.flat(warm.point))
+    np.testing.assert_allclose(values.c, 0.0, atol=1e-9)
+    assert values.cost[0] == pytest.approx(result.cost, rel=1e-9)
     again = dataclasses.replace(result, problem=finer, warm=warm)
     for old, new in zip(result.phases, refine._trajectories(again)):
         np.testing.assert_allclose(np.interp(old.ts, new.ts, new.xs["v"]), old.xs["v"], atol=1e-9)

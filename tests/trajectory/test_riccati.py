@@ -1,15 +1,11 @@
 """The recursion over stages against dense linear algebra on the same quadratic problem."""
 
-import functools
-from typing import Any
-
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.lowering.array_call import array_call
-from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, refined, solve
+from twistax.trajectory.riccati import Rows, Solution, Stages, factorize, solve
 from twistax.trajectory.transcribed import Derivatives
 
 INTERVALS, N, M, BORDER, ROWS, END_ROWS = 4, 3, 2, 2, 3, 2
@@ -27,7 +23,7 @@ def symmetric(a: np.ndarray) -> np.ndarray:
     return 0.5 * (a + np.swapaxes(a, -1, -2))
 
 
-def quadratic(seed: int, shift: float, soft: float | None, free: np.ndarray) -> Stages:
+def quadratic(seed: int, shift: float, free: np.ndarray) -> Stages:
     """Random stages; `shift` is added to the diagonal of the second derivatives, which else have both signs."""
     rng = np.random.default_rng(seed)
     slopes = Derivatives(
@@ -40,7 +36,7 @@ def quadratic(seed: int, shift: float, soft: float | None, free: np.ndarray) -> 
         end_hessian=symmetric(rng.normal(size=(N + BORDER, N + BORDER))) + shift * np.eye(N + BORDER),
     )
     weights = Rows(rng.uniform(0.0, 1.0, (INTERVALS, ROWS)), rng.uniform(0.0, 1.0, END_ROWS))
-    return Stages(slopes, weights, np.asarray(0.01), None if soft is None else np.asarray(soft), free)
+    return Stages(slopes, weights, np.asarray(0.01), free)
 
 
 def columns() -> tuple[list[list[int]], list[int], np.ndarray]:
@@ -69,29 +65,16 @@ def dense(stages: Stages, defects: np.ndarray, rows: Rows) -> tuple[np.ndarray, 
     free = np.ones(UNKNOWNS, bool)
     free[:N], free[-BORDER:] = stages.free_start[:N], stages.free_start[N:]
     hessian, equations = hessian[np.ix_(free, free)], equations[:, free]
-    matrix = np.block([[hessian, equations.T], [equations, -float(stages.soft or 0.0) * np.eye(INTERVALS * N)]])
+    matrix = np.block([[hessian, equations.T], [equations, np.zeros((INTERVALS * N, INTERVALS * N))]])
     return matrix, -np.concatenate([pull[free], defects.ravel()]), free
 
 
 factors_of, solution_of = jax.jit(factorize), jax.jit(solve)
 
 
-def test_a_kernel_computes_the_same() -> None:
-    stages = quadratic(1, 8.0, None, FREE["free start"])
-    constants = jnp.ones((INTERVALS, N)), Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
-
-    def whole(stages: Stages) -> tuple[Any, Any]:
-        factors = factorize(stages)
-        return factors, refined(stages, factors, *constants)
-
-    expected = jax.jit(whole)(stages)
-    found = jax.jit(lambda stages: array_call(whole, stages))(stages)
-    jax.tree.map(functools.partial(np.testing.assert_allclose, rtol=1e-9, atol=1e-9), found, expected)
-
-
 def test_a_solution_has_its_derivative_backward_too() -> None:
     """Fixed starts leave zeros in the factors: a transpose must not divide by them."""
-    stages = jax.tree.map(jnp.asarray, quadratic(1, 8.0, None, FREE["fixed start"]))
+    stages = jax.tree.map(jnp.asarray, quadratic(1, 8.0, FREE["fixed start"]))
     factors, defects = factors_of(stages), jnp.ones((INTERVALS, N))
     rows = Rows(jnp.ones((INTERVALS, ROWS)), jnp.ones(END_ROWS))
     pulls = jnp.ones((INTERVALS, SIZE)), jnp.ones(N + BORDER)
@@ -101,18 +84,15 @@ def test_a_solution_has_its_derivative_backward_too() -> None:
     assert np.abs(forward).max() > 1e-3
 
 
-@pytest.mark.parametrize("soft", [None, 0.7])
 @pytest.mark.parametrize("free", FREE.values(), ids=FREE)
-def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
-    free: np.ndarray, soft: float | None
-) -> None:
+def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(free: np.ndarray) -> None:
     """And says so: as many negative eigenvalues as equations of the dynamics, all others positive."""
     rng, minima, indefinite = np.random.default_rng(9), [], 0
     defects = rng.normal(size=(INTERVALS, N))
     rows = Rows(rng.normal(size=(INTERVALS, ROWS)), rng.normal(size=END_ROWS))
     for seed in range(3):
         for shift in np.linspace(-1.0, 6.0, 15):
-            stages = quadratic(seed, float(shift), soft, free)
+            stages = quadratic(seed, float(shift), free)
             slopes = stages.slopes
             matrix, right, moves = dense(stages, defects, rows)
             minima.append((np.linalg.eigvalsh(matrix) < 0.0).sum() == INTERVALS * N)
@@ -145,7 +125,7 @@ def test_it_solves_the_dense_equations_where_they_have_the_inertia_of_a_minimum(
 @pytest.mark.parametrize("interval", range(INTERVALS))
 def test_a_maximum_in_one_interval_is_told(interval: int) -> None:
     """In the first one too, behind which nothing is left to factor where start and border are fixed."""
-    stages = quadratic(0, 8.0, None, FREE["fixed start and border"])
+    stages = quadratic(0, 8.0, FREE["fixed start and border"])
     assert bool(factors_of(stages).exist)
     hessian = stages.slopes.hessian.copy()
     hessian[interval, N : N + M, N : N + M] -= 1e3 * np.eye(M)

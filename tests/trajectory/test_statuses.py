@@ -10,16 +10,8 @@ import pytest
 from trajectory_systems import EULER, HEUN, free_flyer
 
 import twistax as tx
-from twistax.precision import in_double
 from twistax.report.sections import flights
-from twistax.trajectory import Problem, Status, TrajectoryResult, decisions, restoration, scaling, solver
-from twistax.trajectory.decisions import JAMMED, RENEW, Signs
-from twistax.trajectory.descent import Descent
-from twistax.trajectory.iterate import State
-from twistax.trajectory.scaling import unit_scales
-from twistax.trajectory.stride import ordered
-from twistax.trajectory.transcribed import Point, Values
-from twistax.trajectory.watch import Watch
+from twistax.trajectory import Problem, Status, TrajectoryResult
 
 
 @functools.cache
@@ -54,22 +46,6 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     assert not result.solved
 
 
-@pytest.fixture
-def begun(monkeypatch: pytest.MonkeyPatch) -> list[bytes]:
-    """Where runs begin anew, though not for multipliers that run away: controls there."""
-    monkeypatch.setattr(Watch, "astray", lambda *_: False)
-    found, anew = list[bytes](), solver.Solver._anew
-
-    def seen(*args: Any) -> Any:
-        own = anew(*args)
-        assert own is not None
-        found.append(np.asarray(own.origin.us).tobytes())
-        return own
-
-    monkeypatch.setattr(solver.Solver, "_anew", seen)
-    return found
-
-
 def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
     """One of 64: from its start it comes to rest 135 rad from where its dynamics lead."""
     result = flights.quadrotor(20).solve(
@@ -77,51 +53,6 @@ def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
     )
     assert result.solved
     assert result.cost == pytest.approx(1.46904, rel=1e-5)
-
-
-def test_scales_of_an_excursion_are_forgotten_before_solved_is_said() -> None:
-    with in_double():
-        point, given, *_ = stated().started()
-        own = stated()._solver(1e-6, point, given)
-        state = own._run(point, given, 500, None).state
-        memory = own.steps.opening(state, state.scales).memory
-        ended = lambda: Watch(1e-6, 500).ended(own.steps.signs(state, memory))  # noqa: E731
-        assert ended() is Status.SOLVED
-        memory = memory._replace(seen=jax.tree.map(lambda a: 1e9 * a, state.scales))
-        state = own.rescaled(state, scaling.not_below(state.scales, memory.seen, True)[0], given)
-        assert ended() is Status.SOLVED
-        near, change, memory = own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)
-        assert change > RENEW
-        state = own.rescaled(state, near, given)
-        assert ended() is Status.SOLVED
-        assert own.steps.renewed(state, own.steps.looked_at(state, given)[0], memory)[1] <= RENEW
-
-
-def test_an_objective_counts_no_more_than_it_moves_and_bends() -> None:
-    """However large the scales of a start were: a millionth of them may still be far more than all of it."""
-    with in_double():
-        point, given, *_ = stated().started()
-        own = stated()._solver(1e-6, point, given)
-        opening, (_, state, _) = own.steps.opened(point, given), own._run(point, given, 500, None)
-        measured = float(own.steps.scales(state.point, own.steps.looked_at(state, given)[0], state.scales)[0].cost)
-        far = opening.memory._replace(least=1e9 * measured, seen=state.scales._replace(cost=1e15 * measured))
-        state = own.rescaled(state, state.scales._replace(cost=1e9 * measured), given)
-        slopes, state = own.steps.looked_at(state, given)
-        fresh, change, memory = own.steps.renewed(state, slopes, far)
-        assert change > RENEW
-        assert 0.999 * measured <= fresh.cost <= 5.0 * measured
-        state = own.rescaled(state, fresh, given)
-        slopes, state = own.steps.looked_at(state, given)
-        assert own.steps.renewed(state, slopes, memory)[1] <= RENEW
-
-
-def test_scales_are_forgotten_without_a_step(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The last iteration that there is may be the one that solves it."""
-    enough = stated().solve().iterations
-    monkeypatch.setattr(decisions, "INFLATED", 0.0)
-    again = problem(**HEUN).solve(max_iterations=enough)
-    assert again.solved
-    assert again.iterations == enough
 
 
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
@@ -194,31 +125,6 @@ def test_an_objective_without_bound_is_said_in_any_unit_and_with_gaps(unit: floa
     assert result.status is Status.UNBOUNDED
     assert result.xs["p"][-1] > 1e10 * unit
     assert result.optimality.feasibility <= 1e-6
-
-
-def test_what_has_limits_is_not_without_end() -> None:
-    """However wide they are; and an unknown that runs off alone says nothing, nor does an objective far below."""
-    limits = {"min": -1e60, "max": 1e60}
-    p, u, k = tx.State("p", **limits), tx.Control("u", **limits), tx.Parameter("k", value=1.0)
-    dynamics = tx.compile(tx.System(rates={p: u + k}))
-
-    def beyond(size: float, fall: float, free: Any) -> bool:
-        """Of a run in which all unknowns become so large, and the objective so much less."""
-        problem = Problem(dynamics, tx.Maximize(p), nodes=3, final_time=(1.0, 2.0), free=free, **EULER)
-        point = Point({"p": np.ones(3)}, np.ones((2, 1)), np.ones(1 + len(free)))
-        scales = unit_scales(problem.shooting)
-        nothing = State(**dict.fromkeys(State._fields))
-        begun = nothing._replace(point=point, scales=scales, values=Values(7.0, None, None))
-        far = begun._replace(point=jax.tree.map(lambda a: size * a, point), values=Values(7.0 - fall, None, None))
-        descent = Descent(problem.shooting)
-        with in_double():
-            return bool(descent.beyond(descent.begun(begun), far, 1e16))
-
-    assert beyond(1e20, 1e20, {k: (None, 1.0)})
-    assert not beyond(1e20, 1e20, {k: (-1.0, 1.0)})
-    assert not beyond(1e20, 1e20, {})
-    assert not beyond(1e20, 1e7, {k: (None, 1.0)})
-    assert not beyond(1e15, 1e20, {k: (None, 1.0)})
 
 
 def test_double_precision_whatever_the_setting_and_repeatable_seeds() -> None:
@@ -332,61 +238,3 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
     dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
     with pytest.raises(tx.ModelError, match="baked"):
         Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
-
-
-def test_how_often_runs_begin_anew() -> None:
-    watch, signs = Watch(1e-6, 100), Signs(*[np.zeros(()) for _ in Signs._fields])
-    away = signs._replace(away=np.ones(()))
-    assert not watch.astray(signs)
-    assert not watch.astray(away._replace(near=np.ones(())))
-    for _ in range(4):
-        assert watch.astray(away)
-        watch.again(astray=True)
-    assert not watch.astray(away)
-    for _ in range(2):
-        assert watch.hasty
-        assert watch.lost(Status.STALLED)
-        assert not watch.lost(Status.INFEASIBLE)
-        watch.again(astray=False)
-    assert watch.restarts == (4, 2)
-    assert not watch.hasty
-    assert not watch.lost(Status.STALLED)
-    assert not Watch(1e-6, 100, count=100).lost(Status.STALLED)
-
-
-def test_steps_end_where_a_run_is_jammed() -> None:
-    """At once: how many steps come in a row hangs on the speed of the machine."""
-    with in_double():
-        point, given, *_ = stated().started()
-        steps = stated()._solver(1e-6, point, given).steps
-        opening, orders = steps.opened(point, given), ordered(look=True, decide=True, most=50)
-        frozen = opening.state._replace(share=np.array(0.0))
-        for jammed, count in ((JAMMED - 2, 1), (JAMMED, 0)):
-            memory = opening.memory._replace(jammed=np.array(jammed))
-            taken = steps.steps(frozen, steps.no_slopes, given, orders, memory)
-            assert bool(taken.signs.jams) == (count == 0)
-            assert (int(taken.count) >= 1) == (count == 1)
-
-
-def test_a_search_that_gains_little_creeps(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Of sums of squares that halve it is not left, of those that hardly fall it is."""
-    monkeypatch.setattr(restoration, "_WORTH", -1.0)
-    monkeypatch.setattr(restoration, "_LITTLE", -1.0)
-    monkeypatch.setattr(restoration, "_FLAT", -1.0)
-    own = stated()
-    with in_double():
-        point, given, *_ = own.started(final_time=1.0)
-        solved = own._solver(1e-6, point, given)
-        found, state = solved.restoration, solved.steps.opened(point, given).state
-        for falls, steps in ((0.999, 60), (0.5, 200)):
-            sizes = iter(falls**k for k in range(1000))
-            reduce = found._reduce
-            monkeypatch.setattr(
-                found,
-                "_reduce",
-                lambda *args, n=sizes, reduce=reduce: reduce(*args)._replace(size=next(n), damping=1.0),
-            )
-            _, count, rest = found.found(state, given, 200, hasty=True)
-            assert count == steps
-            assert (rest is Status.STALLED) == (falls == 0.999)
-            monkeypatch.setattr(found, "_reduce", reduce)

@@ -11,8 +11,8 @@ import numpy as np
 import twistax as tx
 
 from ..scenes.powered_descent import Array
+from ..trajectory.declared import declared
 from ..trajectory.discretize import Controls, value_and_jacobian
-from ..trajectory.scaling import declared
 
 #: The largest difference allowed.
 BAR = 1e-8

@@ -102,10 +102,11 @@ class MissingAttribute(OperationError, AttributeError):
 def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
     """The error for an attribute that an expression has not; `of_numpy`: a function of NumPy that takes expressions."""
     if not name.startswith("_"):
-        text = repr(expr)
-        x = text if len(text) <= 20 else "x"
-        fix = spelled(name, x, _rank(expr) if name in CODE else 1) or (_called(name, x) if of_numpy else None)
-        if fix:
+        rank = _rank(expr) if name in CODE else 1
+        if spelled(name, "x", rank) or of_numpy:  # the text of a large expression takes long, and `hasattr` asks often
+            text = repr(expr)
+            x = text if len(text) <= 20 else "x"
+            fix = spelled(name, x, rank) or _called(name, x)
             return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import contextvars
 import itertools
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
@@ -137,12 +137,13 @@ class Vmap(Expr):
         return (
             self
             if body is self.body and all(a is b for a, b in zip(batches, self.batches))
-            else self._copy(_batches(batches), body)
+            else self.over(_batches(batches), body)
         )
 
-    def _copy(self, batches: tuple[Expr, ...], body: Expr) -> Vmap:
+    def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
+        """The same with other batches and another body, of the same placeholders."""
         copy = object.__new__(Vmap)
-        copy.__dict__.update(batches=batches, axis=self.axis, body=body, placeholders=self.placeholders)
+        copy.__dict__.update(batches=tuple(batches), axis=self.axis, body=body, placeholders=self.placeholders)
         copy._seal()
         return copy
 
@@ -169,7 +170,7 @@ class Vmap(Expr):
     def simplify(self) -> Expr:
         """The body is simplified."""
         body = self.body.canonicalize()
-        return self if body is self.body else self._copy(self.batches, body)
+        return self if body is self.body else self.over(self.batches, body)
 
     def details(self) -> list[str]:
         return [f"axis={self.axis}"] if self.axis else []

@@ -95,7 +95,8 @@ class _MatrixGroup(Group):
         return a
 
     def identity(self, dtype: DTypeLike | None = None) -> Float[Array, "m m"]:
-        return jnp.asarray(np.eye(self.shape[0]), dtype)  # nothing to compile
+        dtype = jnp.result_type(float) if dtype is None else dtype
+        return jnp.asarray(np.eye(self.shape[0], dtype=dtype), dtype)  # of its dtype: nothing to compile
 
     def exp(self, xi: Input) -> Float[Array, "m m"]:
         return self._maps.exp(self._reordered(xi))

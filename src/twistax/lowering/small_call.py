@@ -45,11 +45,6 @@ def inside_small_call() -> bool:
     return _INSIDE.get()
 
 
-def inside_kernel() -> bool:
-    """Whether what is being traced becomes part of a kernel."""
-    return _IN_KERNEL.get()
-
-
 @contextlib.contextmanager
 def whole_kernel() -> Iterator[None]:
     """A function that traces anything in here is compiled as a kernel: small calls are part of it."""

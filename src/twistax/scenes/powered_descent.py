@@ -11,7 +11,6 @@ import dataclasses
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy.typing import NDArray
 
@@ -175,14 +174,13 @@ def guess(start: Start, vehicle: Vehicle, nodes: int, final_time: float) -> dict
 
 def _poses(start: Start, share: Array) -> Array:
     """Poses between upright on the pad (share 0) and the start (share 1), (n, 4, 4)."""
+    return np.asarray(_pose(share[:, None] * start.position, share[:, None] * start.tilt * start.axis))
 
-    @jax.jit
-    @jax.vmap
-    def pose(s: jax.Array) -> jax.Array:
-        rotation = tx.lie.so3.exp(s * start.tilt * jnp.asarray(start.axis))
-        return tx.pose(position=s * jnp.asarray(start.position), rotation=rotation)
 
-    return np.asarray(pose(jnp.asarray(share)))
+@jax.jit
+@jax.vmap
+def _pose(position: jax.Array, turn: jax.Array) -> jax.Array:
+    return tx.pose(position=position, rotation=tx.lie.so3.exp(turn))
 
 
 def problem(

@@ -14,6 +14,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import enum
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -68,22 +69,22 @@ class Stages:
         if self.controls[-1] != 0:
             raise TrajectoryError(f"Stages: the last stage has no controls, got {self.controls[-1]}")
 
-    @property
+    @functools.cached_property
     def variables(self) -> int:
         """Entries of v."""
         return sum(self.states) + sum(self.controls) + self.parameters
 
-    @property
+    @functools.cached_property
     def points(self) -> int:
         """Entries of z, which has points in place of states."""
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
 
-    @property
+    @functools.cached_property
     def columns(self) -> list[int]:
         """Columns of each stage's derivatives: x_k, u_k, p."""
         return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
 
-    @property
+    @functools.cached_property
     def after(self) -> list[int]:
         """States of the stage after each one."""
         return [*self.states[1:], 0]
@@ -298,7 +299,9 @@ class _Watching:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double))(stop)
+        self._function = ctypes.CFUNCTYPE(
+            ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double)
+        )(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

@@ -7,7 +7,7 @@ import enum
 import functools
 import math
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Hashable, Mapping
 from typing import Any
 
 import jax
@@ -17,13 +17,15 @@ from numpy import ndarray as Array
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
 from ..lowering.backends import ANY_SIZE, XLA
+from ..lowering.functions import Kept
 from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
 from ..lowering.jacobian import Differentiated, RateJacobian
 from ..lowering.native.backend import KERNEL_EVENT
 from ..lowering.native.code import NotNative
 from ..lowering.native.kernel import Kernel, check_kernel
 from ..lowering.native.machine_code import BuildError, Processor
-from ..lowering.native.tile import NATIVE_LIMITS, Straight, native_form
+from ..lowering.native.tile import NATIVE_LIMITS, Straight, by_numpy, native_form
+from ..lowering.scalar.before import computed_before
 from ..lowering.scalar.program import ScalarProgram
 from ..precision import in_double
 from ..walk import uncollected
@@ -37,13 +39,19 @@ class Argument(enum.IntEnum):
     BASE = 2
     TARGET = 3
     DATA = 4
-    WEIGHTS = 5
+    NUMBERS = 5
+    WEIGHTS = 6
 
 
 class KernelStructure(ctypes.Structure):
     """`twx_kernel`."""
 
-    _fields_ = [("run", ctypes.c_void_p), ("reads", ctypes.c_int32), ("argument", ctypes.c_int32 * len(Argument))]
+    _fields_ = [
+        ("run", ctypes.c_void_p),
+        ("reads", ctypes.c_int32),
+        ("argument", ctypes.c_int32 * len(Argument)),
+        ("numbers", ctypes.c_void_p),
+    ]
 
 
 class SmoothStructure(ctypes.Structure):
@@ -55,17 +63,55 @@ class SmoothStructure(ctypes.Structure):
 class BatchKernel:
     """A function of vectors, one row of each argument for a row of the result, as the core calls it.
 
+    Args:
+        numbers: those of `Argument.NUMBERS`, which stay.
+
     Attributes:
-        structure: its address and arguments, for the core.
+        structure: its address, arguments and numbers, for the core.
         owner: what the address belongs to.
     """
 
-    def __init__(self, address: int | None, reads: list[Argument], owner: Any) -> None:
-        self.owner = owner
-        self.structure = KernelStructure(address, len(reads), (ctypes.c_int32 * len(Argument))(*reads))
+    def __init__(self, address: int | None, reads: list[Argument], owner: Any, numbers: Array | None = None) -> None:
+        self.owner, self._numbers = owner, numbers
+        self._reads, self._address = reads, address
+        at = None if numbers is None else numbers.ctypes.data
+        self.structure = KernelStructure(address, len(reads), (ctypes.c_int32 * len(Argument))(*reads), at)
+
+    def __call__(self, rows: int, size: int, arguments: Mapping[Argument, Array]) -> Array:
+        """The results (rows, size) for rows of arguments, or for one that all rows share."""
+        found = np.zeros((rows, size))
+        if self._address is None or not rows:
+            return found
+        own = {} if self._numbers is None else {Argument.NUMBERS: self._numbers[None]}
+        given = {**arguments, **own}
+        arrays = [*(np.ascontiguousarray(given[k], float) for k in self._reads), found]
+        strides = [a.shape[1] if len(a) == rows > 1 else 0 for a in arrays[:-1]]
+        table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides, size)
+        call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._address)
+        call(ctypes.addressof(table), 0, rows)
+        return found
+
+
+class _Unbound:
+    """A kernel that lacks its numbers.
+
+    Args:
+        before: what it reads of numbers, computed of them; None: the numbers themselves.
+        place: of the numbers among the arguments of that.
+    """
+
+    def __init__(
+        self,
+        address: int | None,
+        reads: list[Argument],
+        owner: Any,
+        before: ScalarProgram | None = None,
+        place: int = 0,
+    ) -> None:
+        self._made, self._before, self._place = (address, reads, owner), before, place
 
     @classmethod
-    def of_program(cls, program: ScalarProgram, arguments: list[Argument]) -> BatchKernel:
+    def of_program(cls, program: ScalarProgram, arguments: list[Argument]) -> _Unbound:
         """Machine code for a program of one result.
 
         Raises:
@@ -74,21 +120,32 @@ class BatchKernel:
         if _is_zero(program):
             return cls(None, [], None)
         started, processor = time.perf_counter(), Processor.host()
-        form = native_form(program)
+        form, before, place = native_form(program), None, 0
         with uncollected():
+            if Argument.NUMBERS in arguments:
+                place = arguments.index(Argument.NUMBERS)
+                before, form = computed_before(form, place)
             tile = Straight(form, processor.lanes(np.dtype(float)))
             kernel = Kernel(tile, processor, threads=1)
             check_kernel(kernel, tile)
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
-        return cls(kernel.symbol[1], [arguments[k] for k in tile.read], kernel)
+        return cls(kernel.symbol[1], [arguments[k] for k in tile.read], kernel, before, place)
 
     @classmethod
     def of_function(
         cls, function: Callable[..., Any], shapes: list[tuple[int, ...]], arguments: list[Argument]
-    ) -> BatchKernel:
+    ) -> _Unbound:
         """A function that JAX runs, called back by the core: for what has no native form."""
         callback = _Callback(function, shapes)
         return cls(callback.address, arguments, callback)
+
+    def bound(self, numbers: Array) -> BatchKernel:
+        """The kernel with these numbers."""
+        if self._before is not None:
+            given = [np.zeros((1, a.size)) for a in self._before.inputs]
+            given[self._place] = numbers[None]
+            numbers = by_numpy(self._before, given)[0][0]
+        return BatchKernel(*self._made, np.ascontiguousarray(numbers, float))
 
 
 class _Callback:
@@ -124,12 +181,42 @@ class SmoothKernels:
     """A vector function of vectors with its derivatives by the first of them, as kernels.
 
     Args:
-        function: takes the arguments in their order, gives a vector; pure.
+        function: takes the arguments in their order, then numbers where it has some, and gives a vector; pure.
         arguments: how many entries each has; the first one is what derivatives are by.
         order: of the derivatives that are needed, 0 to 2.
+        key: equal for functions that differ in their numbers alone; None: this one is like no other.
+        numbers: its numbers; other kernels of the key have others.
     """
 
-    def __init__(self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int = 2) -> None:
+    def __init__(
+        self,
+        function: Callable[..., Any],
+        arguments: Mapping[Argument, int],
+        order: int = 2,
+        key: Hashable = None,
+        numbers: Array | None = None,
+    ) -> None:
+        numbers = np.zeros(0) if numbers is None else numbers
+        sizes = dict(arguments) | ({Argument.NUMBERS: len(numbers)} if len(numbers) else {})
+        make = functools.partial(_Made, function, sizes, order)
+        made = make() if key is None else _KEPT.get((key, tuple(sizes.items()), order), make)
+        self.rows = made.rows
+        self.kernels = [kernel.bound(numbers) for kernel in made.kernels]
+
+    @property
+    def structure(self) -> SmoothStructure:
+        """For the core."""
+        return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
+
+
+#: Functions that were traced, by their keys, those of some twenty problems.
+_KEPT = Kept(200)
+
+
+class _Made:
+    """The kernels of a function, without its numbers."""
+
+    def __init__(self, function: Callable[..., Any], arguments: Mapping[Argument, int], order: int) -> None:
         names, sizes = list(arguments), [(size,) for size in arguments.values()]
         with in_double():
             shaped = [jax.ShapeDtypeStruct(size, np.dtype(float)) for size in sizes]
@@ -145,19 +232,14 @@ class SmoothKernels:
             ]
             self.kernels = [_kernel(closed, *maker) for maker in makers[: order + 1]]
 
-    @property
-    def structure(self) -> SmoothStructure:
-        """For the core."""
-        return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
 
-
-def _kernel(closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> BatchKernel:
+def _kernel(closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> _Unbound:
     names, sizes = arguments
     try:
         program = made(closed)
-        return BatchKernel.of_program(program, names)
+        return _Unbound.of_program(program, names)
     except (*REFUSALS, NotNative, BuildError):
-        return BatchKernel.of_function(function, sizes, names)
+        return _Unbound.of_function(function, sizes, names)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

@@ -162,7 +162,7 @@ class _Offsets(ctypes.Structure):
 
 
 _COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
-_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins")
+_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "place", "margins", "steps")
 
 
 class _Phase(ctypes.Structure):
@@ -240,6 +240,23 @@ class Transcription:
         """Tighten the rows of a phase."""
         for array, values in zip(self._margins[phase], [path, *nodes]):
             array[...] = values
+
+    def use_charts(self) -> None:
+        """State nodes of manifolds as steps in charts at points that stay: derivatives are exact at any step.
+
+        Defects are c - d of the next node then, with no factor, and `retract` means nothing.
+        """
+        self.steps = [np.zeros((phase.intervals + 1, phase.n)) for phase in self.phases]
+        for phase, structure, steps in zip(self.phases, self._structures, self.steps):
+            if phase.kernels.turn is not None:
+                structure.steps = steps.ctypes.data
+
+    def set_steps(self, steps: Sequence[Array]) -> None:
+        """Steps (nodes, n) of the nodes of each phase from the points that functions get."""
+        for structure, own, values in zip(self._structures, self.steps, steps):
+            if not np.array_equal(own, values):
+                own[...] = values
+                ctypes.c_double.from_address(structure.work).value = 0.0  # what was integrated is for others
 
     def states(self, phase: int, substep: int) -> Array:
         """(intervals, n) eta where a substep ends, of the point that was evaluated last."""

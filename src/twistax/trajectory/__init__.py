@@ -20,6 +20,7 @@ from .sensitivity import Solution, solution
 from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
 from .statement import Minimize as Minimize
 from .statement import Objective
+from .strategies import Strategy
 from .transcription import Collocation, MultipleShooting
 from .trimming import Trim as Trim
 from .trimming import trim as trim
@@ -53,6 +54,7 @@ __all__ = [
     "Solution",
     "Spline",
     "Status",
+    "Strategy",
     "TrajectoryResult",
     "TrajectoryResults",
     "WarmStart",

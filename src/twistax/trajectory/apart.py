@@ -17,11 +17,10 @@ from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
-from numpy import ndarray as Array
 
 from . import casadi_program
 from .casadi_program import Attempt, Refused
-from .program import Program, Reference
+from .program import Program, Start
 
 #: The solver's word for an end by the clock.
 OUT_OF_TIME = "Out of time"
@@ -38,7 +37,7 @@ class Apart:
             name: SimpleNamespace(rows=entries.rows, columns=entries.columns)
             for name, entries in (("jacobian", program.jacobian), ("hessian", program.hessian))
         }
-        facts = {name: getattr(program, name) for name in ("size", "count", "lower", "upper")} | patterns
+        facts = {name: getattr(program, name) for name in ("size", "count", "lower_rows")} | patterns
         self._plugin, self._told = plugin, (facts, plugin, dict(options))
         self._process: subprocess.Popen[bytes] | None = None
 
@@ -48,14 +47,13 @@ class Apart:
 
     def solve(
         self,
-        reference: Reference,
-        multipliers: Array | None,
+        start: Start,
         own: Mapping[str, Any],
         seen: Callable[..., None] | None,
         seconds: float,
     ) -> Attempt:
         """As `CasadiProgram.solve` does, in so many seconds at most; then where it had come to."""
-        due, steps, z = time.monotonic() + seconds, 0, np.zeros(self.program.size)
+        due, steps, x = time.monotonic() + seconds, 0, start.x
         try:
             if self._process is None:
                 command = [sys.executable, "-P", casadi_program.__file__]
@@ -63,7 +61,7 @@ class Apart:
                 self._process = subprocess.Popen(command, start_new_session=True, **pipes)
                 self._end = weakref.finalize(self, _ended, self._process)
                 self._say(self._told)
-            self._say((seconds, multipliers, dict(own)))
+            self._say((seconds, start._asdict(), dict(own)))
             while True:
                 what, *given = pickle.load(self._process.stdout)  # type: ignore[arg-type]
                 if what == "done":
@@ -71,16 +69,17 @@ class Apart:
                 if what == "refused":
                     raise Refused(given[0])
                 if what == "slopes":
-                    z = given[0]
+                    x = given[0]
                     if seen is not None:
-                        seen(*self.program.values(z, reference))
+                        seen(*self.program.values(x))
                 steps += what == "bend"
-                self._say(getattr(self.program, what)(given[0], reference, *given[1:]))
+                self._say(getattr(self.program, what)(*given))
         except (EOFError, BrokenPipeError):
             self._forget()
             if time.monotonic() < due:
                 raise Refused(f"{self._plugin} of CasADi ended its process before it was done") from None
-            return Attempt(z, np.zeros(self.program.count), steps, False, OUT_OF_TIME)
+            zeros = np.zeros(self.program.size), np.zeros(self.program.count)
+            return Attempt(x, *zeros, steps, False, OUT_OF_TIME)
         except BaseException:  # the other side waits for an answer that does not come
             self._forget()
             raise

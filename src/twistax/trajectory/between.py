@@ -16,8 +16,10 @@ from numpy import ndarray as Array
 
 from .found import found_params
 from .outcome import Outcome
-from .replay import rolled_out, times_along
+from .replay import times_along
 from .result import Trajectory, trajectory_at
+from .rollout import Rollout
+from .staged import Staged
 from .transcribed import Given, Point
 from .warm import WarmStart
 from .watch import Status
@@ -37,6 +39,7 @@ def held(
     params: dict[str, Array],
     run: Callable[[WarmStart, Given], Outcome],
     between: float,
+    staged: Staged,
 ) -> Outcome:
     """A solved outcome whose limits hold between nodes as well, within `between` of their scales.
 
@@ -44,14 +47,22 @@ def held(
 
     Args:
         run: solves again.
+        staged: the problem for the core, which rolls out.
     """
+    data = staged.numbers.vector(given)
+    rollouts = [
+        Rollout(own, part.transcription.rolling(_SAMPLES), staged.border.size, data)
+        for own, part in zip(staged.parts, problem.parts, strict=True)
+    ]
     whole, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))
     margins = [np.zeros((part.shooting.intervals, len(part.path.names))) for part, _ in parts]
     iterations = outcome.iterations
     for left in reversed(range(_ROUNDS + 1)):
         own = found_params(problem.border, outcome, params)
         scales = np.asarray(outcome.scales.rows)
-        excess = [_excess(part, segment.of(outcome.point), own) for part, segment in parts]
+        excess = [
+            _excess(part, segment.of(outcome.point), own, rollout) for (part, segment), rollout in zip(parts, rollouts)
+        ]
         shares = [
             over / part.shooting.row_scales(whole.rows_of(segment, scales)).min(axis=0)
             for over, (part, segment) in zip(excess, parts)
@@ -84,11 +95,11 @@ def _beside(over: Array) -> Array:
     return np.maximum(closed[:-2], closed[2:])
 
 
-def _excess(problem: Problem, point: Point, params: dict[str, Array]) -> Array:
+def _excess(problem: Problem, point: Point, params: dict[str, Array], rollout: Rollout) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))
-    rolled = rolled_out(trajectory, problem.transcription.replaying, _SAMPLES)
+    rolled = rollout.states(point)
     window = (_SAMPLES * np.arange(intervals)[:, None] + np.arange(_SAMPLES + 1)).ravel()
     controls = problem.shooting.local.controls.split(np.repeat(np.asarray(point.us), _SAMPLES + 1, axis=0))
     states = {name: values[window] for name, values in rolled.items()}

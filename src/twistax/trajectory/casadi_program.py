@@ -21,7 +21,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 if TYPE_CHECKING:
-    from .program import Entries, Program, Reference
+    from .program import Entries, Program, Start
 
 
 class Refused(RuntimeError):
@@ -31,48 +31,51 @@ class Refused(RuntimeError):
 class Attempt(NamedTuple):
     """What a solver of CasADi's came back with."""
 
-    z: Array
-    multipliers: Array  # of g
+    x: Array
+    of_bounds: Array  # multipliers
+    of_rows: Array
     iterations: int
     success: bool
     word: str  # the solver's for how it ended
 
 
 class CasadiProgram:
-    """A program that CasADi's solvers solve; made once, for any reference."""
+    """A program that CasADi's solvers solve; made once, for any start."""
 
     def __init__(self, program: Program, plugin: str, options: Mapping[str, Any]) -> None:
         self.program = program
         self._plugin = plugin
         self._memory: dict[str, tuple[bytes, Any]] = {}
         self._values = _Values(self)
-        z = casadi.MX.sym("z", program.size)
-        f, g = self._values(z)
-        self._nlp = {"x": z, "f": f, "g": g}
+        x = casadi.MX.sym("x", program.size)
+        f, g = self._values(x)
+        self._nlp = {"x": x, "f": f, "g": g}
+        #: The entries of g' in the order of its transpose, column by column.
+        self.transposed = np.lexsort((program.jacobian.columns, program.jacobian.rows))
         self._solvers: dict[tuple[Any, ...], Any] = {}
         self._options = options
 
     def solve(
         self,
-        reference: Reference,
-        multipliers: Array | None,
+        start: Start,
         own: Mapping[str, Any],
         seen: Callable[..., None] | None = None,
         seconds: float = np.inf,
     ) -> Attempt:
-        """Solve from the reference itself; `own` are options of the plugin on top of those it was made with. There is
-        no clock here."""
-        self._reference, self._seen, self._memory = reference, seen, {}
+        """Solve from a start; `own` are options of the plugin on top of those it was made with. There is no clock
+        here."""
+        self._seen, self._memory = seen, {}
         key, program = tuple(sorted(own.items())), self.program
         whole = dict(self._options)
         whole[self._plugin] = {**whole.get(self._plugin, {}), **own}
-        start = {"lam_g0": multipliers} if multipliers is not None else {}
+        arguments = {"x0": start.x, "lbx": start.lower, "ubx": start.upper}
+        arguments |= {"lam_x0": start.of_bounds, "lam_g0": start.of_rows}
         self._raised: Exception | None = None
         try:
             if key not in self._solvers:
                 self._solvers[key] = casadi.nlpsol("solver", self._plugin, self._nlp, whole)
             solver = self._solvers[key]
-            found = solver(x0=np.zeros(program.size), lbg=program.lower, ubg=program.upper, **start)
+            found = solver(lbg=program.lower_rows, ubg=np.zeros(program.count), **arguments)
         except RuntimeError as error:
             if self._raised is None:
                 raise Refused(
@@ -84,6 +87,7 @@ class CasadiProgram:
         stats = solver.stats()
         return Attempt(
             np.asarray(found["x"]).ravel(),
+            np.asarray(found["lam_x"]).ravel(),
             np.asarray(found["lam_g"]).ravel(),
             int(stats.get("iter_count", 0)),
             bool(stats["success"]),
@@ -98,31 +102,31 @@ class CasadiProgram:
             known = self._memory[what] = key, make()
         return known[1]
 
-    def values(self, z: Array) -> tuple[float, Array]:
-        return self._kept("values", z.tobytes(), lambda: self.program.values(z, self._reference))
+    def values(self, x: Array) -> tuple[float, Array]:
+        return self._kept("values", x.tobytes(), lambda: self.program.values(x))
 
-    def slopes(self, z: Array) -> tuple[Array, Array]:
+    def slopes(self, x: Array) -> tuple[Array, Array]:
         def make() -> tuple[Array, Array]:
             if self._seen is not None:
                 try:
-                    self._seen(*self.values(z))
+                    self._seen(*self.values(x))
                 except Exception as error:  # the solver would take it for numbers that are not finite
                     self._raised = error
                     raise
-            return self.program.slopes(z, self._reference)
+            return self.program.slopes(x)
 
-        return self._kept("slopes", z.tobytes(), make)
+        return self._kept("slopes", x.tobytes(), make)
 
-    def pull(self, z: Array, weight: float, multipliers: Array) -> Array:
+    def pull(self, x: Array, weight: float, multipliers: Array) -> Array:
         """The gradient of weight f + multipliers . g."""
-        gradient, numbers = self.slopes(z)
+        gradient, numbers = self.slopes(x)
         entries = self.program.jacobian
         found = np.bincount(entries.columns, numbers * multipliers[entries.rows], minlength=self.program.size)
         return weight * gradient + found
 
-    def bend(self, z: Array, weight: float, multipliers: Array) -> Array:
-        key = z.tobytes() + multipliers.tobytes() + np.float64(weight).tobytes()
-        return self._kept("bend", key, lambda: self.program.bend(z, self._reference, weight, multipliers))
+    def bend(self, x: Array, weight: float, multipliers: Array) -> Array:
+        key = x.tobytes() + multipliers.tobytes() + np.float64(weight).tobytes()
+        return self._kept("bend", key, lambda: self.program.bend(x, weight, multipliers))
 
 
 def sparsity(rows: int, columns: int, entries: Entries) -> Any:
@@ -152,6 +156,18 @@ class _Callback(casadi.Callback):
     def get_sparsity_out(self, i: int) -> Any:
         return self._outputs[i]
 
+    def has_eval_buffer(self) -> bool:
+        return True
+
+    def eval_buffer(self, given: Sequence[Any], results: Sequence[Any]) -> int:
+        for result, numbers in zip(results, self.run(*(_read(a).copy() for a in given)), strict=True):
+            if result is not None:
+                _read(result)[:] = numbers
+        return 0
+
+    #: The numbers of the results, of those of the arguments.
+    run: Callable[..., list[Any]]
+
     def get_name_in(self, i: int) -> str:
         return self._names[1][i] if self._names else f"i{i}"
 
@@ -167,19 +183,20 @@ def _vector(size: int, dense: bool = True) -> Any:
     return casadi.Sparsity.dense(size, 1) if dense else casadi.Sparsity(size, 1)
 
 
-def _numbers(value: Any) -> Array:
-    return np.asarray(value.full()).ravel()
+def _read(memory: Any) -> Array:
+    """Numbers in memory of CasADi's."""
+    return np.frombuffer(memory, float) if memory is not None and len(memory) else np.zeros(0)
 
 
 class _Values(_Callback):
-    """z -> f, g."""
+    """x -> f, g."""
 
     def __init__(self, program: CasadiProgram) -> None:
         own = program.program
         super().__init__(program, [_vector(own.size)], [_vector(1), _vector(own.count)])
 
-    def eval(self, given: Sequence[Any]) -> list[Any]:
-        return list(self._program.values(_numbers(given[0])))
+    def run(self, x: Array) -> list[Any]:
+        return list(self._program.values(x))
 
     def has_jacobian(self) -> bool:
         return True
@@ -207,19 +224,17 @@ class _Values(_Callback):
 
 
 class _Jacobian(_Callback):
-    """z, (f, g) -> f', g'."""
+    """x, (f, g) -> f', g'."""
 
-    def eval(self, given: Sequence[Any]) -> list[Any]:
-        gradient, numbers = self._program.slopes(_numbers(given[0]))
-        return [casadi.DM(self._outputs[0], gradient), casadi.DM(self._outputs[1], numbers)]
+    def run(self, x: Array, *_: Array) -> list[Any]:
+        return list(self._program.slopes(x))
 
 
 class _Gradient(_Callback):
-    """z, (f, g), weight, multipliers -> gradient of weight f + multipliers . g."""
+    """x, (f, g), weight, multipliers -> gradient of weight f + multipliers . g."""
 
-    def eval(self, given: Sequence[Any]) -> list[Any]:
-        z, weight, multipliers = (_numbers(given[i]) for i in (0, 3, 4))
-        return [self._program.pull(z, float(weight[0]), multipliers)]
+    def run(self, x: Array, f: Array, g: Array, weight: Array, multipliers: Array) -> list[Any]:
+        return [self._program.pull(x, float(weight[0]), multipliers)]
 
     def has_jacobian(self) -> bool:
         return True
@@ -245,16 +260,12 @@ class _Gradient(_Callback):
 
 
 class _Hessian(_Callback):
-    """z, (f, g), weight, multipliers, (gradient) -> its Jacobian by each."""
+    """x, (f, g), weight, multipliers, (gradient) -> its Jacobian by each."""
 
-    def eval(self, given: Sequence[Any]) -> list[Any]:
-        z, weight, multipliers = (_numbers(given[i]) for i in (0, 3, 4))
-        gradient, numbers = self._program.slopes(z)
-        bend = self._program.bend(z, float(weight[0]), multipliers)
-        own, jacobian = self._program.program, self._program.program.jacobian
-        across = casadi.DM(sparsity(own.count, own.size, jacobian), numbers).T
-        first, one, two = self._outputs[:3]
-        return [casadi.DM(first, bend), casadi.DM(one), casadi.DM(two), casadi.DM(gradient), across]
+    def run(self, x: Array, f: Array, g: Array, weight: Array, multipliers: Array, _: Array) -> list[Any]:
+        gradient, numbers = self._program.slopes(x)
+        bend = self._program.bend(x, float(weight[0]), multipliers)
+        return [bend, np.zeros(0), np.zeros(0), gradient, numbers[self._program.transposed]]
 
 
 def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
@@ -268,9 +279,9 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
         outbox.flush()
 
     def asked(what: str) -> Callable[..., Any]:
-        def ask(z: Array, reference: Reference, *more: Any) -> Any:
+        def ask(x: Array, *more: Any) -> Any:
             try:
-                say(what, z, *more)
+                say(what, x, *more)
                 return pickle.load(inbox)
             except (EOFError, OSError):  # nobody is there; CasADi would print all its numbers
                 os._exit(1)
@@ -282,12 +293,13 @@ def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
     made, nowhere = CasadiProgram(program, plugin, options), open(os.devnull, "w")  # noqa: SIM115
     while True:
         try:
-            seconds, multipliers, own = pickle.load(inbox)
+            seconds, fields, own = pickle.load(inbox)
+            start: Any = SimpleNamespace(**fields)
         except EOFError:
             return
         faulthandler.dump_traceback_later(min(seconds, 1e6), exit=True, file=nowhere)
         try:
-            say("done", tuple(made.solve(program, multipliers, own)))
+            say("done", tuple(made.solve(start, own)))
         except Refused as error:
             say("refused", str(error))
         faulthandler.cancel_dump_traceback_later()

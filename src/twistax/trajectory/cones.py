@@ -6,11 +6,10 @@ Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 
 from ..expr import (
@@ -21,7 +20,6 @@ from ..expr import (
     Div,
     Dot,
     Expr,
-    Inputs,
     MatMul,
     Mul,
     Neg,
@@ -30,9 +28,9 @@ from ..expr import (
     Power,
     Sqrt,
     Sub,
-    evaluate_all,
     leaves_of,
 )
+from .point_values import PointValues
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]
@@ -74,9 +72,9 @@ class NormControls:
 
     @property
     def rows(self) -> list[tuple[str, Expr]]:
-        """Smooth rows, <= 0, that say so, with a name."""
+        """Smooth rows, <= 0, that say so where the bounds are not negative, with a name."""
         pairs = zip(self.controls, self.sizes)
-        return [(s.name, row) for s, size in pairs for row in without_norms((size - s).canonicalize())]
+        return [(s.name, row.canonicalize()) for s, size in pairs for row in _above(s, size)]
 
     def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
         """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
@@ -85,16 +83,27 @@ class NormControls:
         return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
 
 
+def _above(s: Control, size: Expr) -> list[Expr]:
+    return [_square(size) - s * s] if is_norm(size) else without_norms((size - s).canonicalize())
+
+
+def continuous_bound(size: Expr, s: Control) -> Expr:
+    """A residual, <= 0 where size <= s, s > 0, for an s that is a state: |a|^2 / s - s for a norm.
+
+    Its multiplier stays finite as s goes to zero. That of a square goes like 1 / s, and steps halve s.
+    Source: H. Y. Benson, R. J. Vanderbei, Solving problems with semidefinite and related constraints using
+    interior-point methods for nonlinear programming, Mathematical Programming 95 (2003), section 2.
+    """
+    return (_square(size) / s - s if is_norm(size) else size - s).canonicalize()
+
+
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
     """Expressions of controls and parameters for every row of the controls."""
-    known = {name: jnp.asarray(value) for name, value in params.items()}
-
-    def at(u: dict[str, jax.Array]) -> list[jax.Array]:
-        inputs = Inputs(jnp.zeros(()), {}, u, known, jnp.zeros(()).dtype)
-        return evaluate_all(list(sizes), lambda leaf: leaf.read(inputs))
-
-    found = jax.vmap(at)({name: jnp.asarray(values) for name, values in us.items()})
-    return [np.asarray(values) for values in found]
+    rows = max((len(values) for values in us.values()), default=1)
+    found = PointValues.of(sizes)(np.zeros(rows), {}, us, params)
+    ends = np.cumsum([math.prod(size.shape) for size in sizes])
+    parts = zip(np.split(found, ends[:-1], axis=1), sizes, strict=True)
+    return [part.reshape(rows, *size.shape) for part, size in parts]
 
 
 def bounds_along(
@@ -130,7 +139,7 @@ def norm_controls(running: Expr | None, sign: float) -> NormControls:
     found: dict[str, tuple[Control, Expr]] = {}
     for factor, part in linear_terms(running.canonicalize()):
         if is_size(part) and sign * factor > 0.0:
-            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}"), part))
+            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}", min=0.0), part))
         kept.append((factor, part))
     bounds = tuple(own for own, _ in found.values())
     return NormControls(sum_of(kept).canonicalize() if bounds else running, bounds, tuple(a for _, a in found.values()))

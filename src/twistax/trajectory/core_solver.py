@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import functools
-import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from typing import Any
 
 import numpy as np
@@ -15,19 +14,21 @@ from ..solver.core import Status as CoreStatus
 from ..solver.options import Options
 from . import strategies
 from .accuracy import Judge
+from .budget import Budget
 from .close_look import CloseLook
 from .evaluated import Evaluated, moved
 from .iterate import Errors, Scales
-from .outcome import Callback, Outcome
+from .outcome import Outcome
 from .staged import Staged
 from .start_units import StartUnits
+from .strategies import Strategy
 from .transcribed import Given, Point, Step, Values
 from .warm import WarmStart
 from .watch import Status
 
-#: The core's tolerance over that of a solve, at most; what slacks can change of the objective counts as a sum, so it is
-#: smaller where there are more inequalities than so many.
-_CLOSER, _FEW, _EXACT = 0.1, 2, 0.01
+#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
+#: counts as a sum, so it is smaller where there are more inequalities than so many.
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
@@ -55,7 +56,7 @@ _STATUS = {
     CoreStatus.MAX_ITERATIONS: Status.MAX_ITERATIONS,
     CoreStatus.INFEASIBLE: Status.INFEASIBLE,
     CoreStatus.NON_FINITE: Status.NON_FINITE,
-    CoreStatus.STOPPED: Status.OUT_OF_TIME,
+    CoreStatus.STOPPED: Status.STOPPED,
     CoreStatus.UNBOUNDED: Status.UNBOUNDED,
 }
 
@@ -81,6 +82,12 @@ class CoreSolver:
         self._largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
+        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities) / _COST
+        self._exactly = {"tolerance": _CLOSER * tolerance / _COST, "violation": _CLOSER * tolerance}
+        self._exactly |= {"complementarity": closer, "gap": _CLOSER * tolerance, "acceptable": tolerance / _COST}
+        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        #: What solvers of others made of the problem, by solver.
+        self.made: dict[Any, Any] = {}
 
     def alone(self, given: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -92,10 +99,10 @@ class CoreSolver:
         return StartUnits(self.staged, point)
 
     def run(
-        self, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None = None
+        self, start: Point | WarmStart, given: Given, budget: Budget, used: Collection[Strategy] = tuple(Strategy)
     ) -> Outcome:
-        """Solve from a start, with the strategies."""
-        return strategies.solved(self, start, given, max_iterations, callback)
+        """Solve from a start, with strategies."""
+        return strategies.solved(self, start, given, budget, used)
 
     def moved(self, point: Point, step: Step) -> Point:
         """A point after a step."""
@@ -133,10 +140,10 @@ class CoreSolver:
         start: Point | WarmStart,
         given: Given,
         max_iterations: int,
-        callback: Callback | None = None,
-        max_seconds: float | None = None,
+        budget: Budget | None = None,
         cost_floor: float = 0.0,
         as_stated: bool = False,
+        rescaling: bool = True,
         **options: float,
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
@@ -145,31 +152,43 @@ class CoreSolver:
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        tolerance = _CLOSER * self.tolerance
-        closer = _EXACT * tolerance * min(1.0, _FEW / self._inequalities)
-        chosen = {"tolerance": tolerance, "complementarity": closer, "acceptable": self.tolerance}
-        chosen["gap"] = tolerance
-        chosen |= {"iterations": max_iterations, "row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
+        chosen = {**self._exactly, "iterations": max_iterations}
         call = functools.partial(self._call, point, given, units)
         violated = self._violated_at_once(point, given, units)
         if not np.isfinite(violated):
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
             return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
-        watch = _Watch(callback, max_seconds)
+        watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
-            return self._from_point(point, given, units, {**chosen, **options}, watch, () if as_stated else _FITTED_AT)
-        warm = self._warm(start, point, units, given)
-        kept = call({**chosen, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        outcome = self._outcome(kept, units, given, warm=True)
+            fitted = _FITTED_AT if rescaling and not as_stated else ()
+            return self._from_point(point, given, units, {**chosen, **options}, watch, fitted)
+        warm = self._warm(point, start.dynamics, start.rows)
+        outcome = self.measured(point, start.dynamics, start.rows, given, units)
         if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
             return outcome
-        near = {"complementarity": min(tolerance, _NEAR * closer), **self._near(warm, units)}
+        closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
+        near = {"complementarity": closer, **self._near(warm, units)}
         kept = call({**chosen, **near, **options}, warm, watch)
         return self._outcome(kept, units, given)
 
+    def measured(
+        self, point: Point, dynamics: Array, rows: Array, given: Given, units: StartUnits | None = None
+    ) -> Outcome:
+        """How far a point with multipliers is from the conditions of an optimum, in units that fit it if None."""
+        units = self.units(point, given) if units is None else units
+        warm = self._warm(point, dynamics, rows)
+        kept = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self._outcome(kept, units, given, warm=True)
+
     def _from_point(
-        self, point: Point, given: Given, units: StartUnits, options: dict[str, float], watch: _Watch, fitted: Sequence[int]
+        self,
+        point: Point,
+        given: Given,
+        units: StartUnits,
+        options: dict[str, float],
+        watch: _Watch,
+        fitted: Sequence[int],
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
         left = list(fitted)
@@ -223,10 +242,15 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
+    @property
+    def is_decided(self) -> bool:
+        """Whether ends alone decide a row."""
+        return bool((self.transcribed.decided & ~self.transcribed.pinned).any())
+
     def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         own = self.transcribed
-        if not (own.decided & ~own.pinned).any():
+        if not self.is_decided:
             return 0.0
         rows = self.close_look.decided_rows(self.staged.flat(point), given)
         violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self._row_sizes(units)
@@ -241,11 +265,11 @@ class CoreSolver:
             sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
-    def _warm(self, start: WarmStart, point: Point, units: StartUnits, given: Given) -> Solution:
+    def _warm(self, point: Point, dynamics: Array, rows: Array) -> Solution:
         """The multipliers of a warm start for the core."""
         staged, stages = self.staged, self.staged.transcription.stages
-        y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
-        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(start.dynamics), stages.after)])
+        y, ye, zl, zu = staged.split_rows(np.asarray(rows))
+        lam = np.concatenate([row[:count] for row, count in zip(np.asarray(dynamics), stages.after)])
         at = Evaluated(staged.transcription, staged.flat(point))
         z, v = staged.flat(point), staged.coordinates(point)
         return Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, np.zeros((0, 10)))
@@ -341,21 +365,19 @@ class CoreSolver:
 
 
 class _Watch:
-    """What is called before each iteration: Python sees signals there, and the time.
+    """What is called before each iteration: Python sees signals there, and what a solve may take.
 
     Attributes:
         before: iterations before this call of the core.
         also: asked then, too; whether the core should stop.
     """
 
-    def __init__(self, callback: Callback | None, max_seconds: float | None) -> None:
-        self._callback, self._due = callback, np.inf if max_seconds is None else time.monotonic() + max_seconds
-        self.before, self.also = 0, lambda iteration, z: False
+    def __init__(self, budget: Budget) -> None:
+        self.budget, self.before, self.also = budget, 0, lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
-        if self._callback is not None:
-            self._callback(self.before + iteration, cost, violation)
-        return time.monotonic() > self._due or self.also(iteration, z)
+        is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.also(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

@@ -1,37 +1,47 @@
 """Solvers of others, on the same discrete problem: IPOPT and Fatrop, both inside CasADi's wheel.
 
-Each works in the tangent spaces at nodes that stay while it runs. The nodes then move to what it found, and it starts
-again from there, until it finds nothing to turn. What comes out is measured as everything else is: by the first-order
-conditions, in this package's own scales.
+They get the functions that this package's solver has, in the units of the statement. States on groups are steps in the
+tangent spaces at nodes that stay while a solver runs; the nodes then move to where it ended, and it starts again from
+there, until nothing turns. What comes out is measured as everything else is: by the first-order conditions, in this
+package's scales.
 """
 
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import time
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, ClassVar, Protocol, runtime_checkable
 
 import numpy as np
+from numpy import ndarray as Array
 
 from ..checks import number, short
 from ..errors import TrajectoryError
-from .decisions import RENEW
-from .outcome import Callback, Outcome, Searched, outcome
-from .program import Program, Reference
-from .solver import Solver, Status
+from . import strategies
+from .core_solver import CoreSolver
+from .outcome import Callback, Outcome
+from .program import Program
 from .transcribed import Given, Point
 from .warm import WarmStart
-from .watch import Watch
+from .watch import Status
 
 if TYPE_CHECKING:
     from .apart import Apart
     from .casadi_program import CasadiProgram
 
-#: How often nodes may move to what was found; the first barrier parameter and distance from limits then; no turn, rad.
+#: How often nodes may move to where a solver ended; the first barrier parameter and distance from limits then; no turn,
+#: rad.
 _PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
-#: Words of theirs for an end that another start does not mend. What it is, is measured.
-_OVER = ("Infeasible_Problem_Detected", "Diverging_Iterates")
+#: Their tolerance over that of a solve: IPOPT's default for that of `solve`. A result is acceptable within so many of
+#: the latter.
+_CLOSER, _ACCEPTABLE = 1e-2, 100.0
+#: Words of theirs for an end that another start does not mend, and whether the constraints hold there.
+_OVER = {
+    ("Infeasible_Problem_Detected", False): Status.INFEASIBLE,
+    ("Diverging_Iterates", True): Status.UNBOUNDED,
+}
 
 
 @runtime_checkable
@@ -39,9 +49,9 @@ class SolvedBy(Protocol):
     """A solver of others: what `Problem.solve(solver=...)` takes."""
 
     def run(
-        self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+        self, core: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
-        """Solve from a start; `solver` measures what comes out."""
+        """Solve from a start; `core` has the functions, and measures what comes out."""
         ...
 
 
@@ -84,102 +94,142 @@ class _Casadi:
             raise TrajectoryError(
                 f"solver={type(self).__name__}() needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'"
             ) from None
-        inequalities = int((program.lower < program.upper).sum())
-        # What SOLVED asks of complementarity is the sum over all inequalities.
-        own = {**self._settings(0.1 * tolerance, 0.1 * tolerance / max(1, inequalities)), **self.options}
+        own = {**self._settings(_CLOSER * tolerance), **self.options}
         kind: Any = CasadiProgram if self.max_seconds is None else Apart
         return kind(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: own})
 
-    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
-        """Options for a tolerance, and for the largest product of a slack and its multiplier."""
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        """Options for a tolerance."""
         raise NotImplementedError
 
     def _structure(self, program: Program) -> dict[str, Any]:
         return {}
 
-    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        """Options of a pass: warm, in fitting units, and for so many iterations."""
         raise NotImplementedError
 
     def run(
-        self, solver: Solver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+        self, core: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
-        key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
-        if self.copies not in solver.made:
-            solver.made[self.copies] = solver.program(self.copies)
-        if key not in solver.made:
-            solver.made[key] = self._made(solver.made[self.copies], solver.tolerance)
-        made, due = solver.made[key], time.monotonic() + (self.max_seconds or np.inf)
+        if isinstance(start, WarmStart) or core.is_decided:
+            begun = core.run_once(start, given, 0)
+            if begun.status is not Status.MAX_ITERATIONS:
+                return begun
+        count, due = 0, time.monotonic() + (self.max_seconds or np.inf)
 
-        def search(own: Any, most: int, callback: Callback | None) -> Searched:
-            return self._search(made, solver, own, given, most, callback, due)
+        def search(begin: Point | WarmStart) -> Outcome:
+            nonlocal count
+            run = _Run(core, given, max_iterations - count, due)
+            found = self._search(run, begin, _counted(callback, count))
+            count += found.iterations
+            return found
 
-        return solver.to_minimum(search, start, given, max_iterations, callback)
+        return strategies.at_a_minimum(core, search, search(start))._replace(iterations=count)
 
-    def _search(
-        self,
-        made: CasadiProgram | Apart,
-        solver: Solver,
-        start: Point | WarmStart,
-        given: Given,
-        max_iterations: int,
-        callback: Callback | None,
-        due: float,
-    ) -> Searched:
-        """Passes of the solver, from a start until it has nothing left to turn, or until a time is over."""
+    def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
+        """Passes of the solver: again from where it ended while nodes turn, and in fitting units where it failed.
+
+        The first one is in the units of the statement, as it is when another states the problem.
+        """
         from .casadi_program import Refused
 
-        program = made.program
-        multipliers, failed = None, False
-        if isinstance(start, WarmStart):
-            point, scales, most = start.point, start.scales, start.scales
-            dynamics = start.dynamics * np.asarray(scales.d)[1:] / float(scales.cost)
-            multipliers = program.flat_multipliers(dynamics, start.rows * np.asarray(scales.rows) / float(scales.cost))
-        else:
-            point, opening = start, solver.steps.opened(start, given)
-            scales, most = opening.state.scales, opening.memory.seen
-        watch = Watch(solver.tolerance, max_iterations)
-        seen = None
-        if callback is not None:
-
-            def seen(cost: float, rows: Any) -> None:
-                worst = np.maximum(np.maximum(rows - program.upper, program.lower - rows), 0.0)
-                callback(watch.count, cost * float(np.asarray(scales.cost)), float(worst.max(initial=0.0)))
-
-        state = solver.weighed(point, given, scales)[1]
-        opening = solver.steps.opening(state, most)
-        memory, status = opening.memory, watch.at_once(opening)
-        passes = 0
-        while status is None:
-            reference, passes = Reference(point, scales, given), passes + 1
-            own = self._of_pass(multipliers is None, max_iterations - watch.count)
+        core, given, here, units, count = run.core, run.given, start, None, 0
+        made = self._prepared(core, given)
+        for _ in range(_PASSES):
+            first = made.program.start(here, given, units)
+            own = self._of_pass(isinstance(here, WarmStart), units is not None, max(run.left - count, 1))
+            seen = _seen(made.program, _counted(callback, count), 1.0 if units is None else units.cost)
             try:
-                attempt = made.solve(reference, multipliers, own, seen, max(due - time.monotonic(), 1e-3))
+                attempt = made.solve(first, own, seen, max(run.due - time.monotonic(), 1e-3))
             except Refused as error:
                 raise TrajectoryError(str(error)) from None
-            watch.count += attempt.iterations
-            if not np.isfinite(attempt.z).all():
-                status = Status.NON_FINITE
+            count += attempt.iterations
+            if not np.isfinite(attempt.x).all():
+                return core.run_once(here, given, 0)._replace(status=Status.NON_FINITE, iterations=count)
+            reached = made.program.reached(attempt.x, attempt.of_bounds, attempt.of_rows)
+            found = core.measured(reached.point, reached.dynamics, reached.rows, given)._replace(iterations=count)
+            status = run.ended(found, attempt.word)
+            if status is not None:
+                return found._replace(status=status)
+            turned = reached.turn > _SMALL_TURN
+            if units is not None and not (attempt.success and turned):
                 break
-            reached = program.reached(attempt.z, reference, attempt.multipliers)
-            point = reached.point
-            slopes, state = solver.weighed(point, given, scales, reached.dynamics, reached.rows)
-            fresh, change, memory = solver.steps.renewed(state, slopes, memory)
-            renewed = float(change) > RENEW
-            if renewed:
-                scales, state = fresh, solver.rescaled(state, fresh, given)
-            multipliers = program.flat_multipliers(state.dynamics, state.rows)
-            status = watch.ended(solver.steps.signs(state, memory))
-            if status is None and attempt.word == "Invalid_Number_Detected":
-                status = Status.NON_FINITE
-            if status is None and time.monotonic() >= due:
-                status = Status.OUT_OF_TIME
-            settled = reached.turn <= _SMALL_TURN and not renewed
-            over = attempt.word in _OVER or (failed and not attempt.success)
-            if status is None and (settled or over or passes >= _PASSES):
-                state, status = solver.judged_at_rest(state, given, max_iterations - watch.count)
-            failed = not attempt.success
-        return Searched(outcome(solver.shooting, state, status, watch.count), state, None)
+            if not attempt.success:  # the units of the statement may be what it failed by
+                units, here = core.units(_point(start), given), start
+                continue
+            here = strategies.warm_at(found, given)
+            if not turned:
+                units = core.units(reached.point, given)
+        return run.at_rest(found)
+
+    def _prepared(self, core: CoreSolver, given: Given) -> Any:
+        """The solver for the problem, made once."""
+        key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
+        if key not in core.made:
+            if self.copies not in core.made:
+                core.made[self.copies] = Program(core.staged, given, with_copies=self.copies)
+            core.made[key] = self._made(core.made[self.copies], core.tolerance)
+        return core.made[key]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """What a search works on and within: the iterations that are left, and when its time is over."""
+
+    core: CoreSolver
+    given: Given
+    left: int
+    due: float
+
+    def ended(self, found: Outcome, word: str) -> Status | None:
+        """The status where a pass ends the search."""
+        tolerance = self.core.tolerance
+        if found.status is Status.SOLVED and found.errors.gap <= tolerance:
+            return Status.SOLVED
+        if word == "Invalid_Number_Detected":
+            return Status.NON_FINITE
+        if found.iterations >= self.left:
+            return Status.MAX_ITERATIONS
+        if time.monotonic() >= self.due:
+            return Status.OUT_OF_TIME
+        return _OVER.get((word, found.violation <= tolerance))
+
+    def at_rest(self, found: Outcome) -> Outcome:
+        """The outcome where the solver does no better: INFEASIBLE where the core comes to no feasible point either."""
+        tolerance = self.core.tolerance
+        if found.status is Status.SOLVED:
+            return found
+        if max(found.violation, *found.errors) <= _ACCEPTABLE * tolerance:
+            return found._replace(status=Status.ACCEPTABLE)
+        if found.violation > tolerance:
+            other = self.core.run_once(found.point, self.given, self.left - found.iterations)
+            if other.status is Status.INFEASIBLE:
+                return other._replace(iterations=found.iterations + other.iterations)
+        return found._replace(status=Status.STALLED)
+
+
+def _point(start: Point | WarmStart) -> Point:
+    return start.point if isinstance(start, WarmStart) else start
+
+
+def _counted(callback: Callback | None, before: int) -> Callback | None:
+    """A callback that counts on."""
+    return None if callback is None else lambda k, *rest: callback(before + k, *rest)
+
+
+def _seen(program: Program, callback: Callback | None, unit: float) -> Callable[[float, Array], None] | None:
+    """What is called with f and g before each step of a pass, f in a unit."""
+    if callback is None:
+        return None
+    steps = itertools.count()
+
+    def seen(cost: float, rows: Array) -> None:
+        worst = np.maximum(np.maximum(rows, program.lower_rows - rows), 0.0)
+        callback(next(steps), cost * unit, float(worst.max(initial=0.0)))
+
+    return seen
 
 
 @dataclasses.dataclass(frozen=True)
@@ -192,7 +242,7 @@ class IPOPT(_Casadi):
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
         max_seconds: after which a try ends as OUT_OF_TIME where it had come to, by the clock on the wall, with what
             compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints
-            to standard error. None: in this process, without a limit, and a little faster.
+            to standard error. None: in this process, without a limit, and faster.
 
     Raises:
         TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
@@ -200,16 +250,16 @@ class IPOPT(_Casadi):
 
     plugin: ClassVar[str] = "ipopt"
 
-    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
-        quiet = {"print_level": 0, "sb": "yes"}
-        return {**quiet, "tol": tolerance, "compl_inf_tol": product, "nlp_scaling_method": "none"}
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        return {"print_level": 0, "sb": "yes", "tol": tolerance}
 
-    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
-        if first:
-            return {"max_iter": max(left, 1)}
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        own = {"max_iter": left} | ({"nlp_scaling_method": "none"} if scaled else {})
+        if not warm:
+            return own
         pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
         near = {f"warm_start_{name}": _WARM_PUSH for name in pushes}
-        return {"max_iter": max(left, 1), "warm_start_init_point": "yes", "mu_init": _WARM_BARRIER, **near}
+        return {**own, "warm_start_init_point": "yes", "mu_init": _WARM_BARRIER, **near}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -232,8 +282,8 @@ class Fatrop(_Casadi):
     plugin: ClassVar[str] = "fatrop"
     copies: ClassVar[bool] = True
 
-    def _settings(self, tolerance: float, product: float) -> dict[str, Any]:
-        return {"print_level": 0, "tolerance": min(tolerance, product)}
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        return {"print_level": 0, "tolerance": tolerance}
 
     def _structure(self, program: Program) -> dict[str, Any]:
         states, controls, rows = (list(a) for a in zip(*program.stages))
@@ -243,8 +293,8 @@ class Fatrop(_Casadi):
             "nx": states,
             "nu": controls,
             "ng": rows,
-            "equality": (program.lower == program.upper).tolist(),
+            "equality": program.equality.tolist(),
         }
 
-    def _of_pass(self, first: bool, left: int) -> dict[str, Any]:
-        return {"max_iter": max(left, 1), **({} if first else {"mu_init": _WARM_BARRIER})}
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        return {"max_iter": left, **({"mu_init": _WARM_BARRIER} if warm else {})}

@@ -46,6 +46,10 @@ class Numbers:
         sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
         self._ends = np.cumsum([0, *sizes]).tolist()
         self.size = self._ends[-1]
+        #: The parameters, in their order.
+        self.names = tuple(self._params.shapes)
+        #: Equal where numbers are laid out alike.
+        self.key = (*(tuple(p.shapes.values()) for p in (self._params, *points)), self._limits)
 
     def vector(self, given: Given) -> Array:
         """The numbers of a solve."""

@@ -269,7 +269,7 @@ def _message(
         size = abs(float(outcome.values.defects[stage, column]))
         worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
     told = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
-    if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STALLED):
+    if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STOPPED, Status.STALLED):
         errors = outcome.errors
         held = f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
         told += f"; in scales, stationarity is {errors.stationarity:.1e}, {held} and the gap {errors.gap:.1e}"

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Callable, Mapping
+import math
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -13,8 +14,9 @@ from numpy import ndarray as Array
 from ..checks import listed, reals, short
 from ..errors import ModelError, ShapeError
 from ..expr import Control, State
+from ..expr.fields import freeze
 from ..groups import Euclidean, Group
-from ..jax_inside import quick_compile
+from ..solver.kernels import Argument, SmoothKernels
 from ..system import name_of
 
 
@@ -81,17 +83,21 @@ def resample(group: Group, samples: Array, shares: Array) -> Array:
     left = np.minimum(place.astype(int), len(samples) - 2)
     share = place - left
 
-    return np.array(_between(group)(samples[left], samples[left + 1], share))
+    first, last = samples[left], samples[left + 1]
+    if group.flat:
+        return np.array(first + share.reshape(-1, *[1] * len(group.shape)) * (last - first))
+    size = math.prod(group.shape)
+    arguments = {Argument.SHARE: 1, Argument.BASE: size, Argument.TARGET: size}
+    kernels = SmoothKernels(functools.partial(_geodesic, group), arguments, 0, ("geodesic", type(group), freeze(group)))
+    values = [np.reshape(a, (len(shares), -1)) for a in (share, first, last)]
+    found = kernels.kernels[0](len(shares), size, dict(zip(arguments, values, strict=True)))
+    return found.reshape(len(shares), *group.shape)
 
 
-@functools.lru_cache(64)
-def _between(group: Group) -> Callable[..., jax.Array]:
-    """The points at shares of geodesics."""
-
-    def one(a: jax.Array, b: jax.Array, share: jax.Array) -> jax.Array:
-        return group.retract(a, share * group.difference(a, b))
-
-    return jax.jit(jax.vmap(one), compiler_options=quick_compile(0))
+def _geodesic(group: Group, share: jax.Array, first: jax.Array, last: jax.Array) -> jax.Array:
+    """The point at a share of the way between two."""
+    a, b = first.reshape(group.shape), last.reshape(group.shape)
+    return group.retract(a, share[0] * group.difference(a, b)).reshape(-1)
 
 
 def _known(values: Array | None, otherwise: Any) -> Any:

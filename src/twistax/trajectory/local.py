@@ -5,19 +5,36 @@ Written to be compiled as scalars, so that derivatives, of second order too, are
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import Any
+import copy
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
 
-from ..expr import Expr, Inputs, evaluate_all
+from ..expr import Constant, Expr, Inputs, evaluate_all
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .conditions import Conditions
 from .cones import NormControls
 from .discretize import Controls
+from .point_values import PointValues
 from .statement import Objective, PathRows
+
+
+class Expressions(NamedTuple):
+    """What a system and what is asked of it are made of: canonical expressions."""
+
+    rates: tuple[Expr, ...]  # of the states in their order
+    rows: tuple[Expr, ...]  # of the path, without boxes
+    limits: tuple[Expr, ...]  # of all boxes as one vector, or none
+    running: tuple[Expr, ...]  # one, or none
+    conditions: tuple[Expr, ...]  # of the last node
+    final: tuple[Expr, ...]  # one, or none
+    shown: tuple[Expr, ...]  # rows of the path as they were written
 
 
 class Local:
@@ -36,13 +53,33 @@ class Local:
         norms: NormControls,
         final: Conditions,
     ) -> None:
-        self._dynamics, self._path, self._objective, self._final = dynamics, path, objective, final
-        self._running = norms.running
+        self._dynamics, self._path, self._final = dynamics, path, final
+        one = lambda expr: () if expr is None else (expr,)  # noqa: E731
+        rates = dynamics._functions.families["rates"]
+        self.expressions = Expressions(
+            tuple(rates[state.name][0] for state in dynamics.states),
+            path.residuals,
+            (Constant([bound.limit for bound in path.bounds]),) if path.bounds else (),
+            one(norms.running),
+            final.residuals,
+            one(objective.final),
+            tuple(dynamics._functions.families["constraints"]["inequality"])
+            + tuple(dynamics._functions.families["constraints"]["equality"]),
+        )
+        #: 1 where less is better, -1 where more is.
+        self.sign = objective.sign
         self.group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
+
+    def made_of(self, expressions: Expressions) -> Local:
+        """The same of other expressions, of the same shapes."""
+        found = copy.copy(self)
+        found.expressions = expressions
+        return found
 
     def rate(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         x = self.group.retract(base, eta)
-        rates = self._dynamics._functions.as_written("rates", t, x, self.controls.split(u), params)
+        exprs = {s.name: [e] for s, e in zip(self._dynamics.states, self.expressions.rates, strict=True)}
+        rates = self._dynamics._functions.values(exprs, False, t, x, self.controls.split(u), params)
         parts = []
         for name, factor in self.group.factors.items():
             rate = rates[name].reshape(-1)
@@ -56,23 +93,28 @@ class Local:
     ) -> tuple[jax.Array, jax.Array]:
         """The path rows at a point, and the running cost."""
         x, held = self.group.retract(base, eta), self.controls.split(u)
-        return self.rows(t, x, held, params), self._value(self._running, t, x, held, params)
+        return self.rows(t, x, held, params), self._value(self.expressions.running, t, x, held, params)
 
     def rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
         """The path rows at a point, as the solver sees them."""
-        inputs = Inputs(t, x, u, params, t.dtype)
-        return self._with_boxes(evaluate_all(self._path.residuals, lambda leaf: leaf.read(inputs)), x, u)
+        return self._with_boxes(self.expressions.rows, Inputs(t, x, u, params, t.dtype))
 
-    def shown_rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        """The path rows at a point as the user wrote them."""
-        family = self._dynamics._functions.as_written("constraints", t, x, u, params)
-        return self._with_boxes([family["inequality"], family["equality"]], x, u)
+    def along(
+        self, rows: Sequence[Expr], ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]
+    ) -> Array:
+        """(points, entries) rows of the path and those of its boxes at many points, as arrays of NumPy."""
+        flat = {name: np.reshape(values, (len(ts), -1)) for name, values in (*x.items(), *u.items())}
+        boxes = [b.sign * (flat[b.leaf][:, b.entry] - b.limit) for b in self._path.bounds]
+        return np.concatenate([PointValues.of(rows)(ts, x, u, params), *(own[:, None] for own in boxes)], axis=1)
 
-    def _with_boxes(self, rows: Sequence[jax.Array], x: Arrays, u: Arrays) -> jax.Array:
-        flat = {name: values.reshape(-1) for name, values in (*x.items(), *u.items())}
-        boxes = [bound.sign * (flat[bound.leaf][bound.entry] - bound.limit) for bound in self._path.bounds]
-        dtype = next(iter(flat.values())).dtype
-        return jnp.concatenate([jnp.zeros(0, dtype), *(jnp.reshape(a, -1).astype(dtype) for a in (*rows, *boxes))])
+    def _with_boxes(self, rows: Sequence[Expr], inputs: Inputs) -> jax.Array:
+        limits = self.expressions.limits
+        values = evaluate_all([*rows, *limits], lambda leaf: leaf.read(inputs))
+        flat = {name: value.reshape(-1) for name, value in (*inputs.x.items(), *inputs.u.items())}
+        places = enumerate(self._path.bounds)
+        boxes = [bound.sign * (flat[bound.leaf][bound.entry] - values[-1][k]) for k, bound in places]
+        every = [*values[: len(rows)], *boxes]
+        return jnp.concatenate([jnp.zeros(0, inputs.dtype), *(a.reshape(-1).astype(inputs.dtype) for a in every)])
 
     def gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
         """Log(target^-1 base Exp(eta))."""
@@ -85,14 +127,14 @@ class Local:
         x = self.group.retract(base, eta)
         none = self.controls.split(jnp.zeros(self.controls.dimension, eta.dtype))
         return (
-            self._final.values(t, x, params),
+            dataclasses.replace(self._final, residuals=self.expressions.conditions).values(t, x, params),
             self.group.difference(target, x),
             self.rows(t, x, none, params),
-            self._value(self._objective.final, t, x, {}, params),
+            self._value(self.expressions.final, t, x, {}, params),
         )
 
-    def _value(self, expr: Expr | None, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        """The value of a part of the objective, signed so that less is better."""
+    def _value(self, exprs: Sequence[Expr], t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
+        """The value of a part of the objective, signed so that less is better; zero where there is none."""
         inputs = Inputs(t, x, u, params, t.dtype)
-        found: Sequence[Any] = evaluate_all([] if expr is None else [expr], lambda leaf: leaf.read(inputs))
-        return self._objective.sign * found[0].astype(t.dtype) if found else jnp.zeros((), t.dtype)
+        found: Sequence[Any] = evaluate_all(exprs, lambda leaf: leaf.read(inputs))
+        return self.sign * found[0].astype(t.dtype) if found else jnp.zeros((), t.dtype)

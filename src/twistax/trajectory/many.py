@@ -11,6 +11,7 @@ import jax
 import numpy as np
 
 from ..precision import in_double
+from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome
 from .transcribed import Given, Point
@@ -32,7 +33,7 @@ def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_
             of_thread.solver = solver.alone(given)
         own: CoreSolver = of_thread.solver
         with in_double():
-            return own.judge.judged(own.run(point, given, most), given, mesh_tolerance, own.tolerance)
+            return own.judge.judged(own.run(point, given, Budget(most)), given, mesh_tolerance, own.tolerance)
 
     with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(solved, range(len(points.us))))

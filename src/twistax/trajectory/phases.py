@@ -212,7 +212,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_solvers", "_cores")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

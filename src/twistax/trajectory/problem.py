@@ -30,7 +30,7 @@ from .result import TrajectoryResult, best_result
 from .shooting import Shooting
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
-from .transcribed import Given, Point, jitted
+from .transcribed import Given, Point
 from .transcription import transcription_of
 from .warm import other_problem
 
@@ -236,18 +236,20 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self.built()
         self.advanced = jax.jit(self.shooting.advanced)
-        #: The path rows as users wrote them, at many points.
-        self.shown_rows = jitted(jax.vmap(self.shooting.local.shown_rows, in_axes=(0, 0, 0, None)), 0)
-        #: The same as the solver sees them.
-        self.path_rows = jax.jit(jax.vmap(self.shooting.local.rows, in_axes=(0, 0, 0, None)))
+
+    def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
+        """(points, rows) the path rows as users wrote them, at many points."""
+        local = self.shooting.local
+        return local.along(local.expressions.shown, ts, xs, us, params)
+
+    def path_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
+        """The same as the solver sees them."""
+        local = self.shooting.local
+        return local.along(local.expressions.rows, ts, xs, us, params)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {
-            k: v
-            for k, v in self.__dict__.items()
-            if k not in ("shooting", "advanced", "shown_rows", "path_rows", "_solvers", "_cores")
-        }
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_cores")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

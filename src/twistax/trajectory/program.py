@@ -1,13 +1,13 @@
-"""A discrete problem as a nonlinear program with sparse derivatives, for solvers of others.
+"""A staged problem as a nonlinear program with sparse derivatives, for solvers of others.
 
 Unknowns and constraints stand stage by stage, as solvers that know stages want them:
 
-    z = [d_0, du_0, ..., d_K, b],   minimise f(z),   lower <= g(z) <= upper,
-    g = [d_1 - F_0(d_0, du_0, b), rows_0, ..., rows of the end].
+    x = [x_0, u_0, ..., x_N, p],   minimise f(x),   lower <= x <= upper,   lower_rows <= g(x) <= 0,
+    g = [x_1 - F_0(x_0, u_0, p), h_0, e_0, ..., h_N, e_N].
 
-d_k are tangents in the charts at nodes that stay, the reference; b is what all stages share, the final time first, or
-a copy of it for each stage, b_k, where a solver wants stages that share nothing. Unknowns that cannot move are left
-out. Everything is scaled.
+Flat states, controls and p are the numbers themselves, states on other groups steps d_k in charts at points that stay.
+p is what all stages share, the durations first, or a copy of it for each stage, p_k, where a solver wants stages that
+share nothing. Unknowns that cannot move are left out.
 """
 
 from __future__ import annotations
@@ -15,14 +15,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any, NamedTuple
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from .interior_point import InteriorPoint
-from .iterate import Scales
-from .transcribed import Derivatives, Given, Point, Step, Transcribed, Values, jitted
+from ..solver.kernels import Argument
+from .evaluated import Evaluated, moved
+from .staged import Part, Staged
+from .start_units import StartUnits
+from .transcribed import Given, Point
+from .warm import WarmStart
 
 
 class Entries(NamedTuple):
@@ -35,197 +36,266 @@ class Entries(NamedTuple):
 
     def of(self, parts: Sequence[Array]) -> Array:
         """The entries, of the numbers in arrays one after the other."""
-        numbers = np.concatenate([part.ravel() for part in parts])[self.source]
-        return np.bincount(self.target, numbers, minlength=len(self.rows))
+        return np.bincount(self.target, np.concatenate(parts)[self.source], minlength=len(self.rows))
 
 
-class Reference(NamedTuple):
-    """What a program is stated about: nodes, scales, and what the problem is solved for."""
+class Start(NamedTuple):
+    """Where a solver starts and what bounds hold: unknowns, multipliers of bounds and of rows."""
 
-    point: Point
-    scales: Scales
-    given: Given
+    x: Array
+    lower: Array
+    upper: Array
+    of_bounds: Array
+    of_rows: Array
 
 
 class Reached(NamedTuple):
-    """Where a solver ended: the point, multipliers of the dynamics and of the rows, and the largest turn, rad."""
+    """Where a solver ended: the point, multipliers in the problem's units, and the largest turn of a node, rad."""
 
     point: Point
-    dynamics: Array
-    rows: Array
+    dynamics: Array  # (intervals, n)
+    rows: Array  # (rows,)
     turn: float
 
 
 class Program:
-    """The nonlinear program behind a discrete problem.
+    """The nonlinear program behind a staged problem.
 
     Attributes:
         size, count: numbers of unknowns and of constraints.
-        lower, upper: (count,) limits of g.
+        equality: (count,) which constraints are equalities.
         jacobian, hessian: `Entries` of g' and of the Lagrangian's second derivative, which is symmetric.
-        stages: per node the numbers of states (b included), of controls and of rows.
+        stages: per node the numbers of states (p included), of controls and of rows.
 
     Args:
-        with_copies: whether each stage has a b of its own.
+        with_copies: whether each stage has a p of its own.
     """
 
-    def __init__(self, shooting: Transcribed, method: InteriorPoint, *, with_copies: bool) -> None:
-        self._shooting, self._method = shooting, method
-        free, intervals = shooting.free, shooting.intervals
-        n, m, shared = free.d.shape[1], free.u.shape[1], len(free.border)
-        rows = method.split(jnp.asarray(shooting.exists))
-        inner, end = np.asarray(rows.inner), np.asarray(rows.end)
-        d, u = -np.ones((intervals + 1, n), int), -np.ones((intervals, m), int)
-        b = -np.ones((intervals + 1, shared), int)
-        gaps, copies = -np.ones((intervals, n), int), -np.ones((intervals, shared), int)
-        inner_rows, end_rows = -np.ones(inner.shape, int), -np.ones(end.shape, int)
+    def __init__(self, staged: Staged, given: Given, *, with_copies: bool) -> None:
+        self._staged, self._transcribed = staged.alone(given), staged.transcribed
+        self._transcription = self._staged.transcription
+        self._transcription.use_charts()
+        stages, border = self._transcription.stages, staged.border.size
+        free = self._transcribed.free
+        self._free = self._staged.step(*(np.asarray(a, float) for a in free)) > 0.0
+        self._last = len(stages.states) - 1
+        #: Where each entry of v stands among the unknowns, -1: nowhere; of shared ones the copy of each stage.
+        self._places = -np.ones(stages.variables, int)
+        self._copies = -np.ones((self._last + 1, border), int)
         self.size = self.count = 0
-        stages = []
-        for k in range(intervals + 1):
-            states = self._number(d[k], free.d[k])
-            if with_copies or k == intervals:
-                states += self._number(b[k], free.border)
-            if k == intervals:
-                stages.append((states, 0, self._count(end_rows, end)))
-                break
-            controls = self._number(u[k], free.u[k])
-            self._count(gaps[k], free.d[k + 1])
-            if with_copies:
-                self._count(copies[k], free.border)
-            stages.append((states, controls, self._count(inner_rows[k], inner[k])))
+        self._number(with_copies)
+        self._row_places, self._copy_rows = self._rows(with_copies)
+        self.equality = np.ones(self.count, bool)
+        self.equality[self._row_places[1]] = False
+        self.lower_rows = np.where(self.equality, 0.0, -np.inf)
+        self._shared = stages.variables - border
+        self._describe()
+
+    def _number(self, with_copies: bool) -> None:
+        """Number the unknowns."""
+        stages, first = self._transcription.stages, self._staged.first
+        shared = self._free[stages.variables - stages.parameters :]
+        self._sizes = []
+        for k, (n, m) in enumerate(zip(stages.states, stages.controls)):
+            states = self._next(self._places, first[k] + np.flatnonzero(self._free[first[k] : first[k] + n]))
+            if with_copies or k == self._last:
+                states += self._next(self._copies[k], np.flatnonzero(shared))
+            of_stage = first[k] + n + np.arange(m)
+            self._sizes.append((states, self._next(self._places, of_stage[self._free[of_stage]])))
         if not with_copies:
-            b[:] = b[-1]
-        self.stages = tuple(stages)
-        self._places = d, b, u
-        self._row_places = gaps, copies, np.concatenate([inner_rows.ravel(), end_rows])
-        equality = np.ones(self.count, bool)
-        row_places = self._row_places[2]
-        equality[row_places[row_places >= 0]] = shooting.equality[row_places >= 0]
-        self.lower, self.upper = np.where(equality, 0.0, -np.inf), np.zeros(self.count)
-        self._describe(copies, inner_rows, end_rows)
-        self._values_of, self._derivatives_of = jitted(self._values), jitted(self._derivatives)
-        self._reached = jitted(self._moved)
+            self._copies[:] = self._copies[-1]
+        self._places[stages.variables - stages.parameters :] = self._copies[0]
 
-    def _number(self, places: Array, which: Array) -> int:
+    def _next(self, places: Array, which: Array) -> int:
         """Give the next numbers to some unknowns."""
-        count = int(which.sum())
-        places[which] = np.arange(self.size, self.size + count)
-        self.size += count
-        return count
+        places[which] = np.arange(self.size, self.size + len(which))
+        self.size += len(which)
+        return len(which)
 
-    def _count(self, places: Array, which: Array) -> int:
-        """Give the next numbers to some constraints."""
-        count = int(which.sum())
-        places[which] = np.arange(self.count, self.count + count)
+    def _rows(self, with_copies: bool) -> tuple[tuple[Array, Array, Array], Array]:
+        """Places of defects, inequalities and equalities among the constraints, and of what keeps copies alike."""
+        stages = self._transcription.stages
+        shared, found = np.flatnonzero(self._copies[0] >= 0), list[list[Array]]()
+        copies, counts = -np.ones((self._last, len(self._copies[0])), int), list[int]()
+        for k in range(self._last + 1):
+            before = self.count
+            of_stage = [self._take(stages.after[k])]
+            if with_copies and k < self._last:
+                copies[k, shared] = self._take(len(shared))
+            after_dynamics = self.count
+            of_stage += [self._take(stages.inequalities[k]), self._take(stages.equalities[k])]
+            found.append(of_stage)
+            counts.append(self.count - (after_dynamics if k < self._last else before))
+        self.stages = tuple((*sizes, rows) for sizes, rows in zip(self._sizes, counts))
+        c, h, e = (np.concatenate(parts) for parts in zip(*found))
+        return (c, h, e), copies
+
+    def _take(self, count: int) -> Array:
+        """The next constraints."""
         self.count += count
-        return count
+        return np.arange(self.count - count, self.count)
 
-    def _describe(self, copies: Array, inner_rows: Array, end_rows: Array) -> None:
+    def _describe(self) -> None:
         """Where derivatives stand in sparse matrices."""
-        d, b, u = self._places
-        gaps = self._row_places[0]
-        own = np.concatenate([d[:-1], u, b[:-1]], axis=1)  # (intervals, size), in the order of Derivatives
-        last = np.concatenate([d[-1], b[-1]])
-        self._columns = own, last
-        blocks = [
-            np.broadcast_arrays(gaps[:, :, None], own[:, None, :]),
-            np.broadcast_arrays(inner_rows[:, :, None], own[:, None, :]),
-            np.broadcast_arrays(end_rows[:, None], last[None, :]),
-            (gaps, d[1:]),
-            (copies, b[1:]),
-            (copies, b[:-1]),
+        stages, first = self._transcription.stages, self._staged.first
+        jacobian = list[Any]()
+        columns = [
+            np.concatenate([self._places[first[k] + np.arange(n + m)], self._copies[k]])
+            for k, (n, m) in enumerate(zip(stages.states, stages.controls))
         ]
-        self.jacobian = _entries(blocks)
-        self.hessian = _entries(
-            [
-                np.broadcast_arrays(own[:, :, None], own[:, None, :]),
-                np.broadcast_arrays(last[:, None], last[None, :]),
-            ]
-        )
+        counts = (stages.after, stages.inequalities, stages.equalities)
+        for places, rows in zip(self._row_places, counts):
+            each = np.split(places, np.cumsum(rows)[:-1])
+            jacobian += [np.broadcast_arrays(r[None, :], c[:, None]) for r, c in zip(each, columns)]
+        copies = self._copy_rows
+        jacobian += [(self._row_places[0], self._staged.after(self._places))]
+        jacobian += [(copies, self._copies[1:]), (copies, self._copies[:-1])]
+        self.jacobian = _entries(jacobian)
+        self.hessian = _entries([np.broadcast_arrays(c[None, :], c[:, None]) for c in columns])
+        self._ones = np.ones(len(self._row_places[0]) + copies.size), -np.ones(copies.size)
+        joins = [(part.stages.stop - 1, part.phase.join.free) for part in self._staged.parts if part.phase.join]
+        starts = np.cumsum(stages.after) - stages.after
+        #: What joins leave free is where the next node is: places of the defect, of its control, of the next node.
+        self._joined = [
+            (starts[k] + free, first[k] + stages.states[k] + np.arange(len(free)), first[k + 1] + free)
+            for k, free in joins
+        ]
 
-    # ---- values and derivatives, as NumPy arrays --------------------------------------------------------------------
+        # Where flat states, controls and shared unknowns stand in points: every entry of one by its number.
+        marks = self._staged.coordinates(self._staged.point(np.arange(1.0, stages.points + 1.0)))
+        self._point_places = np.rint(marks).astype(int) - 1
+        self._curved = np.where(self._point_places < 0, 1.0, 0.0)
 
-    def step(self, z: Array) -> Step:
-        """The step in the problem's units of scales that unknowns stand for."""
-        whole = np.append(z, 0.0)  # places of what cannot move are -1
-        d, b, u = self._places
-        return Step(whole[d], whole[u], whole[b[0]])
+    # ---- starts and ends ------------------------------------------------------------------------------------------
 
-    def values(self, z: Array, reference: Reference) -> tuple[float, Array]:
-        """f and g."""
-        found = self._values_of(self.step(z), reference)
-        _, b, _ = self._places
-        whole, g = np.append(z, 0.0), np.zeros(self.count + 1)
-        gaps, copies, rows = self._row_places
-        g[gaps], g[rows] = -np.asarray(found.defects), np.asarray(found.rows)
-        g[copies] = whole[b[1:]] - whole[b[:-1]]
-        return float(found.cost), g[:-1]
+    def start(self, start: Point | WarmStart, given: Given, units: StartUnits | None) -> Start:
+        """State the program about a point, in these units or those of the statement."""
+        staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
+        staged.set_given(given)
+        self._seen: tuple[Array, Evaluated] | None = None
+        self._z, self._v = staged.flat(point), staged.coordinates(point)
+        for _, control, after in self._joined:
+            self._v[control] = self._v[after]
+        self._x_units, self._row_units, self._cost_unit = np.ones(self.size), np.ones(self.count), 1.0
+        if units is not None:
+            self._x_units, self._cost_unit = self._of_v(units.v), units.cost
+            own = (staged.after(units.v), units.rows, units.equalities)
+            self._row_units = self._of_rows(*own, np.broadcast_to(units.border, self._copy_rows.shape))
+        lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(point, given))
+        others = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough
+        lower[others], upper[others] = -np.inf, np.inf
+        bounds, rows = np.zeros(self.size), np.zeros(self.count)
+        if isinstance(start, WarmStart):
+            y, ye, zl, zu = staged.split_rows(np.asarray(start.rows))
+            each = zip(np.asarray(start.dynamics), self._transcription.stages.after)
+            lam = np.concatenate([row[:n] for row, n in each])
+            bounds = self._of_v(zu - zl) * self._x_units / self._cost_unit
+            rows = self._of_rows(-lam, y, ye) * self._row_units / self._cost_unit
+        return Start(self._of_v(self._v) / self._x_units, lower, upper, bounds, rows)
 
-    def slopes(self, z: Array, reference: Reference) -> tuple[Array, Array]:
-        """The gradient of f, and the numbers of the Jacobian of g."""
-        found = self._derivatives_of(self.step(z), reference, *self.multipliers(np.zeros(self.count)))
-        inner, last = self._columns
-        gradient = np.zeros(self.size + 1)
-        np.add.at(gradient, inner, np.asarray(found.gradient))
-        np.add.at(gradient, last, np.asarray(found.end_gradient))
-        gaps, copies, _ = self._row_places
-        parts = (-np.asarray(found.defects), np.asarray(found.rows), np.asarray(found.end_rows))
-        return gradient[:-1], self.jacobian.of([*parts, np.ones(gaps.size + copies.size), -np.ones(copies.size)])
+    def reached(self, x: Array, of_bounds: Array, of_rows: Array) -> Reached:
+        """Where some unknowns are, with the multipliers there."""
+        staged, stages = self._staged, self._transcription.stages
+        z, v = self._at(x)
+        z = moved(self._transcription, z, v * self._curved)
+        for _, control, _ in self._joined:
+            z[self._point_places[control]] = 0.0
+        rows = of_rows * self._cost_unit / self._row_units
+        lam, y, ye = (rows[own] for own in self._row_places)
+        bounds = np.append(of_bounds * self._cost_unit / self._x_units, 0.0)[self._places]
+        every = staged.all_rows(np.maximum(y, 0.0), ye, np.maximum(-bounds, 0.0), np.maximum(bounds, 0.0))
+        dynamics, at = np.zeros((self._transcribed.intervals, self._transcribed.n)), 0
+        for k, n in enumerate(stages.after[:-1]):
+            dynamics[k, :n] = -lam[at : at + n]
+            at += n
+        for part, d in zip(staged.parts, self._steps(v)):
+            self._turn(part, d, dynamics)
+        return Reached(staged.point(z), dynamics, every, float(np.abs(v[staged.turning]).max(initial=0.0)))
 
-    def bend(self, z: Array, reference: Reference, weight: float, multipliers: Array) -> Array:
-        """The numbers of the second derivative of weight f + multipliers . g."""
+    @staticmethod
+    def _turn(part: Part, d: Array, dynamics: Array) -> None:
+        """Write the multipliers of the dynamics of a phase about nodes moved by d, of those about where they were.
 
-        def of(multipliers: Array) -> Array:
-            found = self._derivatives_of(self.step(z), reference, *self.multipliers(multipliers))
-            return self.hessian.of([np.asarray(found.hessian), np.asarray(found.end_hessian)])
+        A node that moves on by e moves by J e in the chart where it was, J^-1 = J_l(-d).
+        """
+        turn, n = part.phase.kernels.turn, part.shooting.n
+        if turn is None:
+            return
+        matrices = turn(len(d), n * n, {Argument.Z: -d}).reshape(-1, n, n)
+        for k, matrix in zip(range(part.stages.start, part.stages.stop), matrices):
+            if k > 0:
+                dynamics[k - 1, :n] = np.linalg.solve(matrix.T, dynamics[k - 1, :n])
 
-        # What is compiled has the objective with weight one.
-        return weight * of(multipliers / weight) if weight > 0.0 else of(multipliers) - of(np.zeros(self.count))
-
-    def reached(self, z: Array, reference: Reference, multipliers: Array) -> Reached:
-        """The point after a step, with the multipliers of what was scaled by the reference."""
-        step = self.step(z)
-        y, w = self.multipliers(multipliers)
-        point, charts = self._reached(step, reference)
-        y = np.stack([np.linalg.solve(J.T, own) for J, own in zip(np.asarray(charts)[1:], y)])
-        turns = np.abs(step.d * np.asarray(reference.scales.d))[np.broadcast_to(self._shooting.turns, step.d.shape)]
-        return Reached(jax.tree.map(np.asarray, point), y, w, float(turns.max(initial=0.0)))
-
-    def multipliers(self, multipliers: Array) -> tuple[Array, Array]:
-        """Those of the dynamics, F_k - d_(k+1), and of the rows, from those of g."""
-        whole = np.append(multipliers, 0.0)
-        gaps, _, rows = self._row_places
-        return -whole[gaps], whole[rows]
-
-    def flat_multipliers(self, dynamics: Any, rows: Any) -> Array:
-        """Those of g from those of the dynamics and of the rows; of copies zero."""
-        found = np.zeros(self.count + 1)
-        gaps, _, row_places = self._row_places
-        found[gaps], found[row_places] = -np.asarray(dynamics), np.asarray(rows)
+    def _of_v(self, v: Array) -> Array:
+        """Of numbers for v those of the unknowns."""
+        found = np.zeros(self.size + 1)
+        found[self._places], found[self._copies] = v, v[self._shared :]
         return found[:-1]
 
-    # ---- the same in JAX ------------------------------------------------------------------------------------------
+    def _of_rows(self, c: Array, h: Array, e: Array, copies: Any = 0.0) -> Array:
+        """Numbers of defects and rows as those of the constraints."""
+        found = np.zeros(self.count + 1)
+        found[self._copy_rows] = copies
+        for places, numbers in zip(self._row_places, (c, h, e)):
+            found[places] = numbers
+        return found[:-1]
 
-    def _begun(self, step: Step, reference: Reference) -> tuple[Point, jax.Array]:
-        """The reference with other controls and times, and the step of its nodes."""
-        point, s = reference.point, reference.scales
-        shift = Step(jnp.zeros_like(step.d), step.u * s.u, step.border * s.border)
-        return self._shooting.move(point, shift), step.d * s.d
+    def _at(self, x: Array) -> tuple[Array, Array]:
+        """The points that charts are about, with flat entries as they are, and v."""
+        v, z, placed, flat = self._v.copy(), self._z.copy(), self._places >= 0, self._point_places >= 0
+        v[placed] = (x * self._x_units)[self._places[placed]]
+        z[self._point_places[flat]] = v[flat]
+        return z, v
 
-    def _moved(self, step: Step, reference: Reference) -> tuple[Point, jax.Array]:
-        """The point after a step, and (nodes, n, n) the scaled change of charts there."""
-        s = reference.scales
-        turned = self._shooting.charts(reference.point.xs, step.d * s.d)
-        point = self._shooting.move(reference.point, Step(step.d * s.d, step.u * s.u, step.border * s.border))
-        return point, turned * s.d[:, None] / s.d[:, :, None]
+    def _steps(self, v: Array) -> list[Array]:
+        """(nodes, n) steps in charts of each phase."""
+        steps, first, found = v * self._curved, self._staged.first, list[Array]()
+        for part in self._staged.parts:
+            found.append(steps[first[part.stages][:, None] + np.arange(part.shooting.n)])
+        return found
 
-    def _values(self, step: Step, reference: Reference) -> Values:
-        point, d = self._begun(step, reference)
-        return self._method.scaled(self._shooting.values(point, reference.given, d), reference.scales)
+    # ---- values and derivatives -----------------------------------------------------------------------------------
 
-    def _derivatives(self, step: Step, reference: Reference, y: Any, w: Any) -> Derivatives:
-        point, d = self._begun(step, reference)
-        return self._method.derivatives_at(point, y, w, reference.scales, reference.given, d)
+    def _evaluated(self, x: Array) -> Evaluated:
+        """Values at some unknowns; later ones take their place in memory."""
+        if self._seen is not None and np.array_equal(self._seen[0], x):
+            return self._seen[1]
+        z, v = self._at(x)
+        self._transcription.set_steps(self._steps(v))
+        at = Evaluated(self._transcription, z)
+        for defect, control, after in self._joined:
+            at.c[defect] = v[control] - v[after]
+        self._seen = x.copy(), at
+        return at
+
+    def values(self, x: Array) -> tuple[float, Array]:
+        """f and g."""
+        at = self._evaluated(x)
+        if at.failed:
+            return np.nan, np.full(self.count, np.nan)
+        g, whole = self._of_rows(-at.c, at.h, at.e), np.append(x * self._x_units, 0.0)
+        own = self._copy_rows >= 0
+        g[self._copy_rows[own]] = (whole[self._copies[1:]] - whole[self._copies[:-1]])[own]
+        return float(at.cost[0]) / self._cost_unit, g / self._row_units
+
+    def slopes(self, x: Array) -> tuple[Array, Array]:
+        """The gradient of f, and the numbers of the Jacobian of g."""
+        at = self._evaluated(x)
+        if not at.jacobians():
+            return np.full(self.size, np.nan), np.full(len(self.jacobian.rows), np.nan)
+        found = np.zeros(self.size + 1)
+        found[self._places] = at.gradient
+        numbers = self.jacobian.of([-at.F, at.Jh, at.Je, *self._ones])
+        numbers *= self._x_units[self.jacobian.columns] / self._row_units[self.jacobian.rows]
+        return found[:-1] * self._x_units / self._cost_unit, numbers
+
+    def bend(self, x: Array, weight: float, multipliers: Array) -> Array:
+        """The numbers of the second derivative of weight f + multipliers . g."""
+        at, scaled = self._evaluated(x), multipliers / self._row_units
+        lam, y, ye = (scaled[own] for own in self._row_places)
+        units = self._x_units
+        found = self.hessian.of([at.hessian(weight / self._cost_unit, -lam, y, ye)])
+        return found * units[self.hessian.rows] * units[self.hessian.columns]
 
 
 def _entries(blocks: Sequence[Any]) -> Entries:

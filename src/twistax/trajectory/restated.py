@@ -19,7 +19,7 @@ from ..expr.graph import substitute
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..lowering import Dynamics, compile
 from ..system import System
-from .cones import is_mixed, norm_controls
+from .cones import continuous_bound, is_mixed, norm_controls
 from .controls import Linear, Spline, continuous_controls, rates_among
 from .mesh import Mesh
 from .statement import Objective
@@ -76,7 +76,7 @@ class Restated:
         if ways:
             running, bounds = _with_bounds(objective, set(ways))
             self._smooth |= {s.name: s for s, _ in bounds}
-            rows = {s.name: size <= s for s, size in bounds}
+            rows = {s.name: continuous_bound(size, s) <= 0.0 for s, size in bounds}
             self.bounds = {s.name: size for s, size in bounds}
             self.objective = type(objective)(objective.final, running=running)
             for name, leaf in self._smooth.items():

@@ -4,10 +4,9 @@ The step (d, u, b) minimises
 
     sum over stages  z'H z / 2 + a'z + sum over rows  weight (J z + r)^2 / 2,   z_k = [d_k, u_k, b],
 
-subject to d_(k+1) = F z_k + c_k; the border b (g,) is shared by all stages. The dynamics may be softened: a slack e
-costs e^2 / (2 soft). The value of what follows a node is quadratic in (d, b). A Riccati recursion carries it back, so
-the work grows with the number of stages, and the equations have the inertia of a minimum exactly if every Cholesky
-factor exists.
+subject to d_(k+1) = F z_k + c_k; the border b (g,) is shared by all stages. The value of what follows a node
+is quadratic in (d, b). A Riccati recursion carries it back, so the work grows with the number of stages, and the
+equations have the inertia of a minimum exactly if every Cholesky factor exists.
 Source: Rao, Wright, Rawlings, Application of interior-point methods to model predictive control (1998), section 3.
 """
 
@@ -18,7 +17,6 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.linalg import cho_solve
 
 from .transcribed import Derivatives, Step
 
@@ -34,15 +32,11 @@ class Rows(NamedTuple):
 
 
 class Stages(NamedTuple):
-    """What is factored: derivatives, weights of the rows, what is added to the diagonal, how soft the dynamics are.
-
-    Where they are hard `soft` is None, which spares half of the work at a stage.
-    """
+    """What is factored: derivatives, weights of the rows, and what is added to the diagonal."""
 
     slopes: Derivatives
     weights: Rows
     damping: Any
-    soft: Any
     free_start: Any  # (n + g,) of [d_0, b]: bool
 
 
@@ -51,8 +45,7 @@ class Factors(NamedTuple):
 
     gains: Any  # (intervals, m, n + g)
     controls: Any  # (intervals, m, m) inverse Cholesky factors: products cost less than solves of a few rows
-    costs: Any  # (intervals, n + g, n + g) softened cost of what follows
-    softening: Any  # (intervals, n, n) Cholesky factors of I + soft P, None where the dynamics are hard
+    costs: Any  # (intervals, n + g, n + g) cost of what follows
     start: Any  # (n + g, n + g) upper Cholesky factor
     exist: Any
 
@@ -67,7 +60,7 @@ class Solution(NamedTuple):
 
 def factorize(stages: Stages) -> Factors:
     """Factor from the end to the start."""
-    slopes, weights, soft = stages.slopes, stages.weights, stages.soft
+    slopes, weights = stages.slopes, stages.weights
     n, m, g = _sizes(slopes)
     dtype = slopes.hessian.dtype
     end = slopes.end_hessian + (slopes.end_rows * weights.end[:, None]).T @ slopes.end_rows
@@ -77,57 +70,48 @@ def factorize(stages: Stages) -> Factors:
 
     def back(cost: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
         hessian, dynamics, rows, weight = stage
-        softer, softening = cost, None
-        if soft is not None:
-            softening = jnp.linalg.cholesky(jnp.eye(n, dtype=dtype) + soft * cost[:n, :n])
-            halved = cho_solve((softening, True), cost[:n])
-            softer = jnp.concatenate([halved, cost[n:] - soft * cost[n:, :n] @ halved])
         ahead = jnp.concatenate([dynamics, shared])
         whole = hessian + stages.damping * lift + (rows * weight[:, None]).T @ rows
-        whole = whole + ahead.T @ (softer.T @ ahead)
+        whole = whole + ahead.T @ (cost.T @ ahead)
         # By substitution and as squares, not by inverses: what cancels tells whether there is a minimum.
         upper, left = _eliminated(whole, n, m)
         own = upper[:, n : n + m]
         solved = _substituted(own, jnp.concatenate([_without(upper.T, n, m).T, jnp.eye(m, dtype=dtype)], axis=1))
         before = _without(_without(left, n, m).T, n, m)
-        return 0.5 * (before + before.T), (-solved[:, : n + g], solved[:, n + g :].T, softer, softening)
+        return 0.5 * (before + before.T), (-solved[:, : n + g], solved[:, n + g :].T, cost)
 
-    first, (gains, controls, costs, softening) = jax.lax.scan(
+    first, (gains, controls, costs) = jax.lax.scan(
         back, end, (slopes.hessian, slopes.defects, slopes.rows, weights.inner), reverse=True
     )
     free = stages.free_start
     start, _ = _eliminated(jnp.where(free[:, None] & free[None, :], first, jnp.eye(n + g, dtype=dtype)), 0, n + g)
-    exist = jnp.stack([jnp.isfinite(a).all() for a in jax.tree.leaves((controls, start, softening))]).all()
-    return Factors(gains, controls, costs, softening, start, exist)
+    exist = jnp.stack([jnp.isfinite(a).all() for a in (controls, start)]).all()
+    return Factors(gains, controls, costs, start, exist)
 
 
 def solve(
     stages: Stages, factors: Factors, pull: jax.Array, end_pull: jax.Array, defects: jax.Array, rows: Rows
 ) -> Solution:
     """The step for the linear terms a (intervals, n + m + g) and (n + g,), the constants c, and the constants r."""
-    slopes, weights, soft = stages.slopes, stages.weights, stages.soft
+    slopes, weights = stages.slopes, stages.weights
     n, m, _ = _sizes(slopes)
     end_pull = end_pull + slopes.end_rows.T @ (weights.end * rows.end)
 
     def back(tilt: jax.Array, stage: Any) -> tuple[jax.Array, Any]:
-        own, jacobian, pushed, dynamics, constant, gains, controls, cost, softening = stage
-        softer = tilt
-        if soft is not None:
-            halved = cho_solve((softening, True), tilt[:n])
-            softer = jnp.concatenate([halved, tilt[n:] - soft * cost[:n, n:].T @ tilt[:n]])
-        slope = softer + cost[:, :n] @ constant
+        own, jacobian, pushed, dynamics, constant, gains, controls, cost = stage
+        slope = tilt + cost[:, :n] @ constant
         whole = own + jacobian.T @ pushed + dynamics.T @ slope[:n]
         whole = whole + jnp.concatenate([jnp.zeros(n + m, whole.dtype), slope[n:]])
         inner = whole[n : n + m]
         push = -(controls.T @ (controls @ inner))
-        return _without(whole, n, m) + gains.T @ inner, (push, softer)
+        return _without(whole, n, m) + gains.T @ inner, (push, tilt)
 
-    tilt, (pushes, softer) = jax.lax.scan(
+    tilt, (pushes, tilts) = jax.lax.scan(
         back,
         end_pull,
         (
             *(pull, slopes.rows, weights.inner * rows.inner, slopes.defects, defects),
-            *(factors.gains, factors.controls, factors.costs, factors.softening),
+            *(factors.gains, factors.controls, factors.costs),
         ),
         reverse=True,
     )
@@ -141,14 +125,14 @@ def solve(
         reached = dynamics @ z + constant
         multipliers = cost[:n] @ jnp.concatenate([reached, border]) + tilt[:n]
         grown = weight * (jacobian @ z + own)
-        return reached if soft is None else reached - soft * multipliers, (d, u, multipliers, grown)
+        return reached, (d, u, multipliers, grown)
 
     last, (ds, us, multipliers, grown) = jax.lax.scan(
         ahead,
         begin[:n],
         (
             *(slopes.defects, defects, slopes.rows, weights.inner, rows.inner),
-            *(factors.gains, pushes, factors.costs, softer),
+            *(factors.gains, pushes, factors.costs, tilts),
         ),
     )
     step = Step(jnp.concatenate([ds, last[None]]), us, border)
@@ -157,10 +141,7 @@ def solve(
 
 
 def refined(stages: Stages, factors: Factors, defects: jax.Array, rows: Rows) -> Solution:
-    """The solution for the gradient of the stages' costs, with whole multipliers, refined against rounding.
-
-    The dynamics are hard.
-    """
+    """The solution for the gradient of the stages' costs, with whole multipliers, refined against rounding."""
     slopes = stages.slopes
     count = len(slopes.defects)
     n, m, g = _sizes(slopes)
@@ -204,12 +185,6 @@ def _correction(stages: Stages, factors: Factors, found: Solution, defects: jax.
     last = last - jnp.concatenate([found.dynamics[-1], jnp.zeros(g, z.dtype)])
     at_end = left(weights.end, slopes.end_rows @ end, constant.end, found.rows.end)
     return solve(stages, factors, inner, last, gap - found.step.d[1:], Rows(rows, at_end))
-
-
-def along_rows(slopes: Derivatives, step: Step) -> Rows:
-    """J z of all rows."""
-    z, end = of_stages(step)
-    return Rows(jax.vmap(jnp.matmul)(slopes.rows, z), slopes.end_rows @ end)
 
 
 def of_stages(step: Step) -> tuple[Any, Any]:

@@ -26,8 +26,8 @@ from ..jax_inside import is_in_last_thread, is_traced
 from ..precision import in_double
 from ..system import name_of
 from .accuracy import MESH
-from .interior_point import InteriorPoint, in_units
-from .iterate import Scales, State
+from .first_order import FirstOrder, in_units
+from .iterate import Scales
 from .riccati import Factors, Rows, Stages, factorize, refined
 from .transcribed import Given, Point, Step, jitted
 
@@ -236,22 +236,14 @@ class _Differentiable:
         border = point.border.at[0].set(theta.final_time.get("final_time", point.border[0]))
         return Point(xs, point.us, border), given._replace(params=given.params | theta.params, final=final)
 
-    def _state(self, method: InteriorPoint, point: Point, given: Given, found: _Optimum) -> State:
-        """The solver's state at a point, with the multipliers and slacks of the optimum."""
-        scales = found.scales
-        return method.start(point, given, scales)._replace(
-            slack=jnp.where(method.inequality, found.slack / scales.rows, 1.0),
-            dynamics=found.dynamics * scales.d[1:] / scales.cost,
-            rows=jnp.where(method.exists, found.rows * scales.rows / scales.cost, 0.0),
-        )
-
     def _factors(self, found: _Optimum, theta: _Theta) -> tuple[Stages, Factors]:
         """The matrix of the last Newton step, factored."""
-        method = InteriorPoint(self._problem.shooting, self._tolerance)
+        conditions, scales, zero = FirstOrder(self._problem.shooting), found.scales, jnp.zeros(())
         point, given = self._given(found, theta)
-        state, zero = self._state(method, point, given, found), jnp.zeros(())
-        weights = method.weights(state.slack, state.rows)
-        stages = Stages(method.derivatives(state, given), weights, zero, None, method.free_start)
+        y, w = conditions.multipliers(found.dynamics, found.rows, scales)
+        weights = conditions.weights(conditions.softness(found.slack / scales.rows, w))
+        slopes = conditions.derivatives(point, y, w, given, scales)
+        stages = Stages(slopes, weights, zero, conditions.free_start)
         factors = factorize(stages)
         # What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too.
         strict = factorize(stages._replace(damping=zero - _LEAST_CURVED))
@@ -260,17 +252,17 @@ class _Differentiable:
     def _tangent(self, theta: _Theta, along: _Theta, found: _Optimum, stages: Stages, factors: Factors) -> _Optimum:
         """How the optimum moves along a change of what was asked for."""
         shooting, scales = self._problem.shooting, found.scales
-        method = InteriorPoint(shooting, self._tolerance)
+        conditions = FirstOrder(shooting)
 
         def residuals(theta: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
             """Of the conditions, after the unknowns and multipliers moved; the objective and the point with them."""
             base, given = self._given(found, theta)
-            point = shooting.move(base, in_units(moved.step, scales, jnp.ones(())))
-            state = self._state(method, point, given, found)
-            y, w = state.dynamics + moved.dynamics, state.rows + method.join(moved.rows)
-            state, values = state._replace(dynamics=y, rows=w), method.scaled(state.values, scales)
-            gradient = method.lagrangian(method.derivatives(state, given), y, w)
-            return _Residuals(gradient, values.defects, values.rows), state.values.cost, point
+            point = shooting.move(base, in_units(moved.step, scales))
+            y, w = conditions.multipliers(found.dynamics, found.rows, scales)
+            y, w = y + moved.dynamics, w + conditions.join(moved.rows)
+            values = conditions.values(point, given, scales)
+            gradient = conditions.lagrangian(conditions.derivatives(point, y, w, given, scales), y, w)
+            return _Residuals(gradient, values.defects, values.rows), values.cost * scales.cost, point
 
         def change(along: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
             found: tuple[_Residuals, Any, Any] = jax.jvp(residuals, (theta, still), (along, moved))[1]
@@ -281,7 +273,7 @@ class _Differentiable:
             moved = carry[0]
             changed = change(along, moved)
             left = changed[0]
-            gradient, rows = left.gradient, method.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
+            gradient, rows = left.gradient, conditions.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
             nothing = jnp.zeros((shooting.intervals, len(gradient.border)))
             pushed = stages.slopes._replace(
                 gradient=jnp.concatenate([gradient.d[:-1], gradient.u, nothing], axis=1),
@@ -292,13 +284,12 @@ class _Differentiable:
             own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
             return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows)), moved, changed
 
-        weights = stages.weights
-        unequal = method.split(jnp.asarray(method.inequality))
-        softness = jax.tree.map(lambda w, own: jnp.where(own, 1.0 / jnp.where(own, w, 1.0), 0.0), weights, unequal)
+        _, w = conditions.multipliers(found.dynamics, found.rows, scales)
+        softness = conditions.split(conditions.softness(found.slack / scales.rows, w))
         still = _Moved(
             Step(*(jnp.zeros(np.shape(a)) for a in shooting.free)),
             jnp.zeros_like(found.dynamics),
-            jax.tree.map(jnp.zeros_like, weights),
+            jax.tree.map(jnp.zeros_like, softness),
         )
         # One loop body in place of two programs: what the last round moves on to is not used.
         none = _Residuals(still.step, still.dynamics, jnp.zeros_like(found.rows)), jnp.zeros_like(found.cost)
@@ -309,8 +300,8 @@ class _Differentiable:
             point,
             cost,
             moved.dynamics * scales.cost / scales.d[1:],
-            method.join(moved.rows) * scales.cost / scales.rows,
-            jnp.where(method.inequality, -left.rows * scales.rows, 0.0),
+            conditions.join(moved.rows) * scales.cost / scales.rows,
+            jnp.where(conditions.inequality, -left.rows * scales.rows, 0.0),
             jax.tree.map(jnp.zeros_like, scales),
         )
 

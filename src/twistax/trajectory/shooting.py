@@ -11,6 +11,7 @@ the rows of constraints at the ends of its substeps, and its share of the runnin
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Mapping, Sequence
 from typing import Any
@@ -22,7 +23,6 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from ..lowering import XLA, Dynamics
-from ..lowering.array_call import array_call
 from ..lowering.backends import chosen
 from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
@@ -50,6 +50,8 @@ class Shooting(Transcribed):
         phase: its number.
         leaves: states and controls by name, in the order of the unknowns.
         states: names of the states' tangents.
+        turns: (n,) which tangents are rotations.
+        paced: where the control stands that says how long intervals are.
         alike: state -> the one whose scale it has, in this phase or in the first.
     """
 
@@ -78,7 +80,7 @@ class Shooting(Transcribed):
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border
-        self._paced = None if pace is None else self.local.controls.slices[pace]
+        self.paced = None if pace is None else self.local.controls.slices[pace]
         self.size = self.n + self.m + border.size
         self.path = path
         self.backend = backend = chosen(
@@ -111,6 +113,12 @@ class Shooting(Transcribed):
         self.stirred[-1, layout.fixed] = False
         whole = slice(0, self.nodes), slice(0, self.intervals), np.arange(self.n + self.m)
         self.segments, self.joins = [Segment(0, self, *whole, alone=True)], []
+
+    def by(self, local: Local) -> Shooting:
+        """The same with other functions of single points; only for these."""
+        found = copy.copy(self)
+        found.local = local
+        return found
 
     def _interval_of(self, transcription: MultipleShooting | Collocation, asked: Array) -> Interval:
         """The maths of an interval, with these of the path rows at its points."""
@@ -160,27 +168,18 @@ class Shooting(Transcribed):
     def rows_of(self, part: Segment, rows: Any) -> Any:
         return rows
 
-    def charts(self, xs: Arrays, d: jax.Array) -> jax.Array:
-        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
-        group = self.dynamics.group
-
-        def change(base: Arrays, d: jax.Array, e: jax.Array) -> jax.Array:
-            return group.difference(group.retract(base, d), group.retract(base, d + e))
-
-        return jax.vmap(jax.jacfwd(change, argnums=2), in_axes=(0, 0, None))(xs, d, jnp.zeros(self.n, d.dtype))
-
     # ---- values -------------------------------------------------------------------------------------------------
 
-    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
+    def values(self, point: Point, given: Given) -> Values:
+        """Cost, defects and rows at a point."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), point.us.dtype)
         slots, shared = self._slots(point), (point.border, given.params)
         rolled = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(slots, left, d[:-1], point.us, *shared)
         rows, costs = jax.vmap(self._interval.at_points, in_axes=(0, 0, 0, 0, None, None))(
             slots, left, rolled, point.us, *shared
         )
-        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right) - d[1:]
+        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right)
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)
@@ -257,7 +256,7 @@ class Shooting(Transcribed):
 
     def _pace(self, u: jax.Array) -> Any:
         """How long the interval is over what its share says."""
-        return 1.0 if self._paced is None else u[self._paced][0]
+        return 1.0 if self.paced is None else u[self.paced][0]
 
     def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
         """The rows of the end and the final cost after a step z = [d, db] of the last node."""
@@ -270,16 +269,13 @@ class Shooting(Transcribed):
 
     # ---- derivatives --------------------------------------------------------------------------------------------
 
-    def derivatives(
-        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
-    ) -> Derivatives:
+    def derivatives(self, point: Point, y: jax.Array, w: jax.Array, given: Given) -> Derivatives:
         """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), y.dtype) if d is None else d
+        d = jnp.zeros((self.nodes, self.n), y.dtype)
         split = self.intervals * self.rows_per_interval
         inner, own = jnp.split(w[:split].reshape(self.intervals, -1), [len(self.layout.asked)], axis=1)
-        each = functools.partial(array_call, self._interval.derivatives)
-        found = jax.vmap(each, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
+        found = jax.vmap(self._interval.derivatives, in_axes=(0, 0, 0, 0, 0, 0, 0, None, None))(
             self._slots(point),
             left,
             d[:-1],

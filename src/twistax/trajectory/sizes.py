@@ -33,6 +33,7 @@ class Sizes(NamedTuple):
     steers: Array  # (m,) whether controls move states
 
 
+@np.errstate(all="ignore")
 def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) -> Sizes:
     """Sizes of states, controls and shared unknowns at a start.
 
@@ -65,8 +66,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
     for number in range(_ROUNDS):
         sure = d if number > 0 else np.where(between > 0.0, between, np.nan)  # at first others may be noise
-        with np.errstate(all="ignore"):
-            needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
+        needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
         wide = (box >= _WIDE * needed) & np.isfinite(needed)
         usual = np.where(np.isnan(box) | wide, np.where(np.isfinite(needed), needed, box), box)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
@@ -77,14 +77,19 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
         d = _drifting(d, drift, among)
         d = np.minimum(np.where(d < rounding, rounding, d), most)
-    with np.errstate(all="ignore"):  # a parameter that is zero counts with what moves a state by its size
-        of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
+    # A parameter that is zero counts with what moves a state by its size.
+    of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
     b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
     d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
     values = np.abs(point.us).max(axis=0, initial=0.0)
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
-    d, u, b = (np.where(np.isnan(a) | (a <= 0.0), 1.0, a) for a in (d, u, b))
+    d, u, b = (usable(a) for a in (d, u, b))
     return Sizes(d, u, b, (through > 0.0).any(axis=0))
+
+
+def usable(sizes: Array) -> Array:
+    """Sizes, and 1 in place of those that are not positive numbers."""
+    return np.where((sizes > 0.0) & np.isfinite(sizes), sizes, 1.0)
 
 
 def _half_range(leaf: State) -> Array:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import dataclasses
+import threading
 import time
 from abc import ABC, abstractmethod
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
 import jax
@@ -19,6 +20,7 @@ from ..walk import uncollected
 from .accuracy import MESH
 from .between import held
 from .border import Border
+from .budget import Budget
 from .cases import Cases, prepared
 from .core_solver import CoreSolver
 from .external import SolvedBy
@@ -28,14 +30,17 @@ from .mesh import Remeshed
 from .outcome import Callback, Outcome
 from .redundant_rows import redundant_rows
 from .refine import refined
-from .solver import Solver
 from .staged import Staged
+from .strategies import Strategy
 from .transcribed import Given, Point, Transcribed
 from .warm import WarmStart, warm_start, with_ends
 from .watch import Status
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
+
+#: Threads that solve one problem make its first solver once: that decides which rows there are.
+_MAKING = threading.RLock()
 
 One = TypeVar("One")
 Many = TypeVar("Many")
@@ -117,8 +122,7 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._solvers: dict[float, Solver] = {}
-        self._cores: dict[float, CoreSolver] = {}
+        self._cores: dict[tuple[float, int], CoreSolver] = {}
 
     def solve(
         self,
@@ -135,15 +139,20 @@ class Solvable(ABC, Generic[One, Many]):
         seed: int | None = None,
         callback: Callback | None = None,
         max_iterations: int = 1000,
+        max_seconds: float | None = None,
         tolerance: float = 1e-6,
         solver: Any = None,
         between: float | None = None,
         refine: Any = None,
         mesh_tolerance: float = MESH,
+        strategies: Collection[Any] = tuple(Strategy),
     ) -> One:
         """Optimise, from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not; a search for feasible points compiles when there is the first.
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
 
         In a problem of phases guess, initial, final, final_time and final_time_guess are dicts from names of phases to
         what is said here; those left out keep what they have.
@@ -164,8 +173,11 @@ class Solvable(ABC, Generic[One, Many]):
                 parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
                 at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
                 large as its scale, and as the guess's gaps.
-            callback: called with (iteration, cost, violation) before each step.
+            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
+                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
             max_iterations: iterations a try may use.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
+                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
@@ -179,8 +191,10 @@ class Solvable(ABC, Generic[One, Many]):
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
                 within this of its planned end, in scales of the states, and the objective changes by no more than this,
                 relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Every mesh compiles. The status is COARSE, too, where a thousand
-                nodes are not enough.
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
+            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
+                method alone. Solvers of others have some of their own.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
@@ -211,6 +225,14 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+        for strategy in strategies:
+            if not isinstance(strategy, Strategy):
+                raise TrajectoryError(f"strategies expects members of tx.trajectory.Strategy, got {strategy!r}")
+        if max_seconds is not None:
+            number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
+            if solver is not None:
+                raise TrajectoryError(f"max_seconds: give it to the solver, {type(solver).__name__}(max_seconds=...)")
+        budget = Budget(max_iterations, max_seconds, report)
         with in_double():
             begin = time.perf_counter()
             arguments = (guess, initial, final, params, final_time, final_time_guess, free)
@@ -220,28 +242,26 @@ class Solvable(ABC, Generic[One, Many]):
             if self._is_bounded and (warm is None or guesses > 1):
                 plain = self.started(*arguments, self._sizes(core, plain, given)).point
             first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
-            others = None if solver is None else self._solver(float(tolerance), plain, given)
             compiled = time.perf_counter()
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None or others is None:
-                    return core.run(start, given, max_iterations, report)
-                accepted = core.run_once(start, given, 0) if isinstance(start, WarmStart) else None
-                if accepted is not None and accepted.status is Status.SOLVED:
-                    return accepted
-                begin = start if isinstance(start, WarmStart) else jax.device_put(start)
-                found: Outcome = solver.run(others, begin, jax.device_put(given), max_iterations, report)
+                if solver is None:
+                    budget.used = 0
+                    return core.run(start, given, budget, strategies)
+                found: Outcome = solver.run(core, start, given, max_iterations, report)
                 return found
 
             for attempt in range(guesses):
+                if budget.ended is not None:
+                    break
                 start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
                     start = core.perturbed(plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
-                    found = held(self, found, given, own, run, between)
+                    found = held(self, found, given, own, run, between, core.staged)
                 exceeded = tolerance if between is None else max(tolerance, between)
                 outcomes.append(core.judge.judged(found, given, mesh_tolerance, exceeded))
             done = time.perf_counter()
@@ -251,9 +271,11 @@ class Solvable(ABC, Generic[One, Many]):
         asked: dict[str, Any] = {"initial": initial, "final": final, "params": params, "final_time": final_time}
         asked |= {"free": free, "max_iterations": max_iterations, "tolerance": tolerance}
         asked |= {"solver": solver, "callback": callback, "mesh_tolerance": mesh_tolerance}
+        asked["strategies"] = strategies
         spent: list[Any] = [result]
 
         def again(problem: Any, warm: Any, between: float | None = None) -> Any:
+            asked["max_seconds"] = budget.seconds_left
             spent.append(problem.solve(warm=warm, between=between, **asked))
             return spent[-1]
 
@@ -319,24 +341,16 @@ class Solvable(ABC, Generic[One, Many]):
         return found
 
     def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
-        """The solver; its kernels compile once."""
-        if tolerance not in self._cores:
-            with uncollected():
-                staged = next((core.staged for core in self._cores.values()), None)
-                if staged is None:
-                    staged = Staged(self.shooting, self.parts, given)
+        """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
+        key = (tolerance, threading.get_ident())
+        if key not in self._cores:
+            with _MAKING, uncollected():
+                first = next((core.staged for core in self._cores.values()), None)
+                staged = Staged(self.shooting, self.parts, given) if first is None else first.alone(given)
+                if first is None:
                     staged.drop(redundant_rows(staged, point, given), given)
-                self._cores[tolerance] = CoreSolver(staged, self.parts, given, tolerance)
-        return self._cores[tolerance]
-
-    def _solver(self, tolerance: float, point: Point, given: Given) -> Solver:
-        """What measures results of solvers of others, compiled."""
-        if tolerance not in self._solvers:
-            with uncollected():
-                solver = Solver(self.shooting, tolerance)
-                solver.steps.prepare(point, given)
-            self._solvers[tolerance] = solver
-        return self._solvers[tolerance]
+                self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
+        return self._cores[key]
 
 
 def check_mesh_tolerance(size: Any) -> None:

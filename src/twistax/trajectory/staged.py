@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import copy
-from collections.abc import Callable, Iterator, Mapping, Sequence
+import dataclasses
+from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,9 +12,12 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
+from ..expr import Expr
+from ..expr.without_numbers import Structure
 from ..precision import in_double
 from ..solver.kernels import Argument, SmoothKernels
 from ..solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Method, Phase, PhaseKernels, Transcription
+from .alike import Layout, group_key
 from .conditions import Conditions
 from .flat import Flat, Numbers
 from .interval import simpson
@@ -38,54 +42,95 @@ def method_of(transcription: MultipleShooting | Collocation) -> Method:
     return Method(square, np.asarray(tableau.b[: len(c)]), np.asarray(c), substeps, False, weights)
 
 
+#: A function of arguments, numbers of a solve and parameters.
+_Traced = Callable[..., jax.Array]
+
+
 class Functions:
-    """The functions of a phase as kernels read them: of (eta, u, p), shares, points of nodes, and numbers."""
+    """The functions of a phase as kernels read them: of (eta, u, p), shares, points of nodes, and numbers.
+
+    Numbers within expressions are arguments too: kernels of phases that differ in them alone are one.
+    """
 
     def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
         self._shooting, self._numbers = shooting, numbers
-        self.point = point_of(shooting)
+        self.point, self._layout = point_of(shooting), Layout(shooting, numbers)
 
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
         of_q = {Argument.Z: own.size, Argument.SHARE: 1, Argument.BASE: self.point.size, Argument.DATA: data}
         of_node = {**of_q, Argument.Z: n + g}
+        of_end = {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data}
         gap = {Argument.Z: n, Argument.BASE: self.point.size, Argument.TARGET: self.point.size}
-        conditions = [(k, SmoothKernels(self._node(rows), of_node)) for k, rows in nodes.items()]
-        end = SmoothKernels(self._end, {Argument.Z: n + g, Argument.BASE: self.point.size, Argument.DATA: data})
+        boxes, group = self._layout.boxes, group_key(own)
+        places = (tuple(own.layout.fixed), tuple(own.layout.end_states))
+        at_end = ("end", boxes, *places, own.is_last and tuple(own.border.finite))
+        made, pace = own.local.expressions, own.paced and (own.paced.start, own.paced.stop)
+        conditions = [(k, self._of(self._node(c), of_node, [c.residuals], "node")) for k, c in nodes.items()]
+        end = self._of(self._end, of_end, [made.conditions, made.rows, made.limits, made.final], at_end)
         flat = all(factor.flat for factor in own.dynamics.group.factors.values())
         move = {Argument.Z: n, Argument.BASE: self.point.size}
         return PhaseKernels(
-            SmoothKernels(self._rate, of_q),
-            SmoothKernels(self._rows, of_q),
-            SmoothKernels(self._gap, gap),
+            self._of(self._rate, of_q, [made.rates], ("rate", pace)),
+            self._of(self._rows, of_q, [made.rows, made.limits, made.running], ("rows", pace, boxes)),
+            SmoothKernels(self._gap, gap, key=("gap", group)),
             [*conditions, (own.intervals, end)],
-            None if flat else SmoothKernels(self._retract, move, 0).kernels[0],
-            None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0).kernels[0],
+            None if flat else SmoothKernels(self._retract, move, 0, ("retract", group)).kernels[0],
+            None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0, ("turn", group)).kernels[0],
         )
 
-    def _rate(self, q: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        return self._shooting.rate_at(q, share[0], self.point.split(base), self._numbers.params(data))
+    def _of(
+        self, function: _Traced, arguments: Mapping[Argument, int], parts: Sequence[Sequence[Expr]], rest: Hashable
+    ) -> SmoothKernels:
+        """The kernels of a function of (arguments, all parameters, expressions).
 
-    def _rows(self, q: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        return self._shooting.point_at(q, share[0], self.point.split(base), self._numbers.params(data))
+        Args:
+            parts: the expressions, in groups.
+            rest: what it depends on beside these and the layout.
+        """
+        structure = Structure([expr for part in parts for expr in part], self._layout.token)
+
+        def traced(*given: jax.Array) -> jax.Array:
+            count = len(arguments)
+            data, roots = given[list(arguments).index(Argument.DATA)], iter(structure.roots)
+            params = self._numbers.params(data) | (structure.params(given[count]) if given[count:] else {})
+            exchanged = [tuple(next(roots) for _ in part) for part in parts]
+            return function(*given[:count], params, *exchanged)
+
+        key = (self._layout.key, structure.key, tuple(map(len, parts)), rest)
+        return SmoothKernels(traced, arguments, 2, key, structure.numbers)
+
+    def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
+        """The phase with other expressions."""
+        local = self._shooting.local
+        return self._shooting.by(local.made_of(local.expressions._replace(**exprs)))
+
+    def _rate(self, q: jax.Array, share: jax.Array, base: jax.Array, _: Any, params: Any, rates: Any) -> jax.Array:
+        return self._made_of(rates=rates).rate_at(q, share[0], self.point.split(base), params)
+
+    def _rows(
+        self, q: jax.Array, share: jax.Array, base: jax.Array, _: Any, params: Any, rows: Any, limits: Any, running: Any
+    ) -> jax.Array:
+        own = self._made_of(rows=rows, limits=limits, running=running)
+        return own.point_at(q, share[0], self.point.split(base), params)
 
     def _gap(self, eta: jax.Array, base: jax.Array, target: jax.Array) -> jax.Array:
         return self._shooting.local.gap(eta, self.point.split(base), self.point.split(target))
 
-    def _end(self, z: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
-        own, numbers = self._shooting, self._numbers
-        none = jnp.zeros(own.border.size, z.dtype)
-        given = Given(numbers.params(data), numbers.final(data, own.phase), numbers.limits(data))
+    def _end(self, z: jax.Array, base: jax.Array, data: jax.Array, params: Any, *exprs: Any) -> jax.Array:
+        own = self._made_of(**dict(zip(("conditions", "rows", "limits", "final"), exprs, strict=True)))
+        none, numbers = jnp.zeros(own.border.size, z.dtype), self._numbers
+        given = Given(params, numbers.final(data, own.phase), numbers.limits(data))
         return own.end_at(z, (self.point.split(base), none), given)
 
-    def _node(self, conditions: Conditions) -> Callable[..., jax.Array]:
-        def at_node(z: jax.Array, share: jax.Array, base: jax.Array, data: jax.Array) -> jax.Array:
+    def _node(self, conditions: Conditions) -> _Traced:
+        def at_node(z: jax.Array, share: jax.Array, base: jax.Array, _: Any, params: Any, residuals: Any) -> jax.Array:
             own = self._shooting
             b, x = z[own.n :], own.dynamics.group.retract(self.point.split(base), z[: own.n])
             begin, length = own.span(b)
-            params = self._numbers.params(data) | own.border.params(b)
-            return conditions.values(begin + share[0] * length, x, params)
+            asked = dataclasses.replace(conditions, residuals=residuals)
+            return asked.values(begin + share[0] * length, x, params | own.border.params(b))
 
         return at_node
 
@@ -96,17 +141,19 @@ class Functions:
     def _turn(self, c: jax.Array) -> jax.Array:
         return self._shooting.dynamics.group.left_jacobian(c).reshape(-1)
 
+    def join(self, join: Join, after: Shooting) -> JoinKernels:
+        """The kernels of a join to the next phase."""
+        before, numbers, first = self._shooting, self._numbers, point_of(after)
 
-def join_kernels(join: Join, before: Shooting, after: Shooting, numbers: Numbers) -> JoinKernels:
-    """The kernels of a join between two phases."""
-    last, first = point_of(before), point_of(after)
+        def gap(z: Any, base: Any, target: Any, data: Any, params: Any, sources: Any) -> jax.Array:
+            here = (self.point.split(base), jnp.zeros(before.border.size, z.dtype))
+            given = numbers.initial(data, after.phase)
+            return join.made_of(sources).gap_at(z, here, first.split(target), given, params)
 
-    def gap(z: jax.Array, base: jax.Array, target: jax.Array, data: jax.Array) -> jax.Array:
-        here = (last.split(base), jnp.zeros(before.border.size, z.dtype))
-        return join.gap_at(z, here, first.split(target), numbers.initial(data, after.phase), numbers.params(data))
-
-    arguments = {Argument.Z: before.n + before.border.size, Argument.BASE: last.size, Argument.TARGET: first.size}
-    return JoinKernels(SmoothKernels(gap, {**arguments, Argument.DATA: numbers.size}), join.free)
+        arguments = {Argument.Z: before.n + before.border.size, Argument.BASE: self.point.size}
+        arguments |= {Argument.TARGET: first.size, Argument.DATA: numbers.size}
+        rest = ("join", group_key(after), after.phase, join.key)
+        return JoinKernels(self._of(gap, arguments, [join.sources], rest), join.free)
 
 
 def point_of(shooting: Shooting) -> Flat:
@@ -223,14 +270,12 @@ class Staged:
         self.numbers = Numbers([point_of(part.shooting) for part in parts], given)
         self.parts: list[Part] = []
         with in_double():
-            joins = [
-                join_kernels(join, before.shooting, after.shooting, self.numbers)
-                for join, before, after in zip(transcribed.joins, parts, parts[1:])
-            ]
-            for segment, part, join in zip(transcribed.segments, parts, [*joins, None]):
+            every = [Functions(part.shooting, self.numbers) for part in parts]
+            pairs = zip(every, transcribed.joins, parts[1:])
+            joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
+            for segment, part, functions, join in zip(transcribed.segments, parts, every, [*joins, None]):
                 rows = dict(part.node_rows)
-                kernels = Functions(part.shooting, self.numbers).kernels(rows)
-                self.parts.append(Part(segment, rows, method_of(part.transcription), kernels, join))
+                self.parts.append(Part(segment, rows, method_of(part.transcription), functions.kernels(rows), join))
         self._assemble(given)
 
     def _assemble(self, given: Given) -> None:

@@ -20,6 +20,7 @@ class StartUnits:
         rows, equalities, cost: of the rows and the objective.
     """
 
+    @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
     def __init__(self, staged: Staged, point: Point) -> None:
         at = Evaluated(staged.transcription, staged.flat(point))
         good, stages = at.differentiate(), at.stages

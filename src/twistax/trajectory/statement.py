@@ -187,7 +187,7 @@ def describe_path(
         loose.append(any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves_of(row)))
     bounds = tuple(
         dataclasses.replace(b, reads=Reads.ENDS) if b.leaf in straight else b
-        for b in bounds_of((*dynamics.states, *dynamics.controls))
+        for b in bounds_of((*dynamics.states, *dynamics.controls, *norms.controls))
     )
     boxes, named = [b.name for b in bounds], functions.constraint_names
     shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]

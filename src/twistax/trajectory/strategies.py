@@ -5,13 +5,15 @@ Each uses the solver as it is, from another start or in other units.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import enum
+from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from . import durations
-from .outcome import Callback, Outcome
+from .budget import Budget
+from .outcome import Outcome
 from .transcribed import Given, Point, Step
 from .warm import WarmStart
 from .watch import AT_OPTIMUM, Status
@@ -31,8 +33,8 @@ _NOISE = 100.0
 _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
-#: The share of all iterations that one run may take: some are left for other strategies.
-_MOST = 0.5
+#: Iterations that one run may take: those left of the default are for other strategies.
+_MOST = 500
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -41,40 +43,63 @@ _AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
 _AWAY = (0.1, 0.3, 1.0)
 
 
+class Strategy(enum.Enum):
+    """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
+
+    RESCALING = "scales are measured anew within a run, and the run is repeated where they do not fit its result"
+    STATED_SCALES = "a run that fails is repeated in the units of the statement"
+    PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
+    FIXED_DURATIONS = "where nothing else helps, free durations are fixed first"
+    LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
+
+
 def solved(
-    solver: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+    solver: CoreSolver,
+    start: Point | WarmStart,
+    given: Given,
+    budget: Budget,
+    strategies: Collection[Strategy] = tuple(Strategy),
 ) -> Outcome:
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
-    count = 0
+    rescaling = Strategy.RESCALING in strategies
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
-        nonlocal count
-        before, most = count, min(round(_MOST * max_iterations), max(max_iterations - count, 0))
-        later = None if callback is None else lambda k, *rest: callback(before + k, *rest)
-        found = solver.run_once(begin, given, most, later, cost_floor=floor, as_stated=as_stated)
-        count += found.iterations
-        return found
+        most = min(_MOST, budget.left)
+        found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling)
+        budget.used += min(found.iterations, most)
+        return found._replace(status=budget.ended or found.status) if found.status is Status.STOPPED else found
+
+    def fitting(begin: Any, given: Given) -> Outcome:
+        return in_fitting_units(solver, once, begin, given) if rescaling else once(begin, given)
+
+    def at_minimum(result: Outcome, given: Given) -> Outcome:
+        if Strategy.LEAVING_SADDLES not in strategies:
+            return result
+        return at_a_minimum(solver, lambda other: fitting(other, given), result)
 
     def near(begin: Any, given: Given) -> Outcome:
-        first = in_fitting_units(solver, once, begin, given)
-        return at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), first)
+        return at_minimum(fitting(begin, given), given)
+
+    def may_repeat(strategy: Strategy) -> bool:
+        return result.status in _AT_REST and not budget.is_spent and strategy in strategies
 
     result = near(start, given)
-    if result.status is Status.INFEASIBLE and result.iterations <= 1:  # before the first step
-        return result
-    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
+    at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
+    if at_once or not isinstance(start, Point):
+        return result._replace(iterations=budget.used)
+    if may_repeat(Strategy.STATED_SCALES):
         stated = once(start, given, as_stated=True)  # the units of a statement are often well chosen
         if stated.status in AT_OPTIMUM:
-            result = at_a_minimum(solver, lambda other: in_fitting_units(solver, once, other, given), stated)
+            result = at_minimum(stated, given)
     for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
-        if result.status not in _AT_REST or not isinstance(start, Point) or count >= max_iterations:
+        if not may_repeat(Strategy.PERTURBED_STARTS):
             break
         other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
         if other.status in AT_OPTIMUM:
             result = other
-    if result.status in _AT_REST and isinstance(start, Point) and count < max_iterations:
-        result = with_fixed_durations(solver, near, result, start, given, lambda: count < max_iterations)
-    return result._replace(iterations=count)
+    if may_repeat(Strategy.FIXED_DURATIONS):
+        result = with_fixed_durations(solver, near, result, start, given, budget)
+    return result._replace(iterations=budget.used)
 
 
 def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, given: Given) -> Outcome:
@@ -94,13 +119,13 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
             break
         if result.status in AT_OPTIMUM:
-            measured = solver.run_once(_warm(result, given), given, 0)
+            measured = solver.run_once(warm_at(result, given), given, 0)
             if measured.status in AT_OPTIMUM:
                 result = measured._replace(iterations=result.iterations, saddle=result.saddle)
                 break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(_warm(result, given) if near else result.point, given, floor)
+        again = solve(warm_at(result, given) if near else result.point, given, floor)
         if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
@@ -110,7 +135,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     return result
 
 
-def _warm(result: Outcome, given: Given) -> WarmStart:
+def warm_at(result: Outcome, given: Given) -> WarmStart:
     """A start at a result."""
     return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, given.params)
 
@@ -131,17 +156,17 @@ def with_fixed_durations(
     rested: Outcome,
     start: Point,
     given: Given,
-    may_go_on: Callable[[], bool],
+    budget: Budget,
 ) -> Outcome:
     """What runs find that begin with fixed durations; the earlier outcome if no such run succeeds.
 
     Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
     """
     for point, fixed in durations.fixed(solver.staged.border, start, given):
-        if not may_go_on():
+        if budget.is_spent:
             break
         found = solve(point, fixed)
-        if found.status is not Status.SOLVED or not may_go_on():
+        if found.status is not Status.SOLVED or budget.is_spent:
             continue
         freed = solve(found.point, given)
         if freed.status is Status.SOLVED:

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
-import numpy as np
 from numpy import ndarray as Array
 
 from ..jax_inside import quick_compile
@@ -115,7 +113,6 @@ class Transcribed(ABC):
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
             decides are looked at where a search starts.
-        turns: (n,) or (nodes, n) which tangents are rotations.
         segments, joins: the phases, and what is between them.
     """
 
@@ -134,23 +131,8 @@ class Transcribed(ABC):
     own: Array
     free: Step
     stirred: Array
-    turns: Array
     segments: Sequence[Segment]
     joins: Sequence[Any]
-
-    @functools.cached_property
-    def steered(self) -> Array:
-        """(intervals, m) which controls are free; jumps between phases, which stand among them, are none."""
-        found = np.array(self.free.u)
-        found[[join.stage for join in self.joins]] = False
-        return found
-
-    def along(self, us: jax.Array) -> jax.Array:
-        """(intervals, m) the largest of each column along its phase, of jumps in their place alone."""
-        stages = [part.stages for part in self.segments] + [slice(j.stage, j.stage + 1) for j in self.joins]
-        for own in stages:
-            us = us.at[own].set(us[own].max(axis=0, keepdims=True))
-        return us
 
     @abstractmethod
     def drop(self, rows: Sequence[Array]) -> None:
@@ -159,29 +141,6 @@ class Transcribed(ABC):
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
         """What an entry of the defects is called, and where it is."""
-
-    @abstractmethod
-    def move(self, point: Point, step: Step) -> Point:
-        """The point after a step."""
-
-    @functools.cached_property
-    def moved(self) -> Callable[[Point, Step], Point]:
-        """The same, compiled."""
-        return jitted(self.move, 0)
-
-    @abstractmethod
-    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
-        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
-
-    @abstractmethod
-    def derivatives(
-        self, point: Point, y: jax.Array, w: jax.Array, given: Given, d: jax.Array | None = None
-    ) -> Derivatives:
-        """First derivatives, and the second of cost + y.defects + w.rows; y as the defects, w as the rows."""
-
-    @abstractmethod
-    def charts(self, xs: Any, d: jax.Array) -> jax.Array:
-        """(nodes, n, n) derivatives by e at 0 of Log((x Exp(d))^-1 x Exp(d + e)): charts at x to those at x Exp(d)."""
 
     @property
     @abstractmethod

@@ -50,6 +50,10 @@ class MultipleShooting:
         """The method of a replay that names none."""
         return RKMK(RK4)
 
+    def rolling(self, samples: int) -> MultipleShooting:
+        """The same for the core, in so many steps of an interval."""
+        return MultipleShooting(RKMK(RK4), samples)
+
 
 @dataclasses.dataclass(frozen=True)
 class Collocation:
@@ -87,6 +91,11 @@ class Collocation:
     def replaying(self) -> Method:
         """The method of a replay that names none: implicit where the tableau is one for stiff systems."""
         return ImplicitRKMK(self.tableau) if self.tableau.stiffly_accurate else RKMK(RK4)
+
+    def rolling(self, samples: int) -> MultipleShooting | Collocation:
+        """The same for the core, in so many steps of an interval."""
+        stiff = self.tableau.stiffly_accurate
+        return Collocation(self.tableau, samples) if stiff else MultipleShooting(RKMK(RK4), samples)
 
 
 def transcription_of(given: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:

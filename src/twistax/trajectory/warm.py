@@ -1,27 +1,21 @@
-"""Warm starts: states, controls, times, multipliers and scales of a solution, and a barrier that fits the distance."""
+"""Warm starts: states, controls, times, multipliers and scales of a solution."""
 
 from __future__ import annotations
 
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
 from ..checks import short, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
-from .interior_point import InteriorPoint
-from .iterate import Scales, State
+from .iterate import Scales
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
     from .solving import Solvable
-
-#: The barrier parameter of a start over its largest violation, and the limits of that parameter.
-_SHARE, _LEAST, _MOST = 1e-3, 1e-7, 0.1
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -34,7 +28,6 @@ class WarmStart:
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
         params: the parameters that it was solved for.
-        as_solved: its point before ends were put in, where the first node, times and parameters stay; else None.
     """
 
     problem: Solvable[Any, Any] | None
@@ -43,7 +36,6 @@ class WarmStart:
     rows: Array  # (rows,)
     scales: Scales
     params: dict[str, Array]
-    as_solved: Point | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
@@ -112,14 +104,7 @@ def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Gi
     if shapes != expected:
         raise other_problem()
     own = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
-    before, now = ((_first_node(p.xs), p.border, params) for p, params in ((point, warm.params), (own, given.params)))
-    stays = all(np.array_equal(a, b) for a, b in zip(jax.tree.leaves(before), jax.tree.leaves(now), strict=True))
-    return dataclasses.replace(warm, point=own, as_solved=point if stays else None)
-
-
-def _first_node(xs: Any) -> Any:
-    """The states of the first node, of the first phase."""
-    return {name: a[0] for name, a in (xs[0] if isinstance(xs, tuple) else xs).items()}
+    return dataclasses.replace(warm, point=own)
 
 
 def other_problem() -> TrajectoryError:
@@ -127,29 +112,4 @@ def other_problem() -> TrajectoryError:
     return TrajectoryError(
         "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
         "  fix: give its xs and us as guess"
-    )
-
-
-def begin(method: InteriorPoint, point: Point, dynamics: Any, rows: Any, scales: Scales, given: Given) -> State:
-    """The state at a warm start. The further its rows and dynamics are from holding, the higher its barrier.
-
-    Every product of a slack and its multiplier is the barrier parameter. Rows with a multiplier keep it, and their
-    slacks are pushed off zero; the others keep their slacks.
-    """
-    state = method.start(point, given, scales)
-    values = method.scaled(state.values, scales)
-    free = jnp.maximum(-values.rows, 0.0)
-    broken = jnp.abs(method.violation(values, jnp.where(method.inequality, free, 1.0))).max(initial=0.0)
-    error = jnp.maximum(jnp.abs(values.defects).max(initial=0.0), broken)
-    barrier = jnp.clip(_SHARE * error, _LEAST, _MOST)
-    rows = jnp.where(method.exists, rows * scales.rows / scales.cost, 0.0)
-    # A row that hardly matters and is broken is pushed off by its size at most.
-    pushed = jnp.minimum(barrier / jnp.maximum(rows, 1e-300), jnp.sqrt(barrier))
-    slack = jnp.where(method.inequality, jnp.maximum(free, pushed), 1.0)
-    return state._replace(
-        slack=slack,
-        dynamics=dynamics * scales.d[1:] / scales.cost,
-        rows=jnp.where(method.inequality, barrier / slack, rows),
-        barrier=barrier,
-        first=method.theta(values, slack),
     )

@@ -25,6 +25,7 @@ from . import (
     statuses,
     steps,
     stiff,
+    strategies,
     trust,
 )
 
@@ -79,6 +80,7 @@ OPTIMAL: dict[str, Section] = {
     "ratios": optimal.RATIOS,
     "openscvx": rivals.OPENSCVX,
     "times": optimal.TIMES,
+    "strategies": strategies.STRATEGIES,
 }
 
 #: Names that `--only` takes.

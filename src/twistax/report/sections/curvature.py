@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...precision import in_double
-from ...trajectory.program import Program, Reference
+from ...trajectory.program import Program
 
 #: A scaled multiplier above this binds if it is larger than its slack; a curvature below this counts as zero.
 _BINDS, _FLAT = 1e-6, 1e-6
@@ -27,19 +27,17 @@ def reduced_bends(result: Any) -> Array:
     problem, warm = result.problem, result.warm
     with in_double():
         given = problem.started().given
-        solver = problem._solver(1e-6, warm.point, given)
-        program: Program = solver.made.setdefault("second order", solver.program(with_copies=False))
-        scales, z = warm.scales, np.zeros(program.size)
-        about = Reference(warm.point, scales, given)
-        costates, weights = warm.dynamics * scales.d[1:] / scales.cost, warm.rows * scales.rows / scales.cost
-        multipliers = program.flat_multipliers(costates, weights)
-        _, g = program.values(z, about)
-        _, slopes = program.slopes(z, about)
-        bends = program.bend(z, about, 1.0, multipliers)
+        core = problem._core(1e-6, warm.point, given)
+        program: Program = core.made.setdefault("second order", Program(core.staged, given, with_copies=False))
+        x, lower, upper, of_bounds, of_rows = program.start(warm, given, core.units(warm.point, given))
+        _, g = program.values(x)
+        _, slopes = program.slopes(x)
+        bends = program.bend(x, 1.0, of_rows)
     J, H = np.zeros((program.count, program.size)), np.zeros((program.size, program.size))
     J[program.jacobian.rows, program.jacobian.columns] = slopes
     H[program.hessian.rows, program.hessian.columns] = bends
-    binds = (program.lower == program.upper) | ((multipliers > _BINDS) & (multipliers > -g))
-    _, sizes, basis = np.linalg.svd(J[binds])
+    binds = program.equality | ((of_rows > _BINDS) & (of_rows > -g))
+    at_bounds = (np.abs(of_bounds) > _BINDS) & (np.abs(of_bounds) > np.where(of_bounds > 0.0, upper - x, x - lower))
+    _, sizes, basis = np.linalg.svd(np.concatenate([J[binds], np.eye(program.size)[at_bounds]]))
     free = basis[int((sizes > 1e-9 * sizes.max(initial=0.0)).sum()) :]
     return np.linalg.eigvalsh(free @ H @ free.T)

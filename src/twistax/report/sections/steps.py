@@ -27,7 +27,7 @@ from ...lowering.small_call import small_call
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
-from ...trajectory.scaling import declared
+from ...trajectory.declared import declared
 from ..checks import Absent, Check, Section, agree, apart, at_most, between, raced, slow
 from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order, weighted_end

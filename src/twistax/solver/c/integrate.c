@@ -127,6 +127,8 @@ int32_t twx_integrate(twx_memory *t, const double *z) {
   if (*t->state > 0 && !differ(t->at, own, inner) && !differ(t->at + inner, p, (size_t)f->p)) return 0;
   *t->state = 0;
   memset(q_of(t, 0), 0, sizeof(double) * t->K * t->size);
+  for (size_t k = 0; f->steps && k < t->K; k++)
+    memcpy(q_of(t, 0) + k * t->size, f->steps + k * t->n, sizeof(double) * t->n);
   join(t, 0, NULL, z, 0);
   for (size_t j = 0; j < S; j++) {
     for (size_t i = 0; i < s; i++) join(t, stage_place(t, j * s + i), NULL, z, ((double)j + f->c[i]) / (double)S);

@@ -42,8 +42,8 @@ size_t twx_phase_work(const twx_phase *f) {
 void twx_call(const twx_kernel *f, const twx_memory *t, twx_inputs in, size_t rows, double *result, size_t size) {
   const int64_t stride = t->phase->point + t->phase->m; /* from a node to the next */
   const double *const target = in.target ? in.target : in.base ? in.base + stride : NULL;
-  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, in.weights};
-  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, (int64_t)in.weight_width};
+  const double *at[TWX_ARGUMENTS] = {in.z, in.share, in.base, target, t->phase->data, f->numbers, in.weights};
+  const int64_t strides[TWX_ARGUMENTS] = {(int64_t)in.width, 1, stride, stride, 0, 0, (int64_t)in.weight_width};
   int64_t table[2 * (TWX_ARGUMENTS + 1)];
   if (!f->run) {
     memset(result, 0, sizeof(double) * rows * size);

@@ -3,11 +3,11 @@
 
 /* ---- conditions at nodes -------------------------------------------------------------------------------------- */
 
-/* What the conditions at a node read: (eta, p) with eta zero, the share of the node, its point. */
+/* What the conditions at a node read: (eta, p) with eta the node's step, the share of the node, its point. */
 static twx_inputs node_inputs(const twx_memory *t, const double *z, const twx_node *node, double *share) {
   const twx_phase *f = t->phase;
   const size_t k = (size_t)node->stage;
-  memset(t->q_node, 0, sizeof(double) * t->n);
+  for (size_t i = 0; i < t->n; i++) t->q_node[i] = f->steps ? f->steps[k * t->n + i] : 0;
   memcpy(t->q_node + t->n, z + f->parameters_z, sizeof(double) * (size_t)f->p);
   *share = k < t->K ? f->starts[k] : f->starts[k - 1] + f->widths[k - 1];
   return (twx_inputs){.z = t->q_node, .width = t->n + (size_t)f->p, .share = share, .base = z + f->at.z[k],
@@ -93,14 +93,15 @@ void twx_join_values(const twx_memory *t, const double *z, double *c) {
   const twx_join *join = f->join;
   double *const gap = twx_at_stage(c, f->at.c, t->K);
   twx_call(&join->function.value, t, join_inputs(t, z), 1, gap, (size_t)join->function.rows);
+  for (int32_t i = 0; f[1].steps && i < join->function.rows; i++) gap[i] -= f[1].steps[i];
   for (int32_t i = 0; i < join->free_count; i++) gap[join->free[i]] = z[f->at.z[t->K] + f->point + i];
 }
 
-/* The left Jacobian of the join's defect, and where there is none 0. */
+/* The left Jacobian of the join's defect, and where rows are not multiplied by it 0. */
 static int32_t join_turn(twx_memory *t, const double *z, double *turn) {
   const twx_join *join = t->phase->join;
   const size_t rows = (size_t)join->function.rows;
-  if (!join->turn.run) return 0;
+  if (!join->turn.run || t->phase[1].steps) return 0;
   twx_call(&join->function.value, t, join_inputs(t, z), 1, t->rows, rows);
   twx_call(&join->turn, t, (twx_inputs){.z = t->rows, .width = rows}, 1, turn, rows * rows);
   return 1;

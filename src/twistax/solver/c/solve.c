@@ -95,6 +95,12 @@ static void end_at_best(twx_work *w) {
   report(w, &best);
 }
 
+static int32_t is_solution(const twx_work *w, const twx_measures *m) {
+  const twx_options *o = w->options;
+  return m->error <= o->tolerance && m->violation <= o->violation &&
+         (m->complementarity <= o->complementarity || m->gap <= o->gap * fabs(w->here.cost));
+}
+
 static twx_status iterate(twx_work *w) {
   const twx_options *o = w->options;
   const twx_problem *p = w->problem;
@@ -104,8 +110,7 @@ static twx_status iterate(twx_work *w) {
   for (twx_status status = TWX_SOLVED; status == TWX_SOLVED;) {
     const twx_measures m = twx_measure(w, 0);
     report(w, &m);
-    if (m.error <= o->tolerance && (m.complementarity <= o->complementarity || m.gap <= o->gap * fabs(w->here.cost)))
-      return TWX_SOLVED;
+    if (is_solution(w, &m)) return TWX_SOLVED;
     keep_best(w, &m);
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;

@@ -34,8 +34,8 @@ static int32_t push_inside(twx_work *w) {
       d[i] = w->lower[i] - v[i];
       continue;
     }
-    w->lower[i] -= o->bound_relaxation * twx_max(1, fabs(w->lower[i]));
-    w->upper[i] += o->bound_relaxation * twx_max(1, fabs(w->upper[i]));
+    if (twx_has(w->lower[i])) w->lower[i] -= o->bound_relaxation * twx_max(1, fabs(w->lower[i]));
+    if (twx_has(w->upper[i])) w->upper[i] += o->bound_relaxation * twx_max(1, fabs(w->upper[i]));
     d[i] = pushed(o, v[i], w->lower[i], w->upper[i]) - v[i];
   }
   memset(w->step.s, 0, sizeof(double) * w->rows);

@@ -104,12 +104,15 @@ static void gaps(twx_memory *t, const double *z, const twx_kernel *f, const doub
   twx_call(f, t, in, t->K, out, size);
 }
 
+/* Whether rows of defects are multiplied by their left Jacobians: in charts that stay they are not. */
+static int32_t is_turned(const twx_phase *f) { return f->turn.run && !f->steps; }
+
 /* Derivatives of the defects by eta at the ends, their rows multiplied by the left Jacobians of the defects. */
 static void gap_slopes(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
   const size_t n = t->n;
   gaps(t, z, &f->gap.slopes, NULL, t->gap_slopes, n * n);
-  if (!f->turn.run) return;
+  if (!is_turned(f)) return;
   gaps(t, z, &f->gap.value, NULL, t->defects, n);
   twx_call(&f->turn, t, (twx_inputs){.z = t->defects, .width = n}, t->K, t->turns, n * n);
   for (size_t k = 0; k < t->K; k++) {
@@ -142,7 +145,8 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
       for (size_t j = 0; j < n; j++) adjoint[k * n + j] += weights[k * n + i] * t->gap_slopes[(k * n + i) * n + j];
   if (!f->gap.bends.run) return;
   memset(t->weights, 0, sizeof(double) * t->K * n);
-  for (size_t k = 0; k < t->K; k++)
+  if (!is_turned(f)) memcpy(t->weights, weights, sizeof(double) * t->K * n);
+  for (size_t k = 0; is_turned(f) && k < t->K; k++)
     for (size_t i = 0; i < n; i++)
       for (size_t j = 0; j < n; j++) t->weights[k * n + j] += weights[k * n + i] * t->turns[(k * n + i) * n + j];
   gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
@@ -194,6 +198,7 @@ int32_t twx_transcribed_values(void *user, const double *z, double *cost, double
     if (twx_integrate(&t, z)) return 1;
     *cost += rows_values(&t, z, h, e) + twx_node_values(&t, z, h, e);
     gaps(&t, z, &f->gap.value, NULL, c + f->at.c[0], t.n);
+    for (size_t i = 0; f->steps && i < t.K * t.n; i++) c[(size_t)f->at.c[0] + i] -= f->steps[t.n + i];
     if (f->join) twx_join_values(&t, z, c);
   }
   return 0;

@@ -8,6 +8,9 @@
  * First derivatives are sensitivities of the stages by q. Second derivatives follow from their adjoints: each stage adds
  * G' M G, with M the second derivative of the rate weighted by its adjoint and G its sensitivity.
  *
+ * For solvers that know no manifolds nodes are steps d_k in charts at points that stay: eta begins at d_k, the defect is
+ * c_k - d_(k+1) as it is, and all derivatives are by d_k, exact at any step.
+ *
  * The functions rate, point, gap and so on are kernels: machine code for batches of rows. A phase calls each with a row
  * for every interval. Arrays of kernels are row-major, blocks of the core are column-major.
  */
@@ -15,12 +18,14 @@
 #define TWX_TRANSCRIPTION_H
 #include "core.h"
 
-/* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; weights. */
-typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
+/* What kernels read: q, or (eta, p); the share of the duration; points of nodes; numbers of the problem; numbers of the
+ * kernel; weights. */
+typedef enum { TWX_Z, TWX_SHARE, TWX_BASE, TWX_TARGET, TWX_DATA, TWX_NUMBERS, TWX_WEIGHTS, TWX_ARGUMENTS } twx_argument;
 
 typedef struct { /* rows of the arrays in a table, from first to end; NULL: the result is zero */
   void (*run)(const int64_t *table, int64_t first, int64_t end);
   int32_t reads, argument[TWX_ARGUMENTS];
+  const double *numbers; /* that stay: problems that differ in these alone share machine code */
 } twx_kernel;
 
 typedef struct { /* a vector with its first derivative, and the second of a weighted sum */
@@ -58,6 +63,7 @@ typedef struct {
   const double *data;
   const int32_t *place;         /* of path rows: (intervals, substeps + 1, path_rows) */
   const double *margins;        /* by which path rows are tightened, the same */
+  const double *steps;          /* (K + 1, n): nodes are these steps from their points, in the charts there; NULL: zero */
   twx_offsets at;
   twx_smooth rate, rows, gap;   /* rows: path constraints, then the density of the running cost */
   twx_kernel retract, turn;     /* turn: the left Jacobian of a defect, where the manifold is not flat */
