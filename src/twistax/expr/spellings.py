@@ -113,9 +113,18 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
 
 def _called(name: str, x: str) -> str:
     """A call of a function of NumPy, with dots for other arguments that it needs."""
-    parameters = inspect.signature(getattr(np, name)).parameters.values()
-    needed = [p for p in parameters if p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD)]
-    return f"np.{name}({x}, ...)" if len(needed) > 1 else f"np.{name}({x})"
+    function = getattr(np, name)
+    more = (function.nin if isinstance(function, np.ufunc) else _positional(function)) > 1
+    return f"np.{name}({x}, ...)" if more else f"np.{name}({x})"
+
+
+def _positional(function: Any) -> int:
+    """How many arguments a function needs; 1 where it does not say."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:
+        return 1
+    return sum(p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters)
 
 
 def _rank(expr: Any) -> int:
