@@ -1550,6 +1550,18 @@ MUTATIONS: list[Mutation] = [
             "jnp.where(k <= count, new, old), step(y, own), y)",
             "integrators/test_checkpointed.py",
         ),
+        (
+            "the time of a failure stands still",
+            "slope.outcome._replace(t=spoiled(good, slope.outcome.t))",
+            "slope.outcome",
+            "integrators/test_failed_derivatives.py",
+        ),
+        (
+            "crossings that were not reached stand still",
+            "crossings._replace(ts=ts, xs=states)",
+            "crossings",
+            "integrators/test_failed_derivatives.py",
+        ),
     ),
     *_at(
         "integrators/implicit_rkmk.py",

@@ -243,7 +243,13 @@ def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any]) -> Rollou
         return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
 
     xs = spoiled(good if found.reached is None else found.reached, slope.xs)
-    return slope._replace(xs=xs, end=None if slope.end is None else spoiled(good, slope.end))
+    end = None if slope.end is None else spoiled(good, slope.end)
+    crossings = slope.crossings
+    if crossings is not None and found.crossings is not None:
+        ts, states = spoiled(found.crossings.which >= 0, (crossings.ts, crossings.xs))
+        crossings = crossings._replace(ts=ts, xs=states)
+    outcome = slope.outcome._replace(t=spoiled(good, slope.outcome.t))
+    return slope._replace(xs=xs, end=end, outcome=outcome, crossings=crossings)
 
 
 def _is_symbolic(slope: Any) -> bool:
