@@ -63,6 +63,7 @@ _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": (problems.reorientation, 3.24307, 1e-3),
     "rendezvous of least fuel: 1.212619, 31 nodes": (_of(problems.rendezvous, _FORMS[0]), 1.212619, 1e-5),
     "landing of the demo: 27,260 kg, 25 nodes": (problems.landing, 27_260.0, 1e-4),
+    "orbit raising of Bryson and Ho, linear: 1.525, 60 nodes": (problems.orbit_raising, 1.525, 1e-4),
     "robot arm of COPS: 9.14093 s, 51 nodes": (cops.robot_arm, 9.14093, 1e-3),
     "particle steering of COPS, linear: 0.554571 s, 51 nodes": (cops.particle_steering, 0.554571, 2e-6),
     "catalyst mixing of COPS: 0.0480556, 101 nodes": (cops.catalyst_mixing, 0.0480556, 1e-5),

@@ -67,6 +67,19 @@ def bryson_denham(nodes: Any = 61, **options: Any) -> Problem:
     return stated({x: v, v: u}, tx.Minimize(running=0.5 * u**2), final_time=1.0, **options)
 
 
+def orbit_raising(nodes: Any = 60, **options: Any) -> Problem:
+    """Farthest circular orbit from that of the Earth in 193 days of a small thrust; lengths in astronomical units.
+
+    Source: Bryson and Ho, Applied Optimal Control (1975), section 2.5.
+    """
+    r, vr, vt, angle = tx.State("r"), tx.State("vr"), tx.State("vt"), tx.Control("angle")
+    thrust = 0.1405 / (1.0 - 0.0749 * tx.Time())
+    rates = {r: vr, vr: vt**2 / r - 1.0 / r**2 + thrust * tx.Sin(angle), vt: -vr * vt / r + thrust * tx.Cos(angle)}
+    options |= {"nodes": nodes, "initial": {r: 1.0, vr: 0.0, vt: 1.0}, "final": [vr == 0.0, vt == 1.0 / tx.Sqrt(r)]}
+    guess = {angle: np.where(np.arange(nodes) < nodes // 2, 0.3, 5.9)}
+    return stated(rates, tx.Maximize(r), final_time=3.3193, controls=Linear(), guess=guess, **options)
+
+
 def cart_pole(nodes: Any = 51, **options: Any) -> Problem:
     """Swing-up in 2 s by least squared force. Source: Kelly, SIAM Review 59 (2017), section 6 and appendix E."""
     cart, pole, g, length = 1.0, 0.3, 9.81, 0.5
