@@ -21,6 +21,7 @@ LAYERS = [
     "jax_inside",
     "table_load",
     "in_range",
+    "processors",
     "precision",
     "checks",
     "progress",

@@ -11,7 +11,6 @@ import contextlib
 import importlib
 import math
 import os
-import threading
 import warnings
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from types import FrameType
@@ -215,18 +214,6 @@ def is_traced(tree: Any) -> bool:
 def is_tracing() -> bool:
     """Whether JAX is tracing anything here; True where that cannot be known."""
     return _nothing_traced is None or not _nothing_traced()
-
-
-def is_in_last_thread() -> bool:
-    """Whether this is a callback in XLA's only thread on the CPU: a program that it calls would wait for ever.
-
-    XLA starts as many threads as the process may use processors, or as the variable NPROC says. A callback runs in one
-    of them, or in the thread that called its program.
-    """
-    allowed = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count()
-    threads = os.environ.get("NPROC", str(allowed))
-    # Threads that Python has not started have such names.
-    return threading.current_thread().name.startswith("Dummy-") and threads == "1"
 
 
 def weakly_kept(cls: type[T]) -> type[T]:

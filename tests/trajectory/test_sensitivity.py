@@ -96,33 +96,16 @@ problem = tx.trajectory.Problem(
 optimum = tx.trajectory.solution(problem)
 cost = lambda k: optimum(params={"k": k}).cost
 plain = jax.grad(cost)(1.0)
-try:
-    assert abs(jax.jit(jax.grad(cost))(1.0) - plain) < 1e-9
-except jax.errors.JaxRuntimeError as error:
-    assert "NPROC=2" in str(error) and "NPROC" not in os.environ, error
-
-import threading, _thread
-found, done = [], threading.Event()
-
-def elsewhere():
-    try:
-        found.append(jax.grad(cost)(1.0))
-    finally:
-        done.set()
-
-_thread.start_new_thread(elsewhere, ())  # a thread that `threading` does not know
-done.wait(60.0)
-assert found == [plain]
+assert abs(jax.jit(jax.grad(cost))(1.0) - plain) < 1e-9
+assert abs(jax.jit(jax.vmap(jax.grad(cost)))(jax.numpy.ones(3)) - plain).max() < 1e-9
 """
 
 
 @pytest.mark.thorough
 @pytest.mark.skipif(not hasattr(os, "sched_setaffinity"), reason="no affinities here")
-@pytest.mark.parametrize("threads", [None, "2"])
-def test_one_processor_is_enough_or_an_error_says_what_is_missing(threads: str | None) -> None:
-    """XLA may have one thread there, which waits for the callback that calls XLA."""
+def test_one_processor_is_enough() -> None:
+    """XLA has one thread there, and a solve calls nothing back."""
     env = {key: value for key, value in os.environ.items() if key not in ("NPROC", "XLA_FLAGS")}
-    env |= {} if threads is None else {"NPROC": threads}
     done = subprocess.run([sys.executable, "-c", ALONE], env=env, capture_output=True, text=True, timeout=240)
     assert done.returncode == 0, done.stderr
 
@@ -137,6 +120,7 @@ def test_with_the_settings_of_users(monkeypatch: pytest.MonkeyPatch) -> None:
     slope = jax.grad(lambda end: own(final={"x": end}).cost)
     assert float(slope(1.5)) == pytest.approx(3.0, abs=1e-6)
     assert jax.jit(slope).lower(1.5)
+    assert float(jax.jit(jax.jacfwd(lambda end: own(final={"x": end}).cost))(1.5)) == pytest.approx(3.0, abs=1e-6)
 
 
 def test_poses_a_fixed_time_and_a_free_parameter() -> None:
@@ -193,8 +177,6 @@ def test_what_is_not_solved_is_said() -> None:
         crane()(initial={"p": 0.0, "v": 0.9 - 0.1}, final={"p": -1e-3, "v": 0.8}, params={"mass": 1e6})
     with pytest.raises(tx.TrajectoryError, match="the final time is free"):
         crane()(final_time=2.0)
-    with jax.enable_x64(False), pytest.raises(tx.TrajectoryError, match="double precision"):
-        solution(crane()._problem)  # type: ignore[attr-defined]
 
 
 def test_without_a_strict_minimum_there_is_no_derivative() -> None:
@@ -215,10 +197,11 @@ def test_without_a_strict_minimum_there_is_no_derivative() -> None:
     along = lambda end: jax.jvp(thrust, (end,), (1.0,))[1]  # noqa: E731
     with pytest.raises(TrajectoryError, match="no strict minimum"):
         along(1.0)
-    with pytest.raises(jax.errors.JaxRuntimeError, match="no strict minimum"):
-        jax.block_until_ready(jax.jit(along)(1.0))
+    assert np.isnan(jax.jit(along)(1.0)).all()
     with pytest.raises(InputError, match=r"final\['x'\] expects real numbers, got 'a'"):
         thrust("a")
+    with pytest.raises(InputError, match=r"params names 'mass'; the problem has none"):
+        jax.jit(lambda mass: optimum(params={"mass": mass}).cost)(1.0)
 
 
 def test_a_problem_of_a_traced_function() -> None:

@@ -57,6 +57,17 @@ def test_a_warm_start_far_away_is_solved_too() -> None:
     assert warm.cost == pytest.approx(cold.cost, rel=1e-6)
 
 
+def test_units_are_kept_close_by_and_measured_anew_far_away() -> None:
+    known = solution().warm.units
+    assert known is not None
+    near = regulator().solve(initial={"p": 1.01, "v": 0.5}, warm=solution()).warm.units
+    far = regulator().solve(initial={"p": -3.0, "v": 0.0}, warm=solution()).warm.units
+    assert near is not None
+    assert far is not None
+    np.testing.assert_array_equal(near.v, known.v)
+    assert far.cost > 2.0 * known.cost
+
+
 def test_what_is_shifted_holds_its_last_control_and_follows_the_dynamics() -> None:
     own, moved = solution(), solution().shifted(3)
     np.testing.assert_array_equal(moved.point.us[:-3, 0], own.us["u"][3:])

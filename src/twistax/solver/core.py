@@ -113,6 +113,12 @@ class StageFunctions:
     user: int = 0
     owner: Any = None
 
+    def check(self) -> None:
+        """Raise what a function raised in the last call."""
+        check = getattr(self.owner, "check", None)
+        if check is not None:
+            check()
+
     @property
     def addresses(self) -> dict[str, int]:
         """By the names that `twx_problem` has for them."""
@@ -159,7 +165,9 @@ class Solution:
     log: Array
 
 
-class _Problem(ctypes.Structure):
+class ProblemStructure(ctypes.Structure):
+    """`twx_problem`."""
+
     _fields_ = [
         ("intervals", ctypes.c_int32),
         ("parameters", ctypes.c_int32),
@@ -203,6 +211,43 @@ class _Solution(ctypes.Structure):
     _fields_ = [(name, ctypes.c_void_p) for name in _MULTIPLIERS]
 
 
+class Described(NamedTuple):
+    """A problem as the core reads it, and the arrays that its addresses are of."""
+
+    structure: ProblemStructure
+    memory: list[Array]
+
+
+def as_problem(
+    stages: Stages,
+    functions: StageFunctions,
+    lower: Array,
+    upper: Array,
+    units: Units,
+    largest_step: Array | None = None,
+) -> Described:
+    """A problem for the core; arguments are those of `solve`.
+
+    Raises:
+        TrajectoryError: arrays of other shapes.
+    """
+    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step, **units._asdict()}
+    cost_size = by_name.pop("cost")
+    variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
+    lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
+    lengths |= {"row_size": rows, "equality_size": equalities}
+    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
+    given |= {
+        name: np.asarray(getattr(stages, name), np.int32)
+        for name in ("states", "controls", "inequalities", "equalities", "point_states")
+        if getattr(stages, name) is not None
+    }
+    found = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    for name, address in ({name: a.ctypes.data for name, a in given.items()} | functions.addresses).items():
+        setattr(found, name, address or None)
+    return Described(found, list(given.values()))
+
+
 #: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
 #: solve.
 Watch = Callable[[int, float, float, Array], Any]
@@ -239,22 +284,11 @@ def solve(
         Exception: what `watch` raised.
     """
     arrays = _start(stages, z, z if v is None else v, warm)
-    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step, **(units or Units())._asdict()}
-    cost_size = by_name.pop("cost")
-    variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
-    lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
-    lengths |= {"row_size": rows, "equality_size": equalities}
-    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
-    counts = {
-        name: np.asarray(getattr(stages, name), np.int32)
-        for name in ("states", "controls", "inequalities", "equalities", "point_states")
-        if getattr(stages, name) is not None
-    }
-    statistics, problem = _Statistics(), _Problem(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    described = as_problem(stages, functions, lower, upper, units or Units(), largest_step)
+    statistics, problem = _Statistics(), described.structure
     watching = _Watching(watch, statistics, stages.points)
-    addresses = {name: a.ctypes.data for name, a in (given | counts).items()}
-    for name, address in (addresses | functions.addresses | watching.addresses).items():
-        setattr(problem, name, address or None)
+    for name, address in watching.addresses.items():
+        setattr(problem, name, address)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
     core = library()
     workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
@@ -264,10 +298,8 @@ def solve(
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
     status = Status(core.solve(*references[:2], *pointers))
-    for owner in (watching, functions.owner):
-        check = getattr(owner, "check", None)
-        if check is not None:
-            check()
+    watching.check()
+    functions.check()
     if status is Status._BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "

@@ -136,7 +136,7 @@ class _Unbound:
         cls, function: Callable[..., Any], shapes: list[tuple[int, ...]], arguments: list[Argument]
     ) -> _Unbound:
         """A function that JAX runs, called back by the core: for what has no native form."""
-        callback = _Callback(function, shapes)
+        callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
     def bound(self, numbers: Array) -> BatchKernel:
@@ -148,7 +148,7 @@ class _Unbound:
         return BatchKernel(*self._made, np.ascontiguousarray(numbers, float))
 
 
-class _Callback:
+class Callback:
     """A function of JAX that the core calls.
 
     Attributes:

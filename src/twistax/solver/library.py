@@ -6,20 +6,27 @@ import ctypes
 import functools
 import hashlib
 
+import jax
+
 from ..errors import ModelError
 from ..lowering.native import cache
 from ..lowering.native.machine_code import MachineCode, Processor, compiled, load, written_by
+from .sources import fingerprint
 from .text import kept_text
 
 #: What the machine code calls of the C library.
-_C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow")
+_C_LIBRARY = ("log", "log10", "memcpy", "memset", "pow", "sched_yield", "time")
 
 _VOID_POINTER = ctypes.c_void_p
 
 _NAMES = (
     *("twx_workspace_size", "twx_solve", "twx_phase_work", "twx_phase_states"),
     *("twx_qp_workspace_size", "twx_qp_solve"),
+    *("twx_form_memory", "twx_solve_members", "twx_linearised_members"),
 )
+
+#: Functions that XLA calls, by the targets that they are registered as.
+_HANDLERS = ("twx_solve_handler", "twx_linearised_handler")
 
 #: Functions of a transcribed problem, by what `StageFunctions` calls them.
 _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
@@ -35,11 +42,13 @@ class Library:
         phase_states: where a substep ends in the last integration.
         transcribed: addresses of the functions of a transcribed problem, see transcription.h.
         qp_workspace_size, qp_solve: the same of a dense quadratic program, see qp.h.
+        form_memory, solve_members, linearised_members: of members of a batch, see members.h.
+        targets: what `jax.ffi.ffi_call` calls the solve and the linearisation of a batch.
     """
 
     def __init__(self, code: MachineCode) -> None:
         self._code = code  # the memory of the functions
-        size, solve, work, states, qp_size, qp_solve = (code.addresses[name] for name in _NAMES)
+        size, solve, work, states, qp_size, qp_solve, *members = (code.addresses[name] for name in _NAMES)
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
@@ -47,6 +56,21 @@ class Library:
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
         self.qp_workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(qp_size)
         self.qp_solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 5)(qp_solve)
+        count, long, pointer = ctypes.c_int32, ctypes.c_int64, _VOID_POINTER
+        self.form_memory = ctypes.CFUNCTYPE(ctypes.c_size_t, pointer)(members[0])
+        self.solve_members = ctypes.CFUNCTYPE(None, pointer, long, *[pointer] * 3)(members[1])
+        self.linearised_members = ctypes.CFUNCTYPE(count, pointer, long, long, *[pointer] * 3)(members[2])
+
+    @functools.cached_property
+    def targets(self) -> tuple[str, str]:
+        # XLA keeps a target as long as the process lives, and takes a name once.
+        found = []
+        for name in _HANDLERS:
+            target = f"twistax_{name}_{fingerprint()[:16]}"
+            handler = ctypes.CFUNCTYPE(_VOID_POINTER, _VOID_POINTER)(self._code.addresses[name])
+            jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(handler), platform="cpu")
+            found.append(target)
+        return found[0], found[1]
 
 
 @functools.cache
@@ -68,4 +92,5 @@ def library() -> Library:
     if code is None:
         code = compiled(text, processor)
         cache.keep(key, code)
-    return Library(load(code, _C_LIBRARY, processor, [*_NAMES, *(f"twx_transcribed_{name}" for name in _TRANSCRIBED)]))
+    names = [*_NAMES, *_HANDLERS, *(f"twx_transcribed_{name}" for name in _TRANSCRIBED)]
+    return Library(load(code, _C_LIBRARY, processor, names))

@@ -25,10 +25,13 @@ _FILES = (
     "line_search",
     "restoration",
     "solve",
+    "linearised",
     "kernels",
     "integrate",
     "nodes",
     "transcription",
+    "members",
+    "handler",
     "qp_scale",
     "qp_measure",
     "qp_newton",
@@ -43,7 +46,8 @@ _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
-    own = [_expanded(_read(name), drop=("core.h",)) for name in ("transcription.h", "qp.h")]
+    others = ("transcription.h", "members.h", "qp.h")
+    own = [_expanded(_read(name), drop=("core.h", *others)) for name in others]
     return "".join([_expanded(_read("core.h")), *own])
 
 
@@ -52,7 +56,7 @@ def amalgamation() -> str:
     parts = ["#define TWX_INTERNAL static\n", header()]
     inner = ("work.h", "phase.h", "qp_work.h")
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
-    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", *inner)) for name in _FILES]
+    parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "members.h", *inner)) for name in _FILES]
     return "\n".join(parts)
 
 

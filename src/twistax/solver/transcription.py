@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from .core import StageFunctions, Stages
-from .kernels import BatchKernel, KernelStructure, SmoothKernels, SmoothStructure
+from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels, SmoothStructure
 from .library import library
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
@@ -181,7 +181,9 @@ class _Phase(ctypes.Structure):
     ]
 
 
-class _Transcription(ctypes.Structure):
+class TranscriptionStructure(ctypes.Structure):
+    """`twx_transcription`."""
+
     _fields_ = [("phases", ctypes.c_int32), ("phase", ctypes.c_void_p)]
 
 
@@ -196,6 +198,7 @@ class Transcription:
     Attributes:
         stages: sizes for the core.
         functions: for the core.
+        structure: its phases, for the core.
         first: the first stage of each phase.
         path_places: of each phase (intervals, substeps + 1, rows), the number of each path row among the inequalities,
             or among the equalities, of all stages; -1 where it is neither.
@@ -227,8 +230,8 @@ class Transcription:
         self._structures = (_Phase * len(phases))(*self._described(places, data))
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
-        self._user = _Transcription(len(phases), ctypes.addressof(self._structures))
-        self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self._user), owner=self)
+        self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
+        self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self.structure), owner=self)
 
     def set_data(self, data: Array) -> None:
         """Other numbers for the kernels."""
@@ -264,15 +267,34 @@ class Transcription:
         library().phase_states(ctypes.addressof(self._structures[phase]), substep, found.ctypes.data)
         return found
 
+    @property
+    def _kernels(self) -> list[BatchKernel]:
+        joins = [phase.join.gap.kernels for phase in self.phases if phase.join is not None]
+        return [kernel for own in [*(phase.kernels.every for phase in self.phases), *joins] for kernel in own]
+
+    @property
+    def called_back(self) -> list[str]:
+        """What has no native form, so that JAX runs it."""
+        found = []
+        for phase in self.phases:
+            own = phase.kernels
+            groups = {
+                "rates": own.rate.kernels,
+                "path constraints or the running cost": own.rows.kernels,
+                "conditions at nodes or the final cost": [kernel for _, node in own.nodes for kernel in node.kernels],
+            }
+            for name, kernels in groups.items():
+                if name not in found and any(isinstance(kernel.owner, Callback) for kernel in kernels):
+                    found.append(name)
+        return found
+
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
-        for phase in self.phases:
-            joined = [] if phase.join is None else phase.join.gap.kernels
-            for kernel in [*phase.kernels.every, *joined]:
-                error = getattr(kernel.owner, "error", None)
-                if error is not None:
-                    kernel.owner.error = None
-                    raise error
+        for kernel in self._kernels:
+            error = getattr(kernel.owner, "error", None)
+            if error is not None:
+                kernel.owner.error = None
+                raise error
 
     def _array(self, array: Array) -> int:
         """The address of an array that lives as long as this."""

@@ -15,13 +15,14 @@ that change, over the change of the objective, is of order one where it has.
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from .close_look import CloseLook, Look
+from .close_look import CloseLook
 from .outcome import Outcome
 from .staged import Staged
 from .transcribed import Closely, Given
@@ -31,6 +32,8 @@ from .watch import AT_OPTIMUM, Status
 MESH = 1e-2
 #: Multipliers beyond this, in scales of moves, are of rows without slope.
 _RUN_AWAY = 1e8
+#: Where no multiplier, scaled, is larger none has run away: then no row is looked at.
+_SMALL = 1e3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -123,29 +126,34 @@ class Judge:
         ended_well = outcome.status in AT_OPTIMUM
         if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
             return outcome
-        scales, z = outcome.scales, self._staged.flat(outcome.point)
-        look = self._close_look.at(z, self._staged.step(scales.d, scales.u, scales.border), given)
-        accuracy = self._accuracy(look, outcome, mesh_tolerance, tolerance)
-        outcome = outcome._replace(accuracy=accuracy, flat=self._flat(look, outcome))
+        z = self._staged.flat(outcome.point)
+        accuracy = self._accuracy(self._close_look.at(z, given), outcome, mesh_tolerance, tolerance)
+        outcome = outcome._replace(accuracy=accuracy, flat=self._flat(z, outcome))
         if not ended_well:
             return outcome
         if outcome.flat is not None:
             return outcome._replace(status=Status.DEGENERATE)
         return outcome._replace(status=Status.COARSE) if accuracy.coarse else outcome
 
-    def _flat(self, look: Look, outcome: Outcome) -> Flat | None:
+    def _flat(self, z: Array, outcome: Outcome) -> Flat | None:
         """The row whose multiplier is largest, if that has run away."""
+        if np.abs(outcome.scaled_rows).max(initial=0.0) <= _SMALL:
+            return None
+        scales = outcome.scales
+        look = self._close_look.changes(z, self._staged.step(scales.d, scales.u, scales.border))
         sizes = np.abs(outcome.rows) * look.rows
         if not look.cost > 0.0 or not sizes.max(initial=0.0) > _RUN_AWAY * look.cost:
             return None
         row = int(sizes.argmax())
         return Flat(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row] / look.cost))
 
-    def _accuracy(self, look: Look, outcome: Outcome, mesh_tolerance: float, tolerance: float) -> Accuracy:
+    def _accuracy(
+        self, phases: Sequence[Closely], outcome: Outcome, mesh_tolerance: float, tolerance: float
+    ) -> Accuracy:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
         intervals, change, exceeded = [], -outcome.cost, dict[str, Exceeded]()
-        for closely, segment, place in zip(look.phases, shooting.segments, places):
+        for closely, segment, place in zip(phases, shooting.segments, places):
             own = segment.shooting
             sizes = np.asarray(scales.d)[segment.nodes, : own.n][1:]
             intervals.append(np.abs(closely.gaps / sizes).max(axis=1, initial=0.0))
@@ -162,7 +170,7 @@ class Judge:
             share=abs(change) / size,
             exceeded={name: exceeded[name] for name in order},
             tolerance=mesh_tolerance,
-            middles=tuple(closely.middles for closely in look.phases),
+            middles=tuple(closely.middles for closely in phases),
             places=tuple(places),
         )
 

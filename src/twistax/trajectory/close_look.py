@@ -18,10 +18,9 @@ from .transcribed import Closely, Given
 _MOVES, _LENGTH = 4, 1e-3
 
 
-class Look(NamedTuple):
-    """What is seen: close integrations of all phases, and by how much small moves change rows and objective."""
+class Changes(NamedTuple):
+    """By how much small moves change rows and objective."""
 
-    phases: tuple[Closely, ...]
     rows: Array
     cost: float
 
@@ -50,18 +49,13 @@ class CloseLook:
             )
         self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(given))
 
-    def at(self, z: Array, v: Array, given: Given) -> Look:
-        """At a point of the problem.
-
-        Args:
-            v: sizes of its unknowns.
-        """
+    def at(self, z: Array, given: Given) -> tuple[Closely, ...]:
+        """Close integrations of all phases at a point of the problem."""
         own = self._transcription
         own.set_data(self._staged.numbers.vector(given))
         seen = Evaluated(own, z)
         middles = self._middles(z)
-        phases = tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
-        return Look(phases, *self._changes(z, v))
+        return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
     def decided_rows(self, z: Array, given: Given) -> Array:
         """(rows,) of those at nodes, which ends or other rows decide; of others what stands there means nothing."""
@@ -94,8 +88,12 @@ class CloseLook:
         xs = halfway.xs if isinstance(halfway.xs, tuple) else (halfway.xs,)
         return [{name: a[:-1] for name, a in own.items()} for own in xs]
 
-    def _changes(self, z: Array, v: Array) -> tuple[Array, float]:
-        """The largest changes of rows and objective by small random moves of all that is free."""
+    def changes(self, z: Array, v: Array) -> Changes:
+        """The largest changes of rows and objective by small random moves of all that is free.
+
+        Args:
+            v: sizes of all unknowns.
+        """
         staged, own = self._staged, self._staged.transcription
         free, rng = staged.transcribed.free, np.random.default_rng(0)
         which = staged.step(staged.transcribed.stirred, free.u, free.border) != 0.0
@@ -108,4 +106,4 @@ class CloseLook:
             change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
             rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
             cost = max(cost, abs(float(there.cost[0] - before.cost[0])))
-        return rows, cost
+        return Changes(rows, cost)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 import functools
 from collections.abc import Collection, Sequence
 from typing import Any
@@ -33,7 +34,7 @@ _CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 _NEAR = 10.0
 #: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
 #: begins at 0.1 of that unit.
-_COST = 0.02
+COST = 0.02
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
@@ -77,14 +78,14 @@ class CoreSolver:
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
         stages, border = staged.transcription.stages, staged.border
-        self._largest_step = np.where(staged.turning, _TURN, np.inf)
+        self.largest_step = np.where(staged.turning, _TURN, np.inf)
         durations = stages.variables - stages.parameters + np.arange(border.phases)
-        self._largest_step[durations] = -_CHANGE
+        self.largest_step[durations] = -_CHANGE
         exists = self.transcribed.exists & ~self.transcribed.equality
         self._inequalities = max(1, int(exists.sum()))
-        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities) / _COST
-        self._exactly = {"tolerance": _CLOSER * tolerance / _COST, "violation": _CLOSER * tolerance}
-        self._exactly |= {"complementarity": closer, "gap": _CLOSER * tolerance, "acceptable": tolerance / _COST}
+        closer = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / self._inequalities) / COST
+        self._exactly = {"tolerance": _CLOSER * tolerance / COST, "violation": _CLOSER * tolerance}
+        self._exactly |= {"complementarity": closer, "gap": _CLOSER * tolerance, "acceptable": tolerance / COST}
         self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closer)}
         #: What solvers of others made of the problem, by solver.
         self.made: dict[Any, Any] = {}
@@ -97,6 +98,10 @@ class CoreSolver:
         """Units at a start."""
         self.staged.set_given(given)
         return StartUnits(self.staged, point)
+
+    def options(self, max_iterations: int) -> dict[str, float]:
+        """Options of the core for a start that is no warm one."""
+        return {**self._exactly, "iterations": max_iterations}
 
     def run(
         self, start: Point | WarmStart, given: Given, budget: Budget, used: Collection[Strategy] = tuple(Strategy)
@@ -148,38 +153,46 @@ class CoreSolver:
     ) -> Outcome:
         """Solve from a start, in the units that it has."""
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
-        units = self.units(point, given)
+        if isinstance(start, WarmStart) and start.units is not None and not as_stated:
+            self.staged.set_given(given)
+            units = copy.copy(start.units)
+        else:
+            units = self.units(point, given)
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        chosen = {**self._exactly, "iterations": max_iterations}
+        chosen = self.options(max_iterations)
         call = functools.partial(self._call, point, given, units)
-        violated = self._violated_at_once(point, given, units)
+        violated = self.violated_at_once(point, given, units)
         if not np.isfinite(violated):
-            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
+            return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.NON_FINITE)
         if violated > self.tolerance:
-            return self._outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
+            return self.outcome(call({**chosen, "iterations": 0}), units, given, Status.INFEASIBLE)
         watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             fitted = _FITTED_AT if rescaling and not as_stated else ()
             return self._from_point(point, given, units, {**chosen, **options}, watch, fitted)
-        warm = self._warm(point, start.dynamics, start.rows)
-        outcome = self.measured(point, start.dynamics, start.rows, given, units)
-        if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
-            return outcome
+        warm, violated = self._warm(point, start.dynamics, start.rows, units)
+        if violated <= self.tolerance:
+            outcome = self._as_it_is(warm, point, given, units)
+            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
+                return outcome
         closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
-        near = {"complementarity": closer, **self._near(warm, units)}
+        near = {"complementarity": closer, **_near(violated)}
         kept = call({**chosen, **near, **options}, warm, watch)
-        return self._outcome(kept, units, given)
+        return self.outcome(kept, units, given)
 
     def measured(
         self, point: Point, dynamics: Array, rows: Array, given: Given, units: StartUnits | None = None
     ) -> Outcome:
         """How far a point with multipliers is from the conditions of an optimum, in units that fit it if None."""
         units = self.units(point, given) if units is None else units
-        warm = self._warm(point, dynamics, rows)
+        return self._as_it_is(self._warm(point, dynamics, rows, units)[0], point, given, units)
+
+    def _as_it_is(self, warm: Solution, point: Point, given: Given, units: StartUnits) -> Outcome:
+        """How far a warm start is from the conditions of an optimum."""
         kept = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        return self._outcome(kept, units, given, warm=True)
+        return self.outcome(kept, units, given, warm=True)
 
     def _from_point(
         self,
@@ -213,7 +226,7 @@ class CoreSolver:
                 break
             options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
         result.statistics["iterations"] = watch.before
-        return self._outcome(result, units, given)
+        return self.outcome(result, units, given)
 
     def _call(
         self,
@@ -232,8 +245,8 @@ class CoreSolver:
             *staged.limits(point, given),
             staged.flat(point),
             staged.coordinates(point),
-            units=Units(units.v, units.rows, units.equalities, _COST * units.cost),
-            largest_step=self._largest_step,
+            units=Units(units.v, units.rows, units.equalities, COST * units.cost),
+            largest_step=self.largest_step,
             options=Options(**options),
             warm=warm,
             watch=watch,
@@ -247,7 +260,7 @@ class CoreSolver:
         """Whether ends alone decide a row."""
         return bool((self.transcribed.decided & ~self.transcribed.pinned).any())
 
-    def _violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
+    def violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         own = self.transcribed
         if not self.is_decided:
@@ -265,28 +278,23 @@ class CoreSolver:
             sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
-    def _warm(self, point: Point, dynamics: Array, rows: Array) -> Solution:
-        """The multipliers of a warm start for the core."""
+    def _warm(self, point: Point, dynamics: Array, rows: Array, units: StartUnits) -> tuple[Solution, float]:
+        """A warm start for the core, and the largest violation there in the core's units."""
         staged, stages = self.staged, self.staged.transcription.stages
         y, ye, zl, zu = staged.split_rows(np.asarray(rows))
         lam = np.concatenate([row[:count] for row, count in zip(np.asarray(dynamics), stages.after)])
-        at = Evaluated(staged.transcription, staged.flat(point))
         z, v = staged.flat(point), staged.coordinates(point)
-        return Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, np.zeros((0, 10)))
-
-    def _near(self, warm: Solution, units: StartUnits) -> dict[str, float]:
-        """Options that keep a start near: the further it is from holding, the higher its barrier."""
-        at = Evaluated(self.staged.transcription, warm.z)
-        parts = (at.c / self.staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
-        error = max(float(np.abs(a).max(initial=0.0)) for a in parts)
-        barrier = float(np.clip(_WARM_SHARE * error, _WARM_LEAST, _WARM_MOST))
-        push = max(barrier, 1e-12) ** 0.5
-        return {"barrier_start": barrier, "slack_push": min(push, 1e-2), "bound_push": min(push, 1e-2)}
+        at = Evaluated(staged.transcription, z)
+        parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
+        violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)
+        none = np.zeros((0, 10))
+        warm = Solution(CoreStatus.SOLVED, z, v, np.maximum(-at.h, 0.0), lam, y, ye, zl, zu, {}, none)
+        return warm, violated
 
     # ---- what came out ----------------------------------------------------------------------------------------------
 
     @np.errstate(all="ignore")
-    def _outcome(
+    def outcome(
         self, result: Solution, units: StartUnits, given: Given, status: Status | None = None, warm: bool = False
     ) -> Outcome:
         """What came out; the status is that of the core unless it is known."""
@@ -309,9 +317,9 @@ class CoreSolver:
         gap += np.abs(dynamics * defects).sum()
         numbers = result.statistics
         errors = Errors(
-            numbers["stationarity"] * _COST,
+            numbers["stationarity"] * COST,
             numbers["violation"],
-            numbers["complementarity"] * _COST,
+            numbers["complementarity"] * COST,
             float(gap / units.cost),
         )
         return Outcome(
@@ -327,6 +335,7 @@ class CoreSolver:
             status=status or self._status(result, float(violated.max(initial=0.0)), errors),
             iterations=max(int(numbers["iterations"]), int(not warm)),
             saddle=result.status is CoreStatus.SOLVED and not numbers["minimum"],
+            units=units,
         )
 
     def _status(self, result: Solution, violated: float, errors: Errors) -> Status:
@@ -362,6 +371,13 @@ class CoreSolver:
                 free = part.phase.join.free
                 u[first + shooting.intervals, : len(free)] = units.parts[number + 1].d[free]
         return Scales(d, u, units.border, np.ones(len(own.exists)), np.asarray(units.cost))
+
+
+def _near(violated: float) -> dict[str, float]:
+    """Options that keep a start near: the further it is from holding, the higher its barrier."""
+    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+    push = max(barrier, 1e-12) ** 0.5
+    return {"barrier_start": barrier, "slack_push": min(push, 1e-2), "bound_push": min(push, 1e-2)}
 
 
 class _Watch:

@@ -61,6 +61,11 @@ class Evaluated:
 
     def differentiate(self) -> bool:
         """First derivatives, and the second ones of the cost; whether there are such."""
+        stages = self.stages
+        self.gradient = np.zeros(stages.variables)
+        counts = (stages.after, stages.inequalities, stages.equalities)
+        self.F, self.Jh, self.Je = (np.zeros(stages.block_sizes(rows)) for rows in counts)
+        self.H = np.zeros(stages.block_sizes(stages.columns))
         zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]
         return self.jacobians() and not self._call("hessians", 1.0, *zeros, self.H)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -20,6 +20,11 @@ class Flat:
         sizes = [math.prod(shape) for shape in self.shapes.values()]
         self.size = sum(sizes)
         self._ends = np.cumsum([0, *sizes]).tolist()
+
+    def places(self, name: str) -> Array:
+        """Where the entries of an array stand in the vector."""
+        k = list(self.shapes).index(name)
+        return np.arange(self._ends[k], self._ends[k + 1])
 
     def split(self, vector: Any) -> dict[str, Any]:
         """The arrays of a vector (..., size)."""
@@ -58,6 +63,11 @@ class Numbers:
         for point, initial, final in zip(self._points, ends.initial, ends.final):
             parts += [point.joined(initial), point.joined(final)]
         return np.concatenate([*parts, np.ravel(given.limits)])
+
+    def places(self, params: Iterable[str], final: Iterable[str]) -> Array:
+        """Where values of parameters stand, and of states at the end of the last phase."""
+        of_final = [self._ends[-3] + self._points[-1].places(name) for name in final]
+        return np.concatenate([np.zeros(0, int), *map(self._params.places, params), *of_final])
 
     def params(self, vector: Any) -> dict[str, Any]:
         return self._params.split(self._part(vector, 0))

@@ -231,7 +231,7 @@ class Tried:
             "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),
             "compile_seconds": self.compile_seconds,
             "solve_seconds": self.solve_seconds,
-            "warm": WarmStart(problem, point, best.dynamics, best.rows, best.scales, params),
+            "warm": WarmStart(problem, point, best.dynamics, best.rows, best.scales, params, units=best.units),
             "slacks": best.slack,
             "saddle": best.saddle,
         }

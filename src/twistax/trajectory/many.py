@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import operator
-import os
 import threading
 from concurrent.futures import ThreadPoolExecutor
 
@@ -11,15 +10,11 @@ import jax
 import numpy as np
 
 from ..precision import in_double
+from ..processors import processors
 from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome
 from .transcribed import Given, Point
-
-
-def processors() -> int:
-    """How many this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_tolerance: float) -> list[Outcome]:

@@ -13,6 +13,7 @@ from .watch import Status
 
 if TYPE_CHECKING:
     from .accuracy import Accuracy, Flat
+    from .start_units import StartUnits
 
 #: Called with (iterations so far, objective, largest violation) before every step; True ends the search.
 Callback = Callable[[int, float, float], Any]
@@ -33,6 +34,7 @@ class Outcome(NamedTuple):
     status: Status
     iterations: int
     accuracy: Accuracy | None = None  # of the mesh; None before it is looked at, and of points that are not finite
+    units: StartUnits | None = None  # of the solver
     flat: Flat | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
 

@@ -242,6 +242,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
         sizes: Sequence[Mapping[str, Array]] | None = None,
+        begin: Point | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; in double precision."""
         given = {"guess": guess, "initial": initial, "final": final}
@@ -264,7 +265,7 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
             found = self._values(self.params | {name_of(key): value for key, value in params.items()})
         limits = self.border.limited(np.array([limit for limit, _ in times]), free)
         durations, own_sizes = np.array([time for _, time in times]), sizes or [{} for _ in self.parts]
-        point = self._start(found, ends, guesses, durations, limits, own_sizes)
+        point = self._start(found, ends, guesses, durations, limits, own_sizes) if begin is None else begin
         first, last = (
             tuple(part.filled(getattr(own, side)) for part, own in zip(self.parts, ends))
             for side in ("initial", "final")

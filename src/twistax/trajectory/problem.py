@@ -267,6 +267,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
         sizes: Sequence[Mapping[str, Array]] | None = None,
+        begin: Point | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; in double precision."""
         ends = self.other_ends(initial, final)
@@ -275,10 +276,10 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         if params is not None and not isinstance(params, Mapping):
             raise InputError(f"solve: params must be a dict from parameters to values, got {short(params)}")
         own = self.params if params is None else self._prepared({**self.params, **params})
-        own_sizes = {} if sizes is None else sizes[0]
-        known = self.own_guess | self.checked_guess(guess)
-        start = self.start(known, ends, own, np.array([time_guess]), limits, own_sizes)
-        return Started(start, self.given(ends, own, limits), own, ends)
+        if begin is None:
+            known, own_sizes = self.own_guess | self.checked_guess(guess), {} if sizes is None else sizes[0]
+            begin = self.start(known, ends, own, np.array([time_guess]), limits, own_sizes)
+        return Started(begin, self.given(ends, own, limits), own, ends)
 
     def axes(self) -> dict[str, Any]:
         """How many axes each argument of `started` has; a guess of states or controls has one more."""

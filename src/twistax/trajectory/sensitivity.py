@@ -1,18 +1,8 @@
-"""Derivatives of an optimum by what it was solved for, through the implicit function theorem.
-
-At an optimum with displacement z = 0 of the unknowns, multipliers y of the dynamics, w of the rows, and slacks s, the
-conditions grad_z L = 0, F = 0, c = 0, g + s = 0, s w = mu hold for all arguments theta. So along a change of theta
-
-    K (dz, dy, dw) = -(d/dtheta)(grad_z L, F, c, g) . dtheta,
-
-with K the matrix of the last Newton step, which the Riccati recursion factors. On groups K is exact but for the error
-of the mesh, as an interval is differentiated in coordinates about a node that stays; refinement with the derivative of
-the conditions themselves takes that out.
-Source: Fiacco, Introduction to sensitivity and stability analysis in nonlinear programming (1983), theorem 3.2.1.
-"""
+"""Derivatives of an optimum by what it was solved for, through the implicit function theorem; see `optimum.py`."""
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -20,34 +10,34 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import real_array, reals, short
-from ..errors import InputError, TrajectoryError
-from ..jax_inside import is_in_last_thread, is_traced
+from ..checks import listed, real_array, reals, short
+from ..errors import InputError, ShapeError, TrajectoryError
+from ..jax_inside import is_traced
 from ..precision import in_double
 from ..system import name_of
 from .accuracy import MESH
-from .first_order import FirstOrder, in_units
-from .iterate import Scales
-from .riccati import Factors, Rows, Stages, factorize, refined
-from .transcribed import Given, Point, Step, jitted
+from .called import Called, Row
+from .core_solver import CoreSolver
+from .optimum import Asked, Move, Optimum
+from .transcribed import Given, jitted
+from .watch import Status
 
 if TYPE_CHECKING:
     from .problem import Problem
 
-#: How often the change of an optimum is refined.
-_REFINEMENTS = 6
-#: The least second derivative of a strict minimum, scaled.
-_LEAST_CURVED = 1e-9
-
 
 class Solution(NamedTuple):
-    """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters."""
+    """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
+
+    `solved` is 1 where it is one. Else it is 0, the arrays are where the search ended, and derivatives are NaN.
+    """
 
     cost: jax.Array
     xs: dict[str, jax.Array]
     us: dict[str, jax.Array]
     final_time: jax.Array
     free: dict[str, jax.Array]
+    solved: jax.Array
 
 
 class _Theta(NamedTuple):
@@ -57,33 +47,6 @@ class _Theta(NamedTuple):
     initial: dict[str, Any]
     final: dict[str, Any]
     final_time: dict[str, Any]  # {} or {"final_time": number}
-
-
-class _Optimum(NamedTuple):
-    """Where the solver ended; multipliers and slacks in the problem's units."""
-
-    point: Point
-    cost: Any
-    dynamics: Any
-    rows: Any
-    slack: Any
-    scales: Scales
-
-
-class _Moved(NamedTuple):
-    """How unknowns and multipliers change, scaled."""
-
-    step: Step
-    dynamics: Any
-    rows: Rows
-
-
-class _Residuals(NamedTuple):
-    """What the conditions leave: the Lagrangian's gradient, defects and rows, scaled."""
-
-    gradient: Step
-    defects: Any
-    rows: Any
 
 
 def solution(
@@ -102,40 +65,53 @@ def solution(
     `jax.jit` apply. A fixed final time is an argument as well. Derivatives by poses and rotations are by the entries of
     their matrices, to be used along curves on the group, as `group.retract` makes them.
 
+    The first call solves the problem as it was stated, with `problem.solve`. Every call then is one call of the
+    solver's core, which starts at that optimum, in its units, and computes in double precision whatever
+    `jax_enable_x64` says. In programs of `jit` and `vmap` it is one operation, and threads of XLA share the members of
+    a batch. Outside of these the result is looked at as in `problem.solve`, and where the core alone finds no optimum
+    `problem.solve` searches.
+
     The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
     active or inactive (strict complementarity), and where it is a strict minimum.
 
     Args:
-        guess, warm, max_iterations, mesh_tolerance: as in `problem.solve`.
+        guess, warm: for the problem as it was stated, as in `problem.solve`.
+        max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as it was
+            stated, which is looked at once.
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
-        TrajectoryError: in double precision alone (`jax_enable_x64`); a problem of phases; when called: the problem was
-            not solved, or what was found is no strict minimum and is to be differentiated.
+        TrajectoryError: a problem of phases; when called: the problem was not solved, or what was found is no strict
+            minimum and is to be differentiated. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; there the
+            error is of functions without a native form, as those with host callbacks.
     """
-    if jnp.result_type(float) != np.float64:
-        raise TrajectoryError(
-            "solution: derivatives need double precision\n  fix: jax.config.update('jax_enable_x64', True)"
-        )
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
 
 
+class _Stated(NamedTuple):
+    """The problem as it was stated: where it starts, or is solved, and the call that solves it from there."""
+
+    core: CoreSolver
+    given: Given
+    call: Called
+    coarse: str  # what is said of its mesh if that is too coarse
+
+    def need_compiled(self) -> None:
+        """Raise TrajectoryError where a program of XLA cannot solve it."""
+        self.call.need_compiled()
+        if self.coarse:
+            raise TrajectoryError(f"solution: the problem was not solved. {self.coarse}")
+
+
 class _Differentiable:
     """See `solution`."""
 
     def __init__(self, problem: Problem, options: dict[str, Any], tolerance: float) -> None:
-        self._problem, self._options, self._tolerance = problem, options, tolerance
-        with in_double():
-            self._own = jax.device_put(problem.given(problem.ends, problem.params, problem.border.limits))
-        # Options of the compiler belong to the outermost program alone: within another one these have none.
-        self._alone = jitted(self._factors), jitted(self._tangent)
-        self._within = jax.jit(self._factors), jax.jit(self._tangent)
-        optimum = jax.custom_jvp(self._optimum)
-        optimum.defjvp(self._jvp)
-        self._found: Callable[[_Theta], _Optimum] = optimum
+        self._problem, self._options, self._tolerance = problem, options, float(tolerance)
+        self._of: dict[tuple[tuple[str, ...], ...], _Named] = {}
 
     def __call__(
         self,
@@ -145,182 +121,169 @@ class _Differentiable:
         final: Mapping[Any, Any] | None = None,
         final_time: Any = None,
     ) -> Solution:
-        times = {} if final_time is None else {"final_time": _double("solution: final_time", final_time)}
+        times = {} if final_time is None else {"final_time": _numbers("solution: final_time", final_time)}
         theta = _Theta(_named("params", params), _named("initial", initial), _named("final", final), times)
         if final_time is not None and self._problem.border.free[0]:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
-        found = self._found(theta)
-        held = self._problem.shooting.local.controls.split(found.point.us)
+        names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
+        if names not in self._of:
+            self._of[names] = _Named(self._problem, self._stated, self._options, names)
+        return self._of[names](theta)
+
+    @functools.cached_property
+    def _stated(self) -> _Stated:
+        problem, options = self._problem, self._options
+        with in_double():
+            found = problem.solve(**options, tolerance=self._tolerance)
+            started = problem.started(options["guess"])
+            core = problem._core(self._tolerance, started.point, started.given)
+            start = found.warm.point if found.solved else started.point
+            call = Called(problem, core, start, started.given, options["max_iterations"])
+        return _Stated(core, started.given, call, found.message if found.status is Status.COARSE else "")
+
+
+class _Named:
+    """The same for parameters and final states of these names."""
+
+    def __init__(
+        self, problem: Problem, stated: _Stated, options: dict[str, Any], names: tuple[tuple[str, ...], ...]
+    ) -> None:
+        self._problem, self._stated, self._options, self._names = problem, stated, options, names
+        # Options of the compiler belong to the outermost program alone: within another one these have none.
+        self._alone, self._within = jitted(self._tangent), jax.jit(self._tangent)
+        self._shown = jax.jit(self._solution)
+        optimum = jax.custom_jvp(self._optimum)
+        optimum.defjvp(self._jvp)
+        self._found: Callable[[_Theta], Optimum] = optimum
+
+    def __call__(self, theta: _Theta) -> Solution:
+        self._check(theta)
+        return self._shown(self._found(theta))
+
+    def _check(self, theta: _Theta) -> None:
+        """Raise InputError, or what `problem.solve` does, where what is asked for does not fit the problem."""
+        problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
+        shapes = {name: np.shape(value) for name, value in problem.params.items()}
+        of_states = {name: state.shape for name, state in states.items()}
+        for what, known in (("params", shapes), ("initial", of_states), ("final", of_states)):
+            for name, value in getattr(theta, what).items():
+                if name not in known:
+                    raise InputError(f"solution: {what} names {name!r}; the problem has {listed(list(known), name)}")
+                if jnp.shape(value) != known[name]:
+                    raise ShapeError(f"solution: {what}[{name!r}] expects shape {known[name]}, got {jnp.shape(value)}")
+        for what, fixed in (("initial", problem.ends.initial_fixed), ("final", problem.ends.final_fixed)):
+            for name in getattr(theta, what):
+                if not np.any(fixed[name]):
+                    raise TrajectoryError(
+                        f"solution: {what}[{name!r}] must fix the entries that the problem fixes: it fixes none.\n"
+                        "  fix: state the problem with a value there"
+                    )
+
+    def _solution(self, found: Optimum) -> Solution:
+        problem, point = self._problem, self._asked.point(found.z)
+        held = problem.shooting.local.controls.split(point.us)
         return Solution(
-            self._problem.objective.sign * found.cost,
-            {s.name: found.point.xs[s.name] for s in self._problem.reduced.states},
-            self._problem.restated.us(found.point.xs, held),
-            found.point.border[0],
-            self._problem.border.params(found.point.border),
+            problem.objective.sign * found.cost,
+            {s.name: point.xs[s.name] for s in problem.reduced.states},
+            problem.restated.us(point.xs, held),
+            point.border[0],
+            problem.border.params(point.border),
+            found.solved,
         )
+
+    @functools.cached_property
+    def _asked(self) -> Asked:
+        """The problem with these names among its unknowns; its kernels compile once."""
+        params, final = self._names
+        core, given, call, _ = self._stated
+        with in_double():
+            return Asked(self._problem, core, given, {"params": params, "final": final}, call.units)
 
     # ---- the solve ----------------------------------------------------------------------------------------------
 
-    def _optimum(self, theta: _Theta) -> _Optimum:
+    def _row(self, theta: _Theta, start: Any = None) -> Row:
+        own = jax.tree.map(lambda a: jax.lax.convert_element_type(a, np.float64), theta)
+        return self._stated.call.row(own.params, own.initial, own.final, own.final_time.get("final_time"), start)
+
+    def _optimum(self, theta: _Theta) -> Optimum:
+        call, precision = self._stated.call, jnp.result_type(float)
         if not is_traced(theta):
-            return jax.tree.map(jnp.asarray, self._solved(theta))
-        shooting, border = self._problem.shooting, self._problem.border
-        array = lambda *shape: jax.ShapeDtypeStruct(shape, np.dtype(float))  # noqa: E731
-        rows, free = len(shooting.exists), shooting.free
-        shapes = _Optimum(
-            Point(
-                {s.name: array(shooting.nodes, *s.shape) for s in self._problem.dynamics.states},
-                array(shooting.intervals, shooting.m),
-                array(border.size),
-            ),
-            array(),
-            array(shooting.intervals, shooting.n),
-            array(rows),
-            array(rows),
-            Scales(array(*free.d.shape), array(*free.u.shape), array(border.size), array(rows), array()),
-        )
-        return jax.pure_callback(self._solved_within, shapes, theta, vmap_method="sequential")
+            with in_double():
+                row, result = self._solved(theta)
+                return self._asked.optimum(row, call.solves.split(result), 1.0, precision)
+        self._stated.need_compiled()
+        with jax.enable_x64(True):
+            row = self._row(theta)
+            found = call.solves.split(call.solves(jnp.concatenate(row)))
+            return self._asked.optimum(row, found, call.is_solved(found), precision)
 
-    def _solved_within(self, theta: _Theta) -> _Optimum:
-        """The same, called back."""
-        if is_in_last_thread():
-            raise TrajectoryError(
-                "solution: under jit the solve calls XLA from within XLA. Where a process may use one processor it has "
-                "one thread, and would wait for ever.\n  fix: set NPROC=2 in the environment before JAX starts, or "
-                "leave jit out"
-            )
-        return self._solved(theta)
-
-    def _solved(self, theta: _Theta) -> _Optimum:
-        """The solve itself, of numbers."""
-        own: _Theta = jax.tree.map(np.asarray, theta)
+    def _solved(self, theta: _Theta) -> tuple[Row, jax.Array]:
+        """The solve of numbers, and what it reads."""
+        call, own = self._stated.call, jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
-        result = self._problem.solve(**self._options, **asked, **own.final_time, tolerance=self._tolerance)
-        if not result.solved:
-            raise TrajectoryError(f"solution: the problem was not solved. {result.message}")
-        warm = result.warm
-        found = _Optimum(
-            warm.point,
-            np.asarray(self._problem.objective.sign * result.cost),
-            warm.dynamics,
-            warm.rows,
-            result.slacks,
-            warm.scales,
-        )
-        return jax.tree.map(np.asarray, found)
+        started, tolerance = self._problem.started(**asked, **own.final_time), self._stated.core.tolerance
+        core = self._problem._core(tolerance, started.point, started.given)  # of this thread
+        row = self._row(theta)
+        result = call.solves.now(np.asarray(jnp.concatenate(row)))
+        judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])
+        if judged is not Status.SOLVED:
+            options = {**self._options, "guess": None, "warm": None}
+            found = self._problem.solve(**asked, **own.final_time, **options, tolerance=tolerance)
+            if not found.solved:
+                raise TrajectoryError(f"solution: the problem was not solved. {found.message}")
+            row = self._row(theta, core.staged.flat(found.warm.point))
+            result = call.solves.now(np.asarray(jnp.concatenate(row)))
+        return row, jnp.asarray(result)
 
     # ---- its derivatives ----------------------------------------------------------------------------------------
 
-    def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[_Optimum, _Optimum]:
+    def _jvp(self, primals: tuple[_Theta], tangents: tuple[_Theta]) -> tuple[Optimum, Optimum]:
         (theta,), (along,) = primals, tangents
         found = self._found(theta)
-        factored, _ = self._within if is_traced(theta) else self._alone
-        _, changed = self._within if is_traced((theta, along)) else self._alone
-        stages, factors = factored(found, theta)
-        tangent = changed(theta, along, found, stages, factors)
-        if not is_traced(factors.exist):
-            _strict(np.asarray(factors.exist))
-            return found, tangent
-        # What is raised within a compiled function ends it; its result is used, or JAX would leave it out.
-        exist = jax.lax.stop_gradient(jnp.asarray(factors.exist, float))
-        one = jax.pure_callback(_strict, jax.ShapeDtypeStruct((), np.dtype(float)), exist, vmap_method="sequential")
-        return found, jax.tree.map(lambda a: a * one, tangent)
+        if not is_traced(found):
+            with in_double():
+                self._asked.by_the_core(False, found.exact, np.zeros(sum(self._asked.sizes)))
+        tangent = self._within if is_traced((theta, along, found)) else self._alone
+        none = np.zeros(found.exact.shape, jax.dtypes.float0)
+        return found, tangent(theta, along, found)._replace(exact=none)
 
-    def _given(self, found: _Optimum, theta: _Theta) -> tuple[Point, Given]:
-        """The optimum's point and arguments as functions of what was asked for."""
-        point = found.point
-        given = self._own
-        put = lambda value, otherwise: jnp.where(jnp.isnan(value), otherwise, value)  # noqa: E731
-        xs = {n: a.at[0].set(put(theta.initial[n], a[0])) if n in theta.initial else a for n, a in point.xs.items()}
-        final = given.final | {n: put(value, given.final[n]) for n, value in theta.final.items()}
-        border = point.border.at[0].set(theta.final_time.get("final_time", point.border[0]))
-        return Point(xs, point.us, border), given._replace(params=given.params | theta.params, final=final)
-
-    def _factors(self, found: _Optimum, theta: _Theta) -> tuple[Stages, Factors]:
-        """The matrix of the last Newton step, factored."""
-        conditions, scales, zero = FirstOrder(self._problem.shooting), found.scales, jnp.zeros(())
-        point, given = self._given(found, theta)
-        y, w = conditions.multipliers(found.dynamics, found.rows, scales)
-        weights = conditions.weights(conditions.softness(found.slack / scales.rows, w))
-        slopes = conditions.derivatives(point, y, w, given, scales)
-        stages = Stages(slopes, weights, zero, conditions.free_start)
-        factors = factorize(stages)
-        # What is zero may be above it by rounding: a strict minimum is one with a little less on the diagonal, too.
-        strict = factorize(stages._replace(damping=zero - _LEAST_CURVED))
-        return stages, factors._replace(exist=factors.exist & strict.exist)
-
-    def _tangent(self, theta: _Theta, along: _Theta, found: _Optimum, stages: Stages, factors: Factors) -> _Optimum:
+    def _tangent(self, theta: _Theta, along: _Theta, found: Optimum) -> Optimum:
         """How the optimum moves along a change of what was asked for."""
-        shooting, scales = self._problem.shooting, found.scales
-        conditions = FirstOrder(shooting)
+        asked = self._asked
 
-        def residuals(theta: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
-            """Of the conditions, after the unknowns and multipliers moved; the objective and the point with them."""
-            base, given = self._given(found, theta)
-            point = shooting.move(base, in_units(moved.step, scales))
-            y, w = conditions.multipliers(found.dynamics, found.rows, scales)
-            y, w = y + moved.dynamics, w + conditions.join(moved.rows)
-            values = conditions.values(point, given, scales)
-            gradient = conditions.lagrangian(conditions.derivatives(point, y, w, given, scales), y, w)
-            return _Residuals(gradient, values.defects, values.rows), values.cost * scales.cost, point
+        def fixed(theta: _Theta) -> Any:
+            times = theta.final_time.get("final_time")
+            return asked.asked_for(found.z, theta.params, theta.initial, theta.final, times)
 
-        def change(along: _Theta, moved: _Moved) -> tuple[_Residuals, Any, Any]:
-            found: tuple[_Residuals, Any, Any] = jax.jvp(residuals, (theta, still), (along, moved))[1]
-            return found
-
-        def refine(_: Any, carry: tuple[_Moved, Any, Any]) -> tuple[_Moved, Any, Any]:
-            """The next move, the one that it was made of, and what that one leaves and changes."""
-            moved = carry[0]
-            changed = change(along, moved)
-            left = changed[0]
-            gradient, rows = left.gradient, conditions.split(jnp.where(jnp.asarray(shooting.exists), left.rows, 0.0))
-            nothing = jnp.zeros((shooting.intervals, len(gradient.border)))
-            pushed = stages.slopes._replace(
-                gradient=jnp.concatenate([gradient.d[:-1], gradient.u, nothing], axis=1),
-                end_gradient=jnp.concatenate([gradient.d[-1], gradient.border]),
-            )
-            # A slack takes up what its multiplier changes; an equality holds.
-            taken = jax.tree.map(lambda r, grown, own: r - grown * own, rows, moved.rows, softness)
-            own = refined(stages._replace(slopes=pushed), factors, left.defects, taken)
-            return jax.tree.map(jnp.add, moved, _Moved(own.step, own.dynamics, own.rows)), moved, changed
-
-        _, w = conditions.multipliers(found.dynamics, found.rows, scales)
-        softness = conditions.split(conditions.softness(found.slack / scales.rows, w))
-        still = _Moved(
-            Step(*(jnp.zeros(np.shape(a)) for a in shooting.free)),
-            jnp.zeros_like(found.dynamics),
-            jax.tree.map(jnp.zeros_like, softness),
+        step = jax.jvp(fixed, (theta,), (along,))[1]
+        side = Move(step, *(jnp.zeros(size) for size in asked.sizes[1:]))
+        move = asked.split(asked.solved(found, asked.flattened(side)))
+        z = jax.jvp(lambda v: asked.moved(found.z, v), (jnp.zeros_like(move.v),), (move.v,))[1]
+        # Products of slacks and multipliers stay.
+        return Optimum(
+            z,
+            move.cost,
+            move.lam,
+            move.y,
+            move.ye,
+            -found.zl / found.below * move.v,
+            found.zu / found.above * move.v,
+            move.v,
+            -move.v,
+            -found.s / found.y * move.y,
+            jnp.zeros(()),
+            None,
         )
-        # One loop body in place of two programs: what the last round moves on to is not used.
-        none = _Residuals(still.step, still.dynamics, jnp.zeros_like(found.rows)), jnp.zeros_like(found.cost)
-        begin = still, still, (*none, jax.tree.map(jnp.zeros_like, found.point))
-        _, moved, (left, cost, point) = jax.lax.fori_loop(0, _REFINEMENTS + 1, refine, begin)
-        # Multipliers and slacks move too, for derivatives of derivatives; scales are a matter of numbers alone.
-        return _Optimum(
-            point,
-            cost,
-            moved.dynamics * scales.cost / scales.d[1:],
-            conditions.join(moved.rows) * scales.cost / scales.rows,
-            jnp.where(conditions.inequality, -left.rows * scales.rows, 0.0),
-            jax.tree.map(jnp.zeros_like, scales),
-        )
-
-
-def _strict(exist: Any) -> np.ndarray:
-    """1, or TrajectoryError where the factors do not exist."""
-    if not np.all(exist):
-        raise TrajectoryError("solution: the trajectory is no strict minimum, and has no derivative")
-    return np.ones(())
 
 
 def _named(what: str, given: Any) -> dict[str, jax.Array]:
     """Values by name."""
     if given is not None and not isinstance(given, Mapping):
         raise InputError(f"solution: {what} expects a dict from leaves to values, got {short(given)}")
-    return {name_of(key): _double(f"solution: {what}[{name_of(key)!r}]", own) for key, own in (given or {}).items()}
+    return {name_of(key): _numbers(f"solution: {what}[{name_of(key)!r}]", own) for key, own in (given or {}).items()}
 
 
-def _double(place: str, value: Any) -> jax.Array:
+def _numbers(place: str, value: Any) -> jax.Array:
     """Numbers, traced ones as they are."""
     if is_traced(value):
         return jnp.asarray(real_array(place, value), float)

@@ -170,16 +170,16 @@ class Shooting(Transcribed):
 
     # ---- values -------------------------------------------------------------------------------------------------
 
-    def values(self, point: Point, given: Given) -> Values:
-        """Cost, defects and rows at a point."""
+    def values(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+        """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
         left, right = _sides(point.xs)
-        d = jnp.zeros((self.nodes, self.n), point.us.dtype)
+        d = jnp.zeros((self.nodes, self.n), point.us.dtype) if d is None else d
         slots, shared = self._slots(point), (point.border, given.params)
         rolled = jax.vmap(self._interval.roll, in_axes=(0, 0, 0, 0, None, None))(slots, left, d[:-1], point.us, *shared)
         rows, costs = jax.vmap(self._interval.at_points, in_axes=(0, 0, 0, 0, None, None))(
             slots, left, rolled, point.us, *shared
         )
-        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right)
+        defects = jax.vmap(self._gap)(rolled.ends[:, -1], left, right) - d[1:]
         end = self._end(self._place(-1, d), self._here(-1, point), given)
         at_nodes = {k: node(self._place(k, d), self._here(k, point), given.params) for k, node in self._nodes.items()}
         rows = jnp.concatenate([rows, self._spread(at_nodes, rows)], axis=1)

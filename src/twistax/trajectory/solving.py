@@ -89,10 +89,12 @@ class Solvable(ABC, Generic[One, Many]):
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
         sizes: Sequence[Mapping[str, Array]] | None = None,
+        begin: Point | None = None,
     ) -> Started:
         """What `solve` with these arguments starts from and is for; NumPy's arrays of double precision.
 
         Args:
+            begin: where it starts, in place of guesses.
             sizes: of the controls of each part, by name, for bounds of what is zero at the start.
         """
 
@@ -236,12 +238,14 @@ class Solvable(ABC, Generic[One, Many]):
         with in_double():
             begin = time.perf_counter()
             arguments = (guess, initial, final, params, final_time, final_time_guess, free)
-            started = self.started(*arguments)
-            plain, given, own, ends = started
+            known = None if warm is None else warm_start(warm)
+            alone = None if known is None or guesses > 1 else known.point
+            plain, given, own, ends = self.started(*arguments, begin=alone)
+            warmed = None if known is None else with_ends(known, self, ends, given)
             core = self._core(float(tolerance), plain, given)
             if self._is_bounded and (warm is None or guesses > 1):
                 plain = self.started(*arguments, self._sizes(core, plain, given)).point
-            first = plain if warm is None else with_ends(warm_start(warm), self, ends, given)
+            first = plain if warmed is None else warmed
             compiled = time.perf_counter()
             outcomes = []
 

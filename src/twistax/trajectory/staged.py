@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
+import functools
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
@@ -56,6 +57,12 @@ class Functions:
         self._shooting, self._numbers = shooting, numbers
         self.point, self._layout = point_of(shooting), Layout(shooting, numbers)
 
+    def smooth(
+        self, function: _Traced, arguments: Mapping[Argument, int], key: Hashable, numbers: Array
+    ) -> SmoothKernels:
+        """Kernels of one of them that reads unknowns, numbers of a solve, and numbers within expressions last."""
+        return SmoothKernels(function, arguments, 2, key, numbers)
+
     def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
         """All of them, compiled."""
         own, n, g, data = self._shooting, self._shooting.n, self._shooting.border.size, self._numbers.size
@@ -99,7 +106,7 @@ class Functions:
             return function(*given[:count], params, *exchanged)
 
         key = (self._layout.key, structure.key, tuple(map(len, parts)), rest)
-        return SmoothKernels(traced, arguments, 2, key, structure.numbers)
+        return self.smooth(traced, arguments, key, structure.numbers)
 
     def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
         """The phase with other expressions."""
@@ -332,14 +339,15 @@ class Staged:
         us, xs = np.zeros((own.intervals, own.m)), []
         at = 0
         for part in self.parts:
-            nodes = np.zeros((part.shooting.nodes, part.point.size))
-            for k, stage in enumerate(range(part.stages.start, part.stages.stop)):
-                count = stages.controls[stage]
-                nodes[k] = z[at : at + part.point.size]
-                at += part.point.size + count
-                if count:
-                    us[stage, :count] = z[at - count : at]
-            xs.append(part.point.split(nodes))
+            rows, size, m = self._rows_of(part), part.point.size, part.shooting.m
+            body = z[at : at + (size + m) * part.shooting.intervals].reshape(-1, size + m)
+            us[rows, :m] = body[:, size:]
+            at += body.size
+            xs.append(part.point.split(np.concatenate([body[:, :size], z[None, at : at + size]])))
+            at += size
+            if count := stages.controls[rows.stop]:
+                us[rows.stop, :count] = z[at : at + count]
+                at += count
         return Point(xs[0] if own.segments[0].alone else tuple(xs), us, z[at:])
 
     def _each(self, point: Point) -> list[tuple[Part, Any]]:
@@ -351,11 +359,19 @@ class Staged:
         controls, us = self.transcription.stages.controls, np.asarray(point.us)
         found = []
         for part, own in zip(self.parts, nodes):
-            for stage, row in zip(range(part.stages.start, part.stages.stop), own):
-                found.append(row)
-                if controls[stage]:
-                    found.append(us[stage, : controls[stage]])
+            rows = self._rows_of(part)
+            body = np.concatenate([own[:-1], us[rows, : part.shooting.m]], axis=1)
+            found += [
+                body.ravel(),
+                own[-1],
+                us[rows.stop, : controls[rows.stop]] if controls[rows.stop] else own[:0, 0],
+            ]
         return np.concatenate([*found, np.ravel(point.border)])
+
+    @staticmethod
+    def _rows_of(part: Part) -> slice:
+        """The intervals of a phase among all stages."""
+        return slice(part.stages.start, part.stages.start + part.shooting.intervals)
 
     # ---- limits ---------------------------------------------------------------------------------------------------
 
@@ -378,6 +394,17 @@ class Staged:
             at = self.first[part.stages][:, None] + np.flatnonzero(part.shooting.turns)
             found[at.ravel()] = True
         return found
+
+    @functools.cached_property
+    def curved(self) -> Array:
+        """Which entries of z are of states on manifolds that are not flat."""
+        nodes = []
+        for part in self.parts:
+            own = part.shooting
+            row = {n: np.full(shape, not own.dynamics.group.factors[n].flat) for n, shape in part.point.shapes.items()}
+            nodes.append(np.tile(part.point.joined(row), (own.nodes, 1)))
+        us = np.zeros((self.transcribed.intervals, self.transcribed.m))
+        return self._joined(Point(None, us, np.zeros(self.border.size)), nodes) != 0.0
 
     def limits(self, point: Point, given: Given) -> tuple[Array, Array]:
         """Lower and upper bounds of v; equal where an entry is fixed."""

@@ -10,6 +10,9 @@ from .sizes import Sizes, measured_sizes
 from .staged import Staged
 from .transcribed import Point
 
+#: Entries of rotation matrices that differ by more are of another attitude.
+_TURNED = 0.5
+
 
 class StartUnits:
     """Units for the core at a start.
@@ -22,7 +25,8 @@ class StartUnits:
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
     def __init__(self, staged: Staged, point: Point) -> None:
-        at = Evaluated(staged.transcription, staged.flat(point))
+        self._staged_at = staged.flat(point), staged.coordinates(point)
+        at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
         self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
@@ -54,6 +58,12 @@ class StartUnits:
         for mine, theirs in zip(self.parts, other.parts):
             ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
+
+    def fit(self, staged: Staged, point: Point) -> bool:
+        """Whether a point is within a unit of each unknown from where these were measured."""
+        z, v = self._staged_at
+        moved = np.abs(staged.coordinates(point) - v) <= self.v
+        return bool(moved.all() and (np.abs(staged.flat(point) - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
         """Count everything in the units of its statement."""

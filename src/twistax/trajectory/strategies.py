@@ -109,6 +109,9 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     optimal.
     """
     result = solve(start, given)
+    known = start.units if isinstance(start, WarmStart) and result.status is Status.SOLVED else None
+    if known is not None and known.fit(solver.staged, result.point):  # those of an earlier result close by
+        return result
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
@@ -117,6 +120,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
         error = max(result.errors.stationarity, result.errors.gap)
         if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
+            result = result._replace(units=fresh)  # for warm starts there
             break
         if result.status in AT_OPTIMUM:
             measured = solver.run_once(warm_at(result, given), given, 0)

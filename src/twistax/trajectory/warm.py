@@ -16,6 +16,7 @@ from .transcribed import Given, Point
 
 if TYPE_CHECKING:
     from .solving import Solvable
+    from .start_units import StartUnits
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -28,6 +29,7 @@ class WarmStart:
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
         params: the parameters that it was solved for.
+        units: of the solver, where these are known and fit the problem.
     """
 
     problem: Solvable[Any, Any] | None
@@ -36,6 +38,7 @@ class WarmStart:
     rows: Array  # (rows,)
     scales: Scales
     params: dict[str, Array]
+    units: StartUnits | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
@@ -104,7 +107,8 @@ def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Gi
     if shapes != expected:
         raise other_problem()
     own = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
-    return dataclasses.replace(warm, point=own)
+    same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in given.params.items())
+    return dataclasses.replace(warm, point=own, units=warm.units if same else None)
 
 
 def other_problem() -> TrajectoryError:

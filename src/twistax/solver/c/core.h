@@ -102,4 +102,14 @@ size_t twx_workspace_size(const twx_problem *problem); /* in doubles; 0 where th
 /* Solve from z and v = solution->v. Both hold the result; multipliers are those of the problem as stated, unscaled. */
 int32_t twx_solve(const twx_problem *problem, const twx_options *options, double *z, twx_solution *solution,
                   double *workspace, twx_statistics *statistics);
+
+/* A solution, its multipliers, and weights multiplier / slack of bounds (by v) and of inequalities. */
+typedef struct {
+  const double *z, *lambda, *y, *ye, *bound_weights, *row_weights;
+} twx_point;
+
+/* The moves of a solution for `count` right sides v | c | h | e | cost, in place; see linearised.c. Returns TWX_SOLVED,
+ * or TWX_UNBOUNDED_CURVATURE where the solution is no strict minimum. */
+int32_t twx_linearised(const twx_problem *problem, const twx_options *options, const twx_point *at, int32_t transposed,
+                       int32_t count, double *sides, double *workspace);
 #endif

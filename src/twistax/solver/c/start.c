@@ -146,6 +146,14 @@ static void scale_multipliers(twx_work *w) {
   for (size_t i = 0; i < w->variables; i++) q->zl[i] *= w->cost_scale * w->size[i], q->zu[i] *= w->cost_scale * w->size[i];
 }
 
+/* Bounds and units, and the multipliers of the iterate in these; 0 where they cannot be. */
+int32_t twx_read_problem(twx_work *w) {
+  set_barrier(w);
+  if (!read_bounds(w) || !read_units(w)) return 0;
+  scale_multipliers(w);
+  return 1;
+}
+
 twx_status twx_start(twx_work *w) {
   const twx_options *o = w->options;
   twx_iterate *q = &w->iterate;

@@ -149,9 +149,8 @@ static void add_pull(const twx_work *w, const twx_stage *s, int32_t rows, const 
   twx_add_apply_transposed(rows, w->np, J + (size_t)s->nv * (size_t)rows, rows, multipliers, left + w->variables - (size_t)w->np);
 }
 
-/* What a step leaves of the equations: its size, over what may be left of this right side. */
-static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
-  double size = 0, whole = 0;
+/* left = r + K d: what a step leaves of the equations. */
+void twx_product(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
   const size_t p = w->variables - (size_t)w->np;
   const double of_border = w->softness + w->border_softness / (1 + w->weight * w->border_softness);
   for (size_t i = 0; i < w->variables; i++) left->v[i] = r->v[i] + (w->Sv[i] + w->identity) * d->v[i];
@@ -174,19 +173,29 @@ static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate
       left->c[s->c + (size_t)i] -= d->v[s[1].v + (size_t)i];
     }
   }
-  for (size_t i = 0; i < w->variables; i++) {
-    if (w->free[i] == 0) left->v[i] = 0;
-    size = twx_max(size, fabs(left->v[i])), whole = twx_max(whole, fabs(r->v[i]));
-  }
   for (size_t i = 0; i < w->rows; i++) {
-    left->h[i] += d->s[i] - w->softness * d->y[i], left->s[i] = r->s[i] + (w->Ss[i] + w->identity) * d->s[i] + d->y[i];
-    size = twx_max(size, fabs(left->h[i])), whole = twx_max(whole, twx_max(fabs(r->h[i]), fabs(r->s[i])));
+    left->h[i] += d->s[i] - w->softness * d->y[i];
+    left->s[i] = r->s[i] + (w->Ss[i] + w->identity) * d->s[i] + d->y[i];
   }
-  for (size_t i = 0; i < (size_t)w->ne; i++) {
+  for (size_t i = 0; i < (size_t)w->ne; i++)
     left->e[i] -= (w->place[i] < 0 ? w->softness + w->local_softness : of_border) * d->ye[i];
-    size = twx_max(size, fabs(left->e[i])), whole = twx_max(whole, fabs(r->e[i]));
-  }
-  for (size_t i = 0; i < w->defects; i++) size = twx_max(size, fabs(left->c[i])), whole = twx_max(whole, fabs(r->c[i]));
+}
+
+static double size_of_entries(size_t count, const double *a) {
+  double most = 0;
+  for (size_t i = 0; i < count; i++) most = twx_max(most, fabs(a[i]));
+  return most;
+}
+
+/* What a step leaves of the equations of free variables: its size, over what may be left of this right side. */
+static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian) {
+  const size_t ne = (size_t)w->ne;
+  twx_product(w, r, d, left, with_hessian);
+  for (size_t i = 0; i < w->variables; i++) if (w->free[i] == 0) left->v[i] = 0;
+  const double size = twx_max(twx_max(size_of_entries(w->variables, left->v), size_of_entries(w->rows, left->h)),
+                              twx_max(size_of_entries(ne, left->e), size_of_entries(w->defects, left->c)));
+  const double whole = twx_max(twx_max(twx_max(size_of_entries(w->variables, r->v), size_of_entries(w->rows, r->h)), size_of_entries(w->rows, r->s)),
+                               twx_max(size_of_entries(ne, r->e), size_of_entries(w->defects, r->c)));
   return size / twx_max(1e-300, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->options->tolerance));
 }
 

@@ -115,6 +115,7 @@ TWX_INTERNAL void twx_place_equalities(twx_work *w);
 TWX_INTERNAL int32_t twx_factorize(twx_work *w, double identity, int32_t with_hessian);
 TWX_INTERNAL int32_t twx_factorize_weighted(twx_work *w, double identity);
 TWX_INTERNAL int32_t twx_correct_inertia(twx_work *w);
+TWX_INTERNAL void twx_product(twx_work *w, const twx_residual *r, const twx_iterate *d, twx_residual *left, int32_t with_hessian);
 TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_iterate *step, int32_t with_hessian);
 
 /* measures.c */
@@ -128,6 +129,7 @@ TWX_INTERNAL double twx_barrier(const twx_work *w, const twx_values *at);
 TWX_INTERNAL twx_measures twx_measure(twx_work *w, double barrier);
 
 /* start.c */
+TWX_INTERNAL int32_t twx_read_problem(twx_work *w);
 TWX_INTERNAL twx_status twx_start(twx_work *w);
 TWX_INTERNAL void twx_least_squares_multipliers(twx_work *w);
 
