@@ -101,6 +101,21 @@ def test_a_member_without_a_solution_has_no_derivative() -> None:
     np.testing.assert_allclose(slopes[2], jax.grad(lambda z: of_cart(z).cost)(every[2]), atol=1e-9)
 
 
+@pytest.mark.parametrize("is_box", [False, True])
+def test_a_start_beyond_a_limit_is_no_solution(is_box: bool) -> None:
+    """Nothing that the solver may choose changes such a row, so it has none of it."""
+    p, v, u = tx.State("p", max=1.0 if is_box else None), tx.State("v"), tx.Control("u")
+    system = tx.System(rates={p: v, v: u}, constraints={} if is_box else {"low": p <= 1.0})
+    ends: dict[str, Any] = {"initial": {p: 0.5, v: 0.0}, "final": {p: 0.0, v: 0.0}}
+    problem = Problem(tx.compile(system), tx.Minimize(running=u**2), nodes=11, final_time=2.0, **ends, **HEUN)
+    found = solution(problem)
+    starts = jnp.array([0.5, 0.9, 2.0])
+    of = lambda x: found(initial={"p": x})  # noqa: E731
+    solved, slopes = jax.jit(jax.vmap(lambda x: (of(x).solved, jax.grad(lambda x: of(x).cost)(x))))(starts)
+    assert solved.tolist() == [1.0, 1.0, 0.0]
+    assert np.isfinite(slopes).tolist() == [True, True, False]
+
+
 def test_double_precision_inside_where_x64_is_off() -> None:
     """In single precision the conditions of an optimum would hold to 1e-4 at best."""
     slope = jax.grad(lambda z: of_cart(z).cost)

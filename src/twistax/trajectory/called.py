@@ -114,7 +114,7 @@ class Called:
         return core.judge.judged(outcome, given, mesh_tolerance, core.tolerance).status
 
     def is_solved(self, found: Mapping[str, Any]) -> Any:
-        """Whether it is; rows that ends alone decide are no part of it."""
+        """Whether it is, as far as the core knows: it has no rows that ends alone decide."""
         most = jnp.maximum(COST * found["error"], found["violation"])
         return (found["status"] == CoreStatus.SOLVED.value) | (most <= self._tolerance)
 

@@ -266,10 +266,10 @@ class CoreSolver:
         if not self.is_decided:
             return 0.0
         rows = self.close_look.decided_rows(self.staged.flat(point), given)
-        violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self._row_sizes(units)
+        violated = np.where(own.equality, np.abs(rows), np.maximum(rows, 0.0)) / self.row_sizes(units)
         return float(np.where(own.decided & ~own.pinned, violated, 0.0).max(initial=0.0))
 
-    def _row_sizes(self, units: StartUnits) -> Array:
+    def row_sizes(self, units: StartUnits) -> Array:
         """Of all rows; of one that is not in the core that of another of its name."""
         own = self.transcribed
         sizes = self.staged.all_rows(units.rows, units.equalities, units.v, units.v)
@@ -306,7 +306,7 @@ class CoreSolver:
         w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
         if own.decided.any():
             rows = np.where(own.decided, self.close_look.decided_rows(result.z, given), rows)
-        sizes = self._row_sizes(units)
+        sizes = self.row_sizes(units)
         inequality = own.exists & ~own.equality
         slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
         scales = self.scales(units)._replace(rows=sizes)

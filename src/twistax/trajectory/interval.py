@@ -67,7 +67,7 @@ class Interval:
         rows: int,
     ) -> None:
         self._rate, self._point, self._gap = rate, point, gap
-        self.substeps, self._n, self._size, self._asked, self._rows = substeps, n, size, asked, rows
+        self.substeps, self._n, self._size, self._asked, self._rows = substeps, n, size, asked.astype(np.int32), rows
         self._a, self._b, self._c = self._coefficients(tableau)
 
     def _coefficients(self, tableau: Any) -> tuple[Array, Array, Array]:

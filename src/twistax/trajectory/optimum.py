@@ -113,6 +113,10 @@ class Asked:
         self.fixed = np.append(self.staged.step(*free) == 0.0, np.ones(len(self._places), bool))
         #: Where inequalities and equalities stand among all rows.
         self._rows = [a.astype(int) for a in core.staged.split_rows(np.arange(len(self.shooting.exists)))[:2]]
+        decided = self.shooting.decided & ~self.shooting.pinned
+        #: Rows that ends alone decide and the core has not, and their sizes.
+        self._decided = np.flatnonzero(decided).astype(np.int32)
+        self._sizes_of_decided = core.row_sizes(units)[self._decided]
         #: The least product of a slack and its multiplier.
         self._least = _LEAST_PRODUCT * core.tolerance * units.cost
         own = Units(np.append(units.v, np.ones(len(self._places))), units.rows, units.equalities, units.cost)
@@ -154,6 +158,17 @@ class Asked:
         exact = jnp.concatenate([own.z, own.lam, own.y, own.ye, *weights])
         cast = jax.tree.map(lambda a: jax.lax.convert_element_type(a, precision), own)
         return cast._replace(exact=jax.lax.bitcast_convert_type(exact, np.uint32))
+
+    def violation(self, data: Any, z: Any) -> Any:
+        """The largest violation of rows that ends alone decide, in their sizes: the core has not these rows."""
+        if not len(self._decided):
+            return jnp.zeros(())
+        numbers = self._numbers
+        given = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
+        point = self.point(jnp.append(z, jnp.zeros(len(self._places), z.dtype)))
+        rows = self.shooting.values(point, given).rows[self._decided]
+        violated = jnp.where(self.shooting.equality[self._decided], jnp.abs(rows), rows)
+        return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
     def point(self, z: Any) -> Point:
         """The point of z."""

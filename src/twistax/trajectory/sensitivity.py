@@ -26,6 +26,10 @@ if TYPE_CHECKING:
     from .problem import Problem
 
 
+#: Rounding of a row in roundings of its size.
+_ROUNDING = 100.0
+
+
 class Solution(NamedTuple):
     """An optimum as JAX arrays: objective as stated, states and controls by name, final time, free parameters.
 
@@ -215,7 +219,12 @@ class _Named:
         with jax.enable_x64(True):
             row = self._row(theta)
             found = call.solves.split(call.solves(jnp.concatenate(row)))
-            return self._asked.optimum(row, found, call.is_solved(found), precision)
+            data, z = (jax.lax.convert_element_type(a, precision) for a in (row.data, found["z"]))
+        # Kernels of a program have its precision.
+        least = _ROUNDING * float(jnp.finfo(precision).eps)
+        holds = self._asked.violation(data, z) <= max(self._stated.core.tolerance, least)
+        with jax.enable_x64(True):
+            return self._asked.optimum(row, found, call.is_solved(found) & holds, precision)
 
     def _solved(self, theta: _Theta) -> tuple[Row, jax.Array]:
         """The solve of numbers, and what it reads."""
