@@ -243,6 +243,12 @@ MUTATIONS: list[Mutation] = [
     *_at(
         "expr/arithmetic.py",
         ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
+        (
+            "negative powers in products have derivatives alone",
+            "if not exponent < 0.0:",
+            "if not exponent < -1e9:",
+            "lowering/test_range.py",
+        ),
     ),
     *_at(
         "expr/spellings.py",
@@ -1544,6 +1550,18 @@ MUTATIONS: list[Mutation] = [
             "jnp.where(k <= count, new, old), step(y, own), y)",
             "integrators/test_checkpointed.py",
         ),
+        (
+            "the time of a failure stands still",
+            "if ends_at_event:  #",
+            "if False:  #",
+            "integrators/test_failed_derivatives.py",
+        ),
+        (
+            "crossings that were not reached stand still",
+            "crossings._replace(ts=ts, xs=states)",
+            "crossings",
+            "integrators/test_failed_derivatives.py",
+        ),
     ),
     *_at(
         "integrators/implicit_rkmk.py",
@@ -1672,6 +1690,21 @@ MUTATIONS: list[Mutation] = [
             "rows are chosen in their order",
             "jnp.argmax(jnp.where(waiting, squares, -1.0))",
             "jnp.argmax(jnp.where(waiting, 1.0, -1.0))",
+            "mechanics/test_redundant_loops.py",
+        ),
+    ),
+    *_at(
+        "mechanics/loop_rows.py",
+        (
+            "rows that are all round-off are rows",
+            "float(self._metric.tolerance), blocks, UNIT)",
+            "float(self._metric.tolerance), blocks, 0.0)",
+            "mechanics/test_redundant_loops.py",
+        ),
+        (
+            "the place of a mechanism is its size",
+            "place - origin * at",
+            "place - 0.0 * origin * at",
             "mechanics/test_redundant_loops.py",
         ),
     ),

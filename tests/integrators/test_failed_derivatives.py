@@ -194,3 +194,36 @@ def test_events_phases_dense_output_outputs_and_simulators() -> None:
     fine = several(0.5, 1.0)
     np.testing.assert_allclose(*map(jax.tree.leaves, fine), rtol=1e-6)
     assert np.isfinite(jax.tree.leaves(fine)).all()
+
+
+@pytest.mark.parametrize("saved", [None, np.array([0.1, 0.2])], ids=["end", "saved"])
+@pytest.mark.parametrize("how", [{"steps": 90}, {"rtol": 1e-7}], ids=["fixed", "tolerances"])
+def test_the_time_of_an_event_that_a_failure_prevents(how: dict[str, Any], saved: np.ndarray | None) -> None:
+    """x = 1 is met at 1/a - 1; of a = 2 there is a pole at 0.5 s, and no time to be had."""
+    system, event = blow_up(), tx.Event(tx.State("x") - 1.0)
+
+    def time(a: jax.Array) -> jax.Array:
+        return tx.integrate(system, {"x": a}, t1=0.9, event=event, save_at=saved, throw=False, **how).ts[-1]
+
+    function = jax.jit(jax.vmap(lambda a: (time(a), jax.jacfwd(time)(a), jax.grad(time)(a))))
+    found = np.array(function(jnp.array([0.6, 2.0])))
+    assert np.isnan(found[:, 1]).all()
+    np.testing.assert_allclose(found[:, 0], [1.0 / 0.6 - 1.0, -1.0 / 0.36, -1.0 / 0.36], rtol=1e-5)
+
+
+def test_crossings_that_were_not_reached() -> None:
+    """x = 1 is crossed at 1/a - 1 on the way, x = 1e9 is not: NaN and no zero, unless the loss leaves them out."""
+    system, x = blow_up(), tx.State("x")
+    events = [tx.Event(x - 1.0, terminal=False), tx.Event(x - 1e9, terminal=False)]
+
+    def rows(a: jax.Array) -> jax.Array:
+        run = tx.integrate(system, {"x": a}, t1=0.9, steps=90, event=events, max_crossings=2, throw=False)
+        assert run.crossings is not None
+        return run.crossings.ts
+
+    both = jax.jit(lambda a: (rows(a), jax.jacfwd(rows)(a), jax.jacrev(rows)(a)))
+    values, forward, reverse = both(0.6)
+    for found, right in ((values, 1.0 / 0.6 - 1.0), (forward, -1.0 / 0.36), (reverse, -1.0 / 0.36)):
+        np.testing.assert_allclose(found[0], right, rtol=1e-5)
+        assert np.isnan(found[1])
+    np.testing.assert_allclose(jax.jit(jax.grad(lambda a: jnp.nansum(rows(a))))(0.6), -1.0 / 0.36, rtol=1e-5)

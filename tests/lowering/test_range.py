@@ -55,6 +55,26 @@ def test_gravity_has_its_gradient(way: str, backend: Any) -> None:
 
 
 @pytest.mark.parametrize("way", WAYS)
+def test_gravity_of_the_sun_has_its_gradient(way: str) -> None:
+    """At 1 au: the derivative of r^-3 is below the range of single precision, that of the product is not."""
+    p = np.array([1.2e11, 0.8e11, -0.4e11], np.float32)
+    right = slope(p) * (1.327e20 / GM)
+    pull = WAYS[way](P, tx.linalg.Norm) * (1.327e20 / GM)
+    dynamics, x = tx.compile(tx.System({P: V, V: pull})), {"p": p, "v": np.zeros(3, np.float32)}
+    near(dynamics.jacobian(0.0, x)["x"][3:, :3], right)
+    near(tx.trajectory.linearize(dynamics, 0.0, x).A[3:, :3], right)
+    lowered, eye = tx.lower(pull), jnp.eye(3, dtype=np.float32)
+
+    def check(function: Callable[[Any], Any]) -> None:
+        near(jax.jacfwd(function)(jnp.asarray(p)), right)
+        near(jax.jit(jax.jacfwd(function))(jnp.asarray(p)), right)
+        near(jax.vmap(lambda v: jax.jvp(function, (jnp.asarray(p),), (v,))[1])(eye).T, right)
+
+    check(lambda p: dynamics(0.0, {**x, "p": p})["v"])
+    check(lambda p: lowered(0.0, {"p": p}))
+
+
+@pytest.mark.parametrize("way", WAYS)
 @pytest.mark.parametrize("backend", [None, *BACKENDS[1:]], ids=["tx.lower", "XLA", "Native"])
 def test_transformations_of_jax_give_the_gradient(way: str, backend: Any) -> None:
     """At 7,000 km and, where no derivative by r^3 is needed, at a million."""

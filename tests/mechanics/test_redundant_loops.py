@@ -6,6 +6,7 @@ energy, ranks by singular values.
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 from typing import Any
 
@@ -152,6 +153,60 @@ def test_an_axis_that_is_off_locks_the_linkage() -> None:
     assert 1e-5 < float(found["reciprocal_condition"]) < 1e-2
     loose = four_bar(1e-2, loops.Point("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
     assert int(moving(loose).outputs(0.0, start())["redundant"]) == 1
+
+
+def test_where_a_linkage_stands_is_no_length_of_it() -> None:
+    loop, far = loops.Point("c", "pin", "tip"), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
+    near = four_bar(0.0, loop)
+    links = [
+        dataclasses.replace(each, mount=far @ each.mount.value) if each.parent is None else each for each in near.links
+    ]
+    found, expected = (moving(each).outputs(0.0, start()) for each in (Mechanism(links, loops=[loop]), near))
+    for name in ("F", "rank", "reciprocal_condition"):
+        np.testing.assert_allclose(found[name], expected[name], rtol=1e-9, atol=1e-9)
+
+
+# ---- a door on two hinges --------------------------------------------------------------------------------------------
+
+
+def door(tilt: float, aside: float, frames: tuple[str, str], size: float = 1.0) -> Mechanism:
+    """A door whose upper hinge is a closure, off the axis of the lower one; lengths in units of `size`, m."""
+    panel = SpatialInertia(
+        mass=20.0, center_of_mass=(0.4 * size, 0.0, size), inertia=np.diag([2.0, 3.0, 1.1]) * size**2
+    )
+    high, off = tx.pose(position=[0.0, 0.0, 2.0 * size]), tilted(aside * size, tilt)
+    place = tx.pose(position=[1e3 * size, 0.0, 0.0])
+    links = [
+        Link(joints.Revolute("low", Z), panel, place),
+        Link(joints.Fixed("top"), None, high, parent="low"),
+        Link(joints.Fixed("frame"), None, np.asarray(place) @ np.asarray(high) @ off),
+    ]
+    sideways = (0.0, 9.81 * np.sin(0.1) * size, -9.81 * size)
+    return Mechanism(links, loops=[loops.Axis("c", *frames, Z)], gravity=sideways)
+
+
+@pytest.mark.parametrize(
+    ("tilt", "aside", "frames", "size"),
+    [
+        (0.0, 0.0, ("top", "frame"), 1.0),
+        (1e-9, 0.0, ("top", "frame"), 1.0),
+        (1e-6, 0.0, ("frame", "top"), 1.0),
+        (0.0, 1e-6, ("top", "frame"), 1.0),
+        (1e-6, 1e-6, ("top", "frame"), 1e-3),
+    ],
+)
+def test_a_second_hinge_that_is_a_little_off_does_not_lock_a_door(
+    tilt: float, aside: float, frames: tuple[str, str], size: float
+) -> None:
+    """All rows of the closure are round-off: the door is a pendulum."""
+    dynamics, x = moving(door(tilt, aside, frames, size)), {"q": np.array([0.7]), "qd": np.array([0.2])}
+    pendulum = 20.0 * 0.4 * 9.81 * np.sin(0.1) * np.cos(0.7) / (1.1 + 20.0 * 0.4**2)
+    np.testing.assert_allclose(dynamics(0.0, x)["qd"], [pendulum], rtol=1e-12)
+    found = dynamics.outputs(0.0, x)
+    assert (int(found["rank"]), int(found["redundant"]), float(found["reciprocal_condition"])) == (0, 5, 1.0)
+    assert float(found["misalignment"]) <= 2.1e-6
+    np.testing.assert_array_equal(found["F"], np.zeros(6))  # the lower hinge can carry all
+    assert float(found["wrench_error"]) == 0.0
 
 
 # ---- Bennett's linkage: four hinges in space that turn all the same --------------------------------------------------

@@ -18,11 +18,11 @@ from .node import Expr, Shape
 _TRUSTED, _ROUND_OFF = 16.0, 4.0
 
 
-def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...]) -> jax.Array:
+def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...], unit: float) -> jax.Array:
     """(2, m) of the Gram matrix S (m, m) of rows: 1 for rows that are chosen, 0 for others; and their distances."""
     m, eps = S.shape[-1], float(jnp.finfo(S.dtype).eps)
     least = max(tolerance**2, _TRUSTED * m * eps)
-    left, longest = S, jnp.max(_diagonal(S, m))
+    left, longest = S, jnp.maximum(jnp.max(_diagonal(S, m)), unit**2)
     found: list[jax.Array] = []
     for size in blocks:
         waiting, chosen, distances = jnp.ones(size, bool), jnp.zeros(size, bool), jnp.zeros(size, S.dtype)
@@ -51,9 +51,9 @@ class IndependentRows(Expr):
     """Which rows of a matrix G are independent, from its Gram matrix $S = G G^T$. Shape: (m, m) -> (2, m).
 
     Rows are chosen one after the other, each time the one that is farthest from the span of those chosen before, until
-    none is farther from it than `tolerance` times the length of the longest. The first line of the value is 1 for rows
-    that are chosen and 0 for others, and has no derivative; the second one is the distance of each row from the span of
-    those chosen before it. What round-off makes of zero is zero.
+    none is farther from it than `tolerance` times the length of the longest, or times `unit` where all are shorter. The
+    first line of the value is 1 for rows that are chosen and 0 for others, and has no derivative; the second one is the
+    distance of each row from the span of those chosen before it. What round-off makes of zero is zero.
 
     S loses the half of the digits: in single precision no tolerance below about 2e-3 has an effect.
 
@@ -62,8 +62,9 @@ class IndependentRows(Expr):
         tolerance: positive and below one.
         blocks: how many rows are compared at once, block after block; all of them unless given. Blocks cost less where
             there are many rows, and are worse where a row that hardly stands off the others comes before a better one.
+        unit: a length that rows have where their terms do not cancel; zero where that is not known.
     Raises: ShapeError if the operand is no square matrix, or blocks have another number of rows; ModelError for another
-        tolerance.
+        tolerance, or a unit that is negative or not finite.
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, complete pivoting.
     """
 
@@ -71,15 +72,19 @@ class IndependentRows(Expr):
     operand: Operand
     tolerance: float = 1e-5
     blocks: tuple[int, ...] = ()
+    unit: float = 0.0
     cases = (
         {"operand": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]]},
         {"operand": [[4.0, 1.0], [1.0, 3.0]], "tolerance": 0.9},
         {"operand": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]], "blocks": (1, 2)},
+        {"operand": [[0.04, 0.01], [0.01, 0.05]], "tolerance": 0.21, "unit": 1.0},
     )
 
     def validate(self) -> None:
         if not isinstance(self.tolerance, float) or not 0.0 < self.tolerance < 1.0:
             raise ModelError(f"IndependentRows expects a tolerance between 0 and 1, got {self.tolerance!r}")
+        if not isinstance(self.unit, float) or not 0.0 <= self.unit < np.inf:
+            raise ModelError(f"IndependentRows expects a unit of zero or more, got {self.unit!r}")
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         (S,) = shapes
@@ -89,7 +94,7 @@ class IndependentRows(Expr):
         return (2, S[0])
 
     def evaluate(self, *values: Any) -> jax.Array:
-        return independent_rows(values[0], self.tolerance, self.blocks or (values[0].shape[0],))
+        return independent_rows(values[0], self.tolerance, self.blocks or (values[0].shape[0],), self.unit)
 
     def to_latex(self, *operands: str) -> str:
         return rf"\operatorname{{rows}}\left({operands[0]}\right)"

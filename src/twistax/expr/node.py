@@ -161,7 +161,10 @@ class Expr(Operators):
         return type(self).function(*values)
 
     def eager_children(self) -> list[Expr]:
-        """The children that are evaluated in any case: all, or the first ones, and the rest are branches."""
+        """The children that are evaluated in any case: all, or the first ones, and the rest are branches.
+
+        Another expression may stand in the place of a child, from which the value is computed with less error.
+        """
         return self.children()
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:

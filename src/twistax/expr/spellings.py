@@ -6,6 +6,7 @@ Methods and attributes of arrays, functions of `jax.numpy` and `math`, and funct
 from __future__ import annotations
 
 import dis
+import inspect
 import sys
 from types import FrameType
 from typing import TYPE_CHECKING, Any, NoReturn
@@ -105,9 +106,25 @@ def missing(expr: Any, name: str, of_numpy: bool) -> AttributeError:
         if spelled(name, "x", rank) or of_numpy:  # the text of a large expression takes long, and `hasattr` asks often
             text = repr(expr)
             x = text if len(text) <= 20 else "x"
-            fix = spelled(name, x, rank) or f"np.{name}({x})"
+            fix = spelled(name, x, rank) or _called(name, x)
             return MissingAttribute(f"{text[:60]}.{name}: an expression is no array and has no {name!r}.\n  fix: {fix}")
     return AttributeError(f"{type(expr).__name__!r} object has no attribute {name!r}", name=name, obj=expr)
+
+
+def _called(name: str, x: str) -> str:
+    """A call of a function of NumPy, with dots for other arguments that it needs."""
+    function = getattr(np, name)
+    more = (function.nin if isinstance(function, np.ufunc) else _positional(function)) > 1
+    return f"np.{name}({x}, ...)" if more else f"np.{name}({x})"
+
+
+def _positional(function: Any) -> int:
+    """How many arguments a function needs; 1 where it does not say."""
+    try:
+        parameters = inspect.signature(function).parameters.values()
+    except ValueError:
+        return 1
+    return sum(p.default is p.empty and p.kind in (p.POSITIONAL_ONLY, p.POSITIONAL_OR_KEYWORD) for p in parameters)
 
 
 def _rank(expr: Any) -> int:

@@ -356,13 +356,15 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
     if known and throw and not ended_well(result):
         raise failure(*numbers((stepper, steps, outcome, found.end or xs)))
     t_end = stepper.clock(outcome.t)
+    if not known:
+        t_end = nan_unless(ended_well(outcome.code), t_end)
     if end_only:
         if not known:
             xs = nan_unless(ended_well(outcome.code), xs)
         if known:
             ts = ts if result is Result.SUCCESS else np.asarray(t_end)[None]
         elif watching:
-            ts = jnp.where(outcome.code == Result.EVENT.value, t_end, ts[-1])[None]
+            ts = jnp.where(outcome.code == Result.SUCCESS.value, ts[-1], t_end)[None]
     else:
         # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
         unknown = is_traced((found, ts))

@@ -231,10 +231,11 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
         return _batched_alike(_again(steps, stepper, x, run, known), primals)
 
     found, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
-    return found, _not_of_failures(found, slope, [slopes[i] for i in moving])
+    ends_at_event = steps.watch is not None and any(steps.watch.terminal)
+    return found, _not_of_failures(found, slope, [slopes[i] for i in moving], ends_at_event)
 
 
-def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any]) -> Rollout:
+def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any], ends_at_event: bool) -> Rollout:
     """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
     good = ended_well(found.outcome.code)
     nothing = nothing_of(moved)  # what no step has read yet counts too
@@ -243,7 +244,15 @@ def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any]) -> Rollou
         return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
 
     xs = spoiled(good if found.reached is None else found.reached, slope.xs)
-    return slope._replace(xs=xs, end=None if slope.end is None else spoiled(good, slope.end))
+    end = None if slope.end is None else spoiled(good, slope.end)
+    crossings = slope.crossings
+    if crossings is not None and found.crossings is not None:
+        ts, states = spoiled(found.crossings.which >= 0, (crossings.ts, crossings.xs))
+        crossings = crossings._replace(ts=ts, xs=states)
+    outcome = slope.outcome
+    if ends_at_event:  # other ends do not move, and stay known outside of `jit`
+        outcome = outcome._replace(t=spoiled(good, outcome.t))
+    return slope._replace(xs=xs, end=end, outcome=outcome, crossings=crossings)
 
 
 def _is_symbolic(slope: Any) -> bool:

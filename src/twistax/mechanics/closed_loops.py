@@ -27,7 +27,7 @@ from ..expr.lie import Adjoint, AdjointAction, SE3AdjointDual
 from .dynamics import Wrenches, bias_forces, checked, mass_matrix
 from .inertia_frames import mirrored
 from .jacobians import frame_jacobian
-from .loop_rows import LoopRows, numbers, solved
+from .loop_rows import UNIT, LoopRows, numbers, solved
 from .loops import Loop
 from .mechanism import Mechanism, Positions
 
@@ -147,7 +147,7 @@ class LoopMotion:
     def diagnostics(self) -> dict[str, Expr]:
         """See `loop_diagnostics`."""
         chosen, distances = self.rows.independent[0], self.rows.independent[1]
-        longest, rank = _largest(distances), Sum(chosen)
+        longest, rank = Max(_largest(distances), UNIT), Sum(chosen)
         nearest = -_largest(-Where(chosen > 0.5, distances, longest))
         measures = self.rows.measures
         # What A mu = r leaves, solved for once more; what rows that were left out would exert, unlike those chosen.
@@ -224,9 +224,9 @@ def loop_diagnostics(
 
     - `rank`: how many rows of the closures are independent here, of all m.
     - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
-    - `reciprocal_condition`: $d_min / d_max$ of the rows chosen, from 1 down to the tolerance: how far the posture is
-      from a singular one, where a row begins to depend on the others.
-    - `misalignment`: the largest d of a row that was left out, over d_max: what closures say twice and not quite
+    - `reciprocal_condition`: $d_min / max(d_max, 1)$ of the rows chosen, from 1 down to the tolerance: how far the
+      posture is from a singular one, where a row begins to depend on the others. It is 1 where no row is chosen.
+    - `misalignment`: the largest d of a row that was left out, over the same: what closures say twice and not quite
       alike, such as axes that are not parallel to the last digit.
     - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
       round-off leaves of the equations, and what misalignment makes of redundant wrenches, both over the smallest

@@ -1,10 +1,10 @@
 """Rows of closed loops: which of them are independent in a posture, and the shortest wrenches of all of them.
 
 With D the measures of the closures' wrenches and E those of the velocities, see `loops.Metric`, the rows G become
-$G_s = D G E^-1$, all of lengths of order one. Of these, those are chosen that stand off the others
-(`tx.linalg.IndependentRows`); the motion needs no more. Their multipliers mu make the forces G' mu of the joints. With
-X the combinations of the rows chosen that all rows are, $X^T G_s,chosen = G_s$, the shortest multipliers with the same
-forces are
+$G_s = D G E^-1$, of lengths of order one where the motions of the two frames do not cancel. Of these, those are chosen
+that stand off the others (`tx.linalg.IndependentRows`); the motion needs no more. Their multipliers mu make the forces
+G' mu of the joints. With X the combinations of the rows chosen that all rows are, $X^T G_s,chosen = G_s$, the shortest
+multipliers with the same forces are
 
     lambda = X' (X X')^-1 mu.
 
@@ -40,6 +40,9 @@ from .mechanism import Mechanism
 
 #: Systems of more unknowns are LAPACK's.
 _SMALL = 48
+#: The length of a row of G_s of two frames of which one moves by a joint, alone. Where all rows are much shorter the
+#: frames move as one, as those of a second hinge on the axis of the first do: the rows are what misalignment is.
+UNIT = 1.0
 #: So many rows are compared with one another; of more those of one closure at a time, which costs less.
 _AT_ONCE = 12
 
@@ -74,7 +77,7 @@ class LoopRows:
     def independent(self) -> Expr:
         """Which rows are chosen, and the distances of all, (2, m)."""
         blocks = () if len(self.measures) <= _AT_ONCE else self._blocks
-        return IndependentRows(self.gram, float(self._metric.tolerance), blocks)
+        return IndependentRows(self.gram, float(self._metric.tolerance), blocks, UNIT)
 
     @property
     def chosen(self) -> Expr:
@@ -98,7 +101,7 @@ class LoopRows:
         """1 for rows that are chosen or long, 0 for what is shorter than the tolerance, and smooth between (m,)."""
         m = len(self.measures)
         squares = Concat(*(self.gram[i, i] for i in range(m)))
-        least = (self._metric.tolerance**2) * Sum(squares)
+        least = (self._metric.tolerance**2) * (UNIT**2 + Sum(squares))
         return self.chosen + (1.0 - self.chosen) * squares / (squares + least)
 
     def _of_chosen(self, A: Expr) -> Expr:
@@ -111,7 +114,11 @@ def characteristic_length(mechanism: Mechanism) -> float:
     """l of the metric, m; of the mechanism unless it is given. Parameters have their values there."""
     if mechanism.loop_metric.length is not None:
         return float(mechanism.loop_metric.length)
-    apart = [float(np.linalg.norm(numbers(link.mount[:3, 3]))) for link in mechanism.links]
+    places = [numbers(link.mount[:3, 3]) for link in mechanism.links]
+    on_base = [link.parent in (None, mechanism.base) for link in mechanism.links]
+    # Where the mechanism stands is not its size: places on the base are seen from the first of them.
+    origin = places[on_base.index(True)]
+    apart = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
     apart = [length for length in apart if length > 0.0]
     return float(np.mean(apart)) if apart else 1.0
 

@@ -35,12 +35,14 @@ class Metric:
 
     With a length l a rotation counts as l times its angle, a slide as its way, and a moment tau as a force tau / l. In
     that measure, of lengths alone, rows of closures are independent that stand off the others by more than `tolerance`
-    times the longest; what others say twice has no part in the motion. The wrenches of closures are the shortest that
+    times the longest, or times one, a row of a joint that moves alone, where all are shorter. What others say twice has
+    no part in the motion. The wrenches of closures are the shortest that
     give it: the least sum of $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter: a link may be as light as it
     likes.
 
     Attributes:
-        length: l (), m; None: the mean distance of the joints of the mechanism from those before.
+        length: l (), m; None: the mean distance of the joints of the mechanism from those before, of joints on the base
+            from the first of these. For closures of mechanisms that are much smaller, give their size.
         tolerance: (), between 0 and 1. Angles to which the axes of a model are rounded lie below it. In single
             precision it is 2e-3 at least.
     Raises: ModelError for a length that is not positive, or a tolerance out of its range.

@@ -9,7 +9,17 @@ import numpy as np
 
 import twistax as tx
 
-from ...mechanics import Link, Mechanism, SpatialInertia, joints, loop_diagnostics, loop_wrench, loops, spatial_momentum
+from ...mechanics import (
+    Drive,
+    Link,
+    Mechanism,
+    SpatialInertia,
+    joints,
+    loop_diagnostics,
+    loop_wrench,
+    loops,
+    spatial_momentum,
+)
 from ..checks import Check, Section, at_most, between, simulated
 
 _TENSOR = np.array([[2.0, 0.1, 0.0], [0.1, 3.0, -0.2], [0.0, -0.2, 4.0]])
@@ -37,6 +47,22 @@ def _by_states() -> float:
     body = SpatialInertia(mass=10.0, inertia=_TENSOR) + tip
     rates = {length: speed, speed: 0.3 - 0.4 * length}
     return _momentum(body, rates, {"length": np.array(1.0), "speed": np.array(0.7)})
+
+
+def _sprung() -> float:
+    """How much energy, springs and all, a ball joint and a hinge on springs lose in 3 s, in parts of the largest."""
+    body = SpatialInertia(mass=1.2, center_of_mass=(0.2, 0.1, -0.1), inertia=np.diag([0.05, 0.06, 0.07]))
+    place, y = tx.pose(position=[0.4, 0.0, 0.1]), (0.0, 1.0, 0.0)
+    links = [
+        Link(joints.Revolute("hinge", y), body, np.eye(4), drive=Drive(stiffness=5.0, rest=0.3)),
+        Link(joints.Spherical("ball"), body, place, parent="hinge", drive=Drive(stiffness=3.0)),
+    ]
+    robot = Mechanism(links)
+    dynamics = tx.compile(robot.system(outputs={**robot.energies(), "sum": robot.energy()}))
+    x = {"q": np.array([0.2]), "qd": np.array([1.0, 0.4, -0.3, 0.6]), "ball_position": np.eye(3)}
+    end = simulated(dynamics, x, t1=3.0, rtol=1e-12, atol=1e-12).last
+    before, after = (dynamics.outputs(0.0, each) for each in (x, end))
+    return float(abs(after["sum"] - before["sum"])) / max(abs(float(value)) for value in after.values())
 
 
 # ---- loops -----------------------------------------------------------------------------------------------------------
@@ -83,6 +109,20 @@ def _tilted(part: int) -> float:
     return float(np.linalg.norm(off - straight) / np.linalg.norm(straight))
 
 
+def _ajar(off: float) -> float:
+    """How far a door on two hinges, the upper one off by a length, m, is from a pendulum, in parts."""
+    panel = SpatialInertia(mass=20.0, center_of_mass=(0.4, 0.0, 1.0), inertia=np.diag([2.0, 3.0, 1.1]))
+    links = [
+        Link(joints.Revolute("low", (0.0, 0.0, 1.0)), panel, np.eye(4)),
+        Link(joints.Fixed("top"), None, tx.pose(position=[0.0, 0.0, 2.0]), parent="low"),
+        Link(joints.Fixed("frame"), None, tx.pose(position=[off, 0.0, 2.0])),
+    ]
+    upper = loops.Axis("upper", "top", "frame", (0.0, 0.0, 1.0))
+    door = tx.compile(Mechanism(links, loops=[upper], gravity=(0.0, 1.0, -9.81)).system(controls=[]))
+    pendulum = 20.0 * 0.4 * np.cos(0.7) / (1.1 + 20.0 * 0.4**2)
+    return abs(float(door(0.0, {"q": np.array([0.7]), "qd": np.zeros(1)})["qd"][0]) / pendulum - 1.0)
+
+
 @functools.cache
 def _bennett() -> tuple[tx.Dynamics, dict[str, Any]]:
     """Bennett's linkage, 1 rad before its flat posture."""
@@ -124,12 +164,17 @@ MOVING_MASSES: Section = [
     Check("momentum of a body whose inertia changes in time", "tx.integrate", at_most(1e-12), _in_time),
     "A boom that is a state moves the hub by the acceleration of its centre of mass.",
     Check("momentum of a body with a boom that deploys", "tx.integrate", at_most(1e-12), _by_states),
+    "The energy of a mechanism counts the springs of its drives.",
+    Check("energy of a hinge and a ball joint on springs", "tx.integrate", at_most(1e-10), _sprung),
 ]
 
 LOOPS: Section = [
     "An axis that is off by round-off says nothing new: its row is left out.",
     Check("four-bar, an axis tilted by 1e-7 rad: accelerations", "loops", at_most(1e-6), _tilted, 0),
     Check("the same: the closure's wrench", "loops", at_most(1e-6), _tilted, 1),
+    "A second hinge of a door says nothing new at all: what its rows are is round-off.",
+    Check("a door whose upper hinge is off by 1e-9 m: acceleration", "loops", at_most(1e-12), _ajar, 1e-9),
+    Check("the same, by 1e-6 m", "loops", at_most(1e-12), _ajar, 1e-6),
     "In the flat posture rows vanish, and the rank stays.",
     Check("Bennett's linkage through its flat posture, dt = 1 ms: energy", "tx.integrate", at_most(1e-8), _energy),
     Check("the same: redundant rows, of 5", "loop_diagnostics", between(3.0, 3.0, "rows"), _redundant),
