@@ -8,7 +8,7 @@ to first order,
 
 Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102, errors weighted by the dual solution.
 
-A row has a slope if a small move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
+A row has a slope if a move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
 that change, over the change of the objective, is of order one where it has.
 """
 
@@ -25,6 +25,7 @@ from numpy import ndarray as Array
 from .close_look import CloseLook
 from .outcome import Outcome
 from .staged import Staged
+from .stiff import amplification
 from .transcribed import Closely, Given
 from .watch import AT_OPTIMUM, Status
 
@@ -32,8 +33,8 @@ from .watch import AT_OPTIMUM, Status
 MESH = 1e-2
 #: Multipliers beyond this, in scales of moves, are of rows without slope.
 _RUN_AWAY = 1e8
-#: Where no multiplier, scaled, is larger none has run away: then no row is looked at.
-_SMALL = 1e3
+#: The length of a small move, in sizes of the unknowns.
+_SMALL = 1e-3
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,6 +66,8 @@ class Accuracy:
         intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
         change: by how much the objective would change on a mesh without error, to first order, in its unit.
         share: the size of that change over the objective, or over its scale where that is larger.
+        amplified: of each phase (intervals,), the factor by which a substep multiplies a mode of the equations that
+            does not grow; 1 where the method is stable.
         exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
             and `place`; the largest share first.
         tolerance: the `mesh_tolerance` that was asked for.
@@ -75,6 +78,7 @@ class Accuracy:
     intervals: tuple[Array, ...]
     change: float
     share: float
+    amplified: tuple[Array, ...]
     exceeded: dict[str, Exceeded]
     tolerance: float
     middles: tuple[dict[str, Array], ...] = dataclasses.field(repr=False)
@@ -88,14 +92,28 @@ class Accuracy:
     @property
     def place(self) -> str:
         """Where that is."""
-        phase = int(np.argmax([own.max(initial=0.0) for own in self.intervals]))
-        stage = int(self.intervals[phase].argmax())
-        return f"between nodes {stage} and {stage + 1}{self.places[phase]}"
+        return self._largest(self.intervals)
+
+    @property
+    def factor(self) -> float:
+        """The largest factor of a mode that a step amplifies; 1 if there is none."""
+        return float(np.concatenate(self.amplified).max(initial=1.0))
+
+    @property
+    def unstable_place(self) -> str:
+        """Where that is."""
+        return self._largest(self.amplified)
 
     @property
     def coarse(self) -> bool:
         """Whether the mesh is too coarse for what was asked."""
-        return not (self.error <= self.tolerance and self.share <= self.tolerance)
+        follows = self.error <= self.tolerance and self.share <= self.tolerance
+        return not (follows and (self.factor <= 1.0 or np.isinf(self.tolerance)))
+
+    def _largest(self, numbers: Sequence[Array]) -> str:
+        phase = int(np.argmax([own.max(initial=0.0) for own in numbers]))
+        stage = int(numbers[phase].argmax())
+        return f"between nodes {stage} and {stage + 1}{self.places[phase]}"
 
 
 class Flat(NamedTuple):
@@ -115,6 +133,10 @@ class Judge:
 
     def __init__(self, close_look: CloseLook, staged: Staged) -> None:
         self._close_look, self._staged, self._shooting = close_look, staged, staged.transcribed
+        shooting = self._shooting
+        cones = [shooting.named(own, name) for own in shooting.segments for name in own.shooting.path.cones]
+        #: Rows |a|^2 <= b^2 that stand for |a| <= b: their multipliers go like 1 / b as b goes to zero.
+        self._cones = np.isin(np.asarray(shooting.names, str), cones)
 
     def judged(self, outcome: Outcome, given: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
         """The outcome with its accuracy, and with the status that this gives it.
@@ -127,7 +149,8 @@ class Judge:
         if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
             return outcome
         z = self._staged.flat(outcome.point)
-        accuracy = self._accuracy(self._close_look.at(z, given), outcome, mesh_tolerance, tolerance)
+        amplified = amplification(self._staged, outcome.point, given)
+        accuracy = self._accuracy(self._close_look.at(z, given), outcome, mesh_tolerance, tolerance, amplified)
         outcome = outcome._replace(accuracy=accuracy, flat=self._flat(z, outcome))
         if not ended_well:
             return outcome
@@ -137,18 +160,25 @@ class Judge:
 
     def _flat(self, z: Array, outcome: Outcome) -> Flat | None:
         """The row whose multiplier is largest, if that has run away."""
-        if np.abs(outcome.scaled_rows).max(initial=0.0) <= _SMALL:
+        weights, scales = np.abs(outcome.rows), outcome.scales
+        if not weights.any():
             return None
-        scales = outcome.scales
-        look = self._close_look.changes(z, self._staged.step(scales.d, scales.u, scales.border))
-        sizes = np.abs(outcome.rows) * look.rows
-        if not look.cost > 0.0 or not sizes.max(initial=0.0) > _RUN_AWAY * look.cost:
-            return None
+        step, sizes = self._staged.step(scales.d, scales.u, scales.border), np.zeros_like(weights)
+        for length, seen in ((_SMALL, 1.0), (1.0, ~self._cones)):  # a whole move shows what is flat to several orders
+            look = self._close_look.changes(z, step, length)
+            sizes = np.maximum(sizes, seen * weights * look.rows / look.cost if look.cost > 0.0 else 0.0)
         row = int(sizes.argmax())
-        return Flat(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row] / look.cost))
+        if not sizes[row] > _RUN_AWAY:
+            return None
+        return Flat(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row]))
 
     def _accuracy(
-        self, phases: Sequence[Closely], outcome: Outcome, mesh_tolerance: float, tolerance: float
+        self,
+        phases: Sequence[Closely],
+        outcome: Outcome,
+        mesh_tolerance: float,
+        tolerance: float,
+        amplified: Sequence[Array],
     ) -> Accuracy:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
@@ -168,6 +198,7 @@ class Judge:
             intervals=tuple(intervals),
             change=change,
             share=abs(change) / size,
+            amplified=tuple(amplified),
             exceeded={name: exceeded[name] for name in order},
             tolerance=mesh_tolerance,
             middles=tuple(closely.middles for closely in phases),

@@ -14,12 +14,12 @@ from .evaluated import Evaluated, moved
 from .staged import Staged, method_of
 from .transcribed import Closely, Given
 
-#: How many moves of all unknowns there are, and how long they are in sizes. In one of them changes may cancel.
-_MOVES, _LENGTH = 4, 1e-3
+#: How many moves of all unknowns there are: in one of them changes may cancel.
+_MOVES = 4
 
 
 class Changes(NamedTuple):
-    """By how much small moves change rows and objective."""
+    """By how much moves change rows and objective."""
 
     rows: Array
     cost: float
@@ -88,11 +88,12 @@ class CloseLook:
         xs = halfway.xs if isinstance(halfway.xs, tuple) else (halfway.xs,)
         return [{name: a[:-1] for name, a in own.items()} for own in xs]
 
-    def changes(self, z: Array, v: Array) -> Changes:
-        """The largest changes of rows and objective by small random moves of all that is free.
+    def changes(self, z: Array, v: Array, length: float) -> Changes:
+        """The largest changes of rows and objective by random moves of all that is free.
 
         Args:
             v: sizes of all unknowns.
+            length: of the moves, in these sizes.
         """
         staged, own = self._staged, self._staged.transcription
         free, rng = staged.transcribed.free, np.random.default_rng(0)
@@ -101,7 +102,7 @@ class CloseLook:
         rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
         for _ in range(_MOVES):
             signs = rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v))
-            step = np.where(which, _LENGTH * v * signs, 0.0)
+            step = np.where(which, length * v * signs, 0.0)
             there = Evaluated(own, moved(own, z, step))
             change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
             rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))

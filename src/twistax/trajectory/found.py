@@ -327,7 +327,12 @@ def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
         )
     if own is None:
         return found
-    if own.coarse:
+    if own.coarse and own.factor > 1.0:
+        found.append(
+            f"The method is not stable on this mesh: {own.unstable_place} each step multiplies a mode of the equations "
+            f"that does not grow by {own.factor:.2g}, so the optimum of this mesh avoids what moves it: {_FINER}."
+        )
+    elif own.coarse:
         found.append(
             f"Integrated closely, the interval {own.place} misses its end by {own.error:.2g} in scales of the states, "
             f"and the objective is off by about {own.share:.1g} of its size, where {own.tolerance:g} is allowed: "

@@ -118,6 +118,7 @@ class PathRows:
 
     residuals: tuple[Expr, ...]  # <= 0 or = 0
     names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
+    cones: frozenset[str]  # names of rows that squares state in place of norms
     equality: Array  # which rows are equalities
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
@@ -164,6 +165,7 @@ def describe_path(
     states: list[frozenset[str]] = []
     timed: list[bool] = []
     loose: list[bool] = []
+    cones = {name for name, _ in norms.rows}
     asked_for = [
         (name, *each)
         for kind, own in functions.constraints.items()
@@ -172,7 +174,10 @@ def describe_path(
     ]
     for name, residual, is_equality in asked_for:
         asked = limited(name, residual, is_equality)
-        for row in [residual] if is_equality else without_norms(residual) if asked.any() else []:
+        stated = [residual] if is_equality else without_norms(residual) if asked.any() else []
+        if any(row is not residual for row in stated):
+            cones |= set(entry_names(name, residual.shape))
+        for row in stated:
             entries, leaves = int(asked.sum()), list(leaves_of(row))
             left = row if asked.all() else row[np.nonzero(asked)]
             residuals.append(left if is_equality else without_end(left))
@@ -199,6 +204,7 @@ def describe_path(
     return PathRows(
         residuals=tuple(residuals),
         names=(*names, *boxes),
+        cones=frozenset(cones),
         equality=np.array([*equality, *[False] * len(boxes)], bool),
         reads=(*reads, *(b.reads for b in bounds)),
         states=(*states, *(frozenset([b.leaf]) for b in bounds)),
