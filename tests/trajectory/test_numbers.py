@@ -123,6 +123,21 @@ def test_limits_between_nodes_compile_nothing(made: list[str]) -> None:
     assert made == []
 
 
+@pytest.mark.parametrize("make", [pushed, turned])
+def test_rollouts_of_a_result_integrate_by_the_core(make: Callable[..., Any], made: list[str]) -> None:
+    """What is compiled are the few conditions at nodes."""
+    make().solve().replay()
+    result = make(nodes=10).solve()
+    made.clear()
+    by_core = result.replay()
+    assert sum("backend_compile" in event for event in made) <= len(by_core.final)
+    by_jax = result.replay(result.problem.transcription.replaying)
+    assert by_core.violations == pytest.approx(by_jax.violations, abs=1e-9)
+    for name, values in by_jax.xs.items():
+        np.testing.assert_allclose(by_core.xs[name], values, atol=1e-10)
+        np.testing.assert_allclose(by_core.vectors[name], by_jax.vectors[name], atol=1e-10)
+
+
 def test_finer_meshes_compile_nothing(made: list[str]) -> None:
     assert pushed().solve(refine=1e-3).solved
     made.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -15,7 +16,9 @@ from ..groups import Group
 from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from .cones import bounds_along
+from .rollout import Rollout
 from .statement import largest_by_name, violations
+from .transcribed import Point
 
 if TYPE_CHECKING:
     from .result import Trajectory
@@ -50,8 +53,14 @@ class Replay:
     final: dict[str, float]
 
 
-def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
-    """The rollout of a trajectory; see `Trajectory.replay`."""
+def replayed(
+    result: Trajectory, method: Any, steps: int, rtol: float, atol: float, border: Array | None = None
+) -> Replay:
+    """The rollout of a trajectory; see `Trajectory.replay`.
+
+    Args:
+        border: what all stages share in a solve; with it and without a method the solver's core rolls out.
+    """
     _need_finite(result)
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
     if back.size:
@@ -59,6 +68,11 @@ def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: flo
             f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time goes on.\n"
             "  fix: solve until the limits of free node times hold"
         )
+    if method is None and border is not None:
+        xs = _by_the_core(result, border, steps)
+        if all(np.isfinite(values).all() for values in xs.values()):
+            return _judged(result, xs, steps)
+    method = result.problem.transcription.replaying if method is None else method
     if isinstance(method, Method):
         return _judged(result, rolled_out(result, method, steps), steps)
     return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
@@ -99,6 +113,21 @@ def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Arra
         parts.append({name: np.asarray(values) for name, values in solution.xs.items()})
         x = {name: values[-1] for name, values in parts[-1].items()}
     return {name: np.concatenate([part[name] for part in parts]) for name in x}
+
+
+def _by_the_core(result: Trajectory, border: Array, steps: int) -> dict[str, Array]:
+    """The same by the solver's core, which compiles nothing for other numbers: not finite from where it fails."""
+    problem, held = result.problem, held_of(result)
+    held |= {c.name: np.zeros(problem.nodes - 1) for c in problem.norms.controls}
+    columns = [np.reshape(held[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
+    fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
+    started = problem.started(params=fixed)
+    staged = problem.staged(started.point, started.given)
+    xs = {name: values[None] for name, values in _start(result).items()}
+    point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
+    data = staged.numbers.vector(started.given)
+    rolling = problem.transcription.rolling(steps)
+    return Rollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 
 
 def _start(result: Trajectory) -> dict[str, Array]:
@@ -175,7 +204,7 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
     planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
     unseen = problem.restated.hidden | problem.reduced.loose
     factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in unseen]
-    vectors = {name: np.asarray(jax.jit(g.difference)(planned[name], end[name])) for name, g in factors}
+    vectors = {name: _difference(g, planned[name], end[name]) for name, g in factors}
     path, rows = problem.path, _shown_along(result, ts, xs, steps)
     extremes = problem.reduced.extremes_of(rows, path.shown, result.params)
     return Replay(
@@ -189,6 +218,16 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
         extremes={leaf.name: float(extremes[name]) for leaf, name in problem.reduced.extremes.values()},
         final=_node_violations(result, ts, xs, steps),
     )
+
+
+def _difference(group: Group, a: Array, b: Array) -> Array:
+    """The tangent from a to b."""
+    return np.ravel(b - a) if group.flat else np.asarray(_curved_difference(group, a, b))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _curved_difference(group: Group, a: jax.Array, b: jax.Array) -> jax.Array:
+    return group.difference(a, b)
 
 
 def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:

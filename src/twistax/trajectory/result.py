@@ -119,7 +119,12 @@ class Trajectory:
         """
         whole("steps", steps, 1, TrajectoryError)
         with in_double():
-            return replayed(self, self.problem.transcription.replaying if method is None else method, steps, rtol, atol)
+            return replayed(self, method, steps, rtol, atol, self._border)
+
+    @property
+    def _border(self) -> Array | None:
+        """What all stages share in the solve that it comes from."""
+        return None
 
 
 @dataclasses.dataclass(frozen=True, repr=False)
@@ -136,6 +141,10 @@ class TrajectoryResult(Found, Trajectory):
         """As `Trajectory.replay`. Raises TrajectoryError, too, where values of the problem are not finite there."""
         self._need_finite()
         return super().replay(method, steps, rtol=rtol, atol=atol)
+
+    @property
+    def _border(self) -> Array:
+        return np.asarray(self.warm.point.border)
 
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """As `Trajectory.plot`, with the multipliers of what is active."""

@@ -368,6 +368,10 @@ class Solvable(ABC, Generic[One, Many]):
             found.append(of_controls | {name: sizes.d[states[name]] for name in own.restated.smooth})
         return found
 
+    def staged(self, point: Point, given: Given) -> Staged:
+        """The problem as the core has it, of this thread."""
+        return self._core(1e-6, point, given).staged
+
     def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
         """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
         key = (tolerance, threading.get_ident())
