@@ -38,6 +38,11 @@ def test_a_callback_ends_a_solve_at_the_best_iterate() -> None:
     assert "STOPPED" in result.message
 
 
+def test_a_comparison_of_numpy_ends_a_solve() -> None:
+    result = swing_up().solve(callback=lambda iteration, cost, violation: np.abs(cost) < np.inf)
+    assert result.status is Status.STOPPED
+
+
 def test_what_a_callback_returns_otherwise_changes_nothing() -> None:
     plain = swing_up().solve()
     assert swing_up().solve(callback=lambda iteration, cost, violation: 1).iterations == plain.iterations
@@ -83,5 +88,6 @@ def test_strategies_are_chosen_by_name() -> None:
     assert problem.solve(**far, strategies=tuple(Strategy)).iterations == problem.solve(**far).iterations
     alone = problem.solve(**far, strategies=(), max_iterations=300)
     assert alone.iterations != problem.solve(**far).iterations
-    with pytest.raises(TrajectoryError, match="Strategy"):
-        problem.solve(strategies=("RESCALING",))
+    for wrong in (("RESCALING",), "RESCALING"):
+        with pytest.raises(TrajectoryError, match="in a tuple"):
+            problem.solve(strategies=wrong)

@@ -101,6 +101,21 @@ def test_a_member_without_a_solution_has_no_derivative() -> None:
     np.testing.assert_allclose(slopes[2], jax.grad(lambda z: of_cart(z).cost)(every[2]), atol=1e-9)
 
 
+@pytest.mark.parametrize("place", range(5))
+@pytest.mark.parametrize("wrong", [np.nan, np.inf])
+def test_what_is_no_number_is_no_solution(place: int, wrong: float) -> None:
+    """A drag, a start, a speed, an end and a time."""
+    every = jnp.stack([jnp.asarray(POINT), jnp.asarray(POINT).at[place].set(wrong)])
+    solved = jax.jit(jax.vmap(lambda z: of_cart(z).solved))(every)
+    assert solved.tolist() == [1.0, 0.0]
+    slopes = jax.jit(jax.vmap(jax.grad(lambda z: of_cart(z).cost)))(every)
+    assert np.isfinite(slopes).all(axis=1).tolist() == [True, False]
+
+
+def test_a_time_that_goes_back_is_no_solution() -> None:
+    assert float(jax.jit(lambda z: of_cart(z).solved)(jnp.asarray(POINT).at[4].set(-2.0))) == 0.0
+
+
 @pytest.mark.parametrize("is_box", [False, True])
 def test_a_start_beyond_a_limit_is_no_solution(is_box: bool) -> None:
     """Nothing that the solver may choose changes such a row, so it has none of it."""

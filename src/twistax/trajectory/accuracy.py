@@ -24,6 +24,7 @@ from numpy import ndarray as Array
 
 from .close_look import CloseLook
 from .outcome import Outcome
+from .sizes import largest_values
 from .staged import Staged
 from .stiff import amplification
 from .transcribed import Closely, Given
@@ -65,7 +66,8 @@ class Accuracy:
     Attributes:
         intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
         change: by how much the objective would change on a mesh without error, to first order, in its unit.
-        share: the size of that change over the objective, or over its scale where that is larger.
+        share: the size of that change over `size`.
+        size: the objective, or where that is larger what its states are worth: the largest costate times its state.
         amplified: of each phase (intervals,), the factor by which a substep multiplies a mode of the equations that
             does not grow; 1 where the method is stable.
         exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
@@ -78,6 +80,7 @@ class Accuracy:
     intervals: tuple[Array, ...]
     change: float
     share: float
+    size: float
     amplified: tuple[Array, ...]
     exceeded: dict[str, Exceeded]
     tolerance: float
@@ -182,22 +185,27 @@ class Judge:
     ) -> Accuracy:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
-        intervals, change, exceeded = [], -outcome.cost, dict[str, Exceeded]()
+        intervals, change, exceeded, worth = [], -outcome.cost, dict[str, Exceeded](), 0.0
         for closely, segment, place in zip(phases, shooting.segments, places):
             own = segment.shooting
             sizes = np.asarray(scales.d)[segment.nodes, : own.n][1:]
             intervals.append(np.abs(closely.gaps / sizes).max(axis=1, initial=0.0))
             change += float(closely.cost + (outcome.dynamics[segment.stages, : own.n] * closely.gaps).sum())
+            known = largest_values(own, segment.of(outcome.point))
+            spread = np.where(known > 0.0, np.minimum(known, sizes.max(axis=0)), sizes.max(axis=0))
+            costates = outcome.dynamics[segment.stages, : own.n]
+            worth = max(worth, float(np.abs(costates * spread).max(initial=0.0)))
             rows = own.row_scales(shooting.rows_of(segment, np.asarray(scales.rows)))
             shares = closely.rows / np.where(np.isinf(rows), rows.min(axis=0), rows)
             for name, found in _exceeded(own, closely, shares, tolerance, place).items():
                 exceeded[shooting.named(segment, name)] = found
         order = sorted(exceeded, key=lambda name: -exceeded[name].share)
-        size = max(abs(outcome.cost), float(scales.cost))
+        size = max(abs(outcome.cost), min(float(scales.cost), worth)) or 1.0
         return Accuracy(
             intervals=tuple(intervals),
             change=change,
             share=abs(change) / size,
+            size=size,
             amplified=tuple(amplified),
             exceeded={name: exceeded[name] for name in order},
             tolerance=mesh_tolerance,

@@ -46,7 +46,8 @@ class Budget:
 
     def ends(self, iteration: int, cost: float, violation: float) -> bool:
         """Whether a run should end before this iteration of it."""
-        if self._callback is not None and self._callback(self.used + iteration, cost, violation) is True:
+        said = None if self._callback is None else self._callback(self.used + iteration, cost, violation)
+        if isinstance(said, (bool, np.bool_)) and said:
             self.ended = Status.STOPPED
         if time.monotonic() > self._due:
             self.ended = Status.OUT_OF_TIME

@@ -69,7 +69,7 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
         meshes.append(Meshed(*count, largest, result.cost, result.status, seconds))
         if result.status not in (Status.SOLVED, Status.COARSE):
             return dataclasses.replace(result, meshes=tuple(meshes))
-        size = max(abs(result.cost), 1e-6 * float(result.warm.scales.cost))
+        size = max(abs(result.cost), 1e-6 * (0.0 if own is None else own.size))
         rests = change <= tolerance * size
         if rests and largest <= tolerance:
             return dataclasses.replace(result, meshes=tuple(meshes))

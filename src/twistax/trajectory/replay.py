@@ -123,7 +123,8 @@ def _by_the_core(result: Trajectory, border: Array, steps: int) -> dict[str, Arr
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
     started = problem.started(params=fixed)
     staged = problem.staged(started.point, started.given)
-    xs = {name: values[None] for name, values in _start(result).items()}
+    start, planned = _start(result), result.xs | result.added
+    xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
     data = staged.numbers.vector(started.given)
     rolling = problem.transcription.rolling(steps)

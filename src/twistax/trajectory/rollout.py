@@ -49,12 +49,12 @@ class Rollout:
     def states(self, point: Point) -> dict[str, Array]:
         """All states where samples lie, (intervals * samples + 1, ...), from the first node of a point of the phase."""
         shooting = self._part.shooting
-        base = self._part.point.joined(point.xs, 1)[0]
+        base, *planned = self._part.point.joined(point.xs, 1)
         found, border = [base[None]], np.ravel(point.border)
-        for u, start, width in zip(np.asarray(point.us), shooting.mesh.shares, shooting.mesh.widths):
+        for u, end, start, width in zip(np.asarray(point.us), planned, shooting.mesh.shares, shooting.mesh.widths):
             self._start[0], self._width[0] = start, width
             self._transcription.set_data(self._data)  # what was integrated is for another interval
-            Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], base, border]))
+            Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border]))
             along = (self._transcription.states(0, sample)[0] for sample in range(1, self._samples + 1))
             found.append(self._moved(base, np.stack(list(along))))
             base = found[-1][-1]

@@ -232,8 +232,17 @@ class _Named:
         # Kernels of a program have its precision.
         least = _ROUNDING * float(jnp.finfo(precision).eps)
         holds = self._asked.violation(data, z) <= max(self._stated.core.tolerance, least)
+        holds &= self._is_meant(theta)
         with jax.enable_x64(True):
             return self._asked.optimum(row, found, call.is_solved(found) & holds, precision)
+
+    def _is_meant(self, theta: _Theta) -> Any:
+        """Whether all that is asked for is a number, and the time goes on; free entries of ends do not count."""
+        ends, known = self._problem.ends, [jnp.isfinite(own).all() for own in jax.tree.leaves(theta.params)]
+        for values, fixed in ((theta.initial, ends.initial_fixed), (theta.final, ends.final_fixed)):
+            known += [jnp.where(fixed[name], jnp.isfinite(own), True).all() for name, own in values.items()]
+        known += [jnp.isfinite(own) & (own > 0.0) for own in theta.final_time.values()]
+        return jnp.stack([jnp.asarray(True), *known]).all()
 
     def _solved(self, theta: _Theta) -> tuple[Row, jax.Array]:
         """The solve of numbers, and what it reads."""

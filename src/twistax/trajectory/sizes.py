@@ -60,7 +60,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
     through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
-    largest = _largest(shooting, point)
+    largest = largest_values(shooting, point)
     rounding = _ROUNDING * largest
     unknown, between = np.isnan(u), _between_ends(shooting, point)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
@@ -100,7 +100,7 @@ def _half_range(leaf: State) -> Array:
     return np.where(half > 0.0, half, np.inf)
 
 
-def _largest(shooting: Shooting, point: Point) -> Array:
+def largest_values(shooting: Shooting, point: Point) -> Array:
     """The largest value of each flat state, zero of others."""
     found = np.zeros(shooting.n)
     for name, part in shooting.dynamics.group.slices.items():

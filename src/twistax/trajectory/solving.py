@@ -13,7 +13,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import callable_with, number, whole
+from ..checks import callable_with, number, short, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
 from ..walk import uncollected
@@ -245,9 +245,11 @@ class Solvable(ABC, Generic[One, Many]):
         report: Callback | None = None
         if callback is not None:
             report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
-        for strategy in strategies:
+        for strategy in strategies if isinstance(strategies, Collection) else [strategies]:
             if not isinstance(strategy, Strategy):
-                raise TrajectoryError(f"strategies expects members of tx.trajectory.Strategy, got {strategy!r}")
+                raise TrajectoryError(
+                    f"strategies expects members of tx.trajectory.Strategy in a tuple, got {short(strategies)}"
+                )
         if max_seconds is not None:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
             if solver is not None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from typing import TYPE_CHECKING, Any
 
+import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -91,6 +92,11 @@ def warm_start(given: Any) -> WarmStart:
     found = given if isinstance(given, WarmStart) else getattr(given, "warm", None)
     if not isinstance(found, WarmStart):
         raise TrajectoryError(f"solve: warm must be a result, or what result.shifted() gives; got {short(given)}")
+    arrays = [*jax.tree.leaves(found.point), found.dynamics, found.rows]
+    if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
+        raise TrajectoryError(
+            "solve: warm has values that are not finite, so nothing starts there\n  fix: solve from a guess"
+        )
     return found
 
 
