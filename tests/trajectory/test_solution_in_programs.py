@@ -232,6 +232,7 @@ def test_what_does_not_fit_is_refused_when_a_program_is_made() -> None:
 INTERRUPTED = """
 import os, signal, sys, threading, time
 import jax
+signal.signal(signal.SIGINT, signal.default_int_handler)  # ignored where tests run in the background
 jax.config.update("jax_enable_x64", True)
 import jax.numpy as jnp
 import twistax as tx

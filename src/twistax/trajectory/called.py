@@ -86,18 +86,21 @@ class Called:
         z = z if start is None else jnp.asarray(start)
         for values, places in ((params, lambda n: ([n], [])), (final, lambda n: ([], [n]))):
             for name, value in values.items():
-                data = _put(data, staged.numbers.places(*places(name)), value)
+                is_fixed = values is params or self._problem.ends.final_fixed[name].all()
+                data = _put(data, staged.numbers.places(*places(name)), value, is_fixed)
         part, group = staged.parts[0], own.dynamics.group
         for name, value in initial.items():
-            z = _put(z, part.point.places(name), value)
+            is_fixed = self._problem.ends.initial_fixed[name].all()  # of tangents
+            z = _put(z, part.point.places(name), value, is_fixed)
             if group.factors[name].flat:
                 columns = np.arange(own.n)[group.slices[name]]
                 fixed = ~own.free.d[0][columns]
-                v = _put(v, columns, value)
+                v = _put(v, columns, value, is_fixed)
                 at = columns[fixed]
                 lower, upper = lower.at[at].set(v[at]), upper.at[at].set(v[at])
         if final_time is not None:
             border = staged.border.size
+            final_time = jnp.where(final_time > 0.0, final_time, jnp.nan)  # as `problem.solve` refuses it
             z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
         return Row(data, z, v, lower, upper)
 
@@ -119,7 +122,7 @@ class Called:
         return (found["status"] == CoreStatus.SOLVED.value) | (most <= self._tolerance)
 
 
-def _put(array: Any, places: Array, value: Any) -> Any:
-    """The array with values at these places; those that are NaN are left out."""
+def _put(array: Any, places: Array, value: Any, is_fixed: Any) -> Any:
+    """The array with values at these places; those of free entries that are NaN are left out."""
     own = jnp.ravel(jnp.asarray(value, float))
-    return array.at[places].set(jnp.where(jnp.isnan(own), array[places], own))
+    return array.at[places].set(jnp.where(jnp.isnan(own) & (not is_fixed), array[places], own))

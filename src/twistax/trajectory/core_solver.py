@@ -77,6 +77,7 @@ class CoreSolver:
     def __init__(self, staged: Staged, parts: Sequence[Any], given: Given, tolerance: float) -> None:
         self.staged, self.tolerance, self._parts = staged, tolerance, parts
         self.transcribed = staged.transcribed
+        self.busy = False  # whether it is in a solve
         self._by_updates = by_updates(parts)
         self.close_look = CloseLook(staged, parts, given)
         self.judge = Judge(self.close_look, staged)
@@ -339,7 +340,7 @@ class CoreSolver:
             scales=scales,
             status=status or self._status(result, float(violated.max(initial=0.0)), errors),
             iterations=max(int(numbers["iterations"]), int(not warm)),
-            saddle=result.status is CoreStatus.SOLVED and not numbers["minimum"],
+            saddle=result.status in (CoreStatus.SOLVED, CoreStatus.ACCEPTABLE) and not numbers["minimum"],
             units=units,
         )
 

@@ -276,7 +276,8 @@ class _Named:
 
     def _tangent(self, theta: _Theta, along: _Theta, found: Optimum) -> Optimum:
         """How the optimum moves along a change of what was asked for."""
-        asked = self._asked
+        asked, known = self._asked, jnp.where(found.solved > 0.0, 1.0, jnp.nan)
+        along = jax.tree.map(lambda a: known * a, along)  # also where what was asked for is NaN
 
         def fixed(theta: _Theta) -> Any:
             times = theta.final_time.get("final_time")

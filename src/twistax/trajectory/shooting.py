@@ -83,6 +83,8 @@ class Shooting(Transcribed):
         self.leaves |= {leaf.name: leaf for leaf in (*dynamics.controls, *norms.controls)}
         self.dynamics, self.mesh, self.substeps = dynamics, mesh, transcription.substeps
         self.nodes, self.intervals = mesh.nodes, mesh.nodes - 1
+        #: Names of controls that are slacks.
+        self.slacks = frozenset(slack.name for slack in getattr(norms, "slacks", {}).values())
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border

@@ -18,6 +18,8 @@ _TURN = 0.5
 _CONSTANT, _ROUNDING = 0.1, 1e-9
 #: A spread of less than this share of what others move it by counts as zero.
 _NOTHING = 1e-4
+#: A slack of less is zero.
+_ZERO = 1e-6
 #: How often what is known says more.
 _ROUNDS = 4
 #: Limits of a control that are so many times what moves a state by its size say nothing.
@@ -53,7 +55,8 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         if rate_name(name) in shooting.leaves:  # a continuous control: its limits say how far it goes
             d[part] = np.where(np.isfinite(most[part]), most[part], d[part])
     d = np.minimum(np.where(np.isnan(d) & np.isfinite(most), most, d), most)  # NaN: not known
-    for name, part in shooting.local.controls.slices.items():
+    slices = shooting.local.controls.slices
+    for name, part in slices.items():
         u[part], box[part] = _of_control(cast(Control, shooting.leaves[name]), point.us[:, part])
     b, free = np.abs(point.border), slice(shooting.border.phases, None)
     low, high = shooting.border.limits.T
@@ -83,6 +86,10 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
     values = np.abs(point.us).max(axis=0, initial=0.0)
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
+    # A slack of what holds is rounding, and that is no size of it.
+    for name in shooting.slacks:
+        u[slices[name]] = np.where(u[slices[name]] < _ZERO, np.nan, u[slices[name]])
+    b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
     d, u, b = (usable(a) for a in (d, u, b))
     return Sizes(d, u, b, (through > 0.0).any(axis=0))
 

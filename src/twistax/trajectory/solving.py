@@ -134,7 +134,7 @@ class Solvable(ABC, Generic[One, Many]):
 
     def built(self) -> None:
         """Forget what was compiled."""
-        self._cores: dict[tuple[float, int], CoreSolver] = {}
+        self._cores: dict[tuple[float, int, int], CoreSolver] = {}
         self._implicit: Any = None
 
     def solve(
@@ -270,11 +270,15 @@ class Solvable(ABC, Generic[One, Many]):
             outcomes = []
 
             def run(start: Point | WarmStart, given: Given) -> Outcome:
-                if solver is None:
-                    budget.used = 0
-                    return core.run(start, given, budget, strategies)
-                found: Outcome = solver.run(core, start, given, max_iterations, report)
-                return found
+                core.busy = True  # what a callback solves or looks at has another solver
+                try:
+                    if solver is None:
+                        budget.used = 0
+                        return core.run(start, given, budget, strategies)
+                    found: Outcome = solver.run(core, start, given, max_iterations, report)
+                    return found
+                finally:
+                    core.busy = False
 
             for attempt in range(guesses):
                 if budget.ended is not None:
@@ -376,7 +380,9 @@ class Solvable(ABC, Generic[One, Many]):
 
     def _core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
         """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
-        key = (tolerance, threading.get_ident())
+        key = (tolerance, threading.get_ident(), 0)
+        while key in self._cores and self._cores[key].busy:
+            key = (*key[:2], key[2] + 1)
         if key not in self._cores:
             with _MAKING, uncollected():
                 first = next((core.staged for core in self._cores.values()), None)

@@ -67,7 +67,8 @@ def solved(
     rescaling = Strategy.RESCALING in strategies
 
     def once(begin: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
-        most = min(_MOST, budget.left)
+        # What has no other strategy after it takes all.
+        most = min(_MOST, budget.left) if strategies and isinstance(start, Point) else budget.left
         found = solver.run_once(begin, given, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling)
         budget.used += min(found.iterations, most)
         return found._replace(status=budget.ended or found.status) if found.status is Status.STOPPED else found
@@ -184,7 +185,7 @@ def with_fixed_durations(
 def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
     """A result, or where the objective falls to second order from it what is found beside it, if that is better."""
     seed = 0
-    while result.saddle and result.status is Status.SOLVED:
+    while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None
         for size in _AWAY:
             other = solve(_beside(solver, result.point, result.scales, size, seed, alone=True))

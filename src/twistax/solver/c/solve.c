@@ -183,7 +183,7 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
     status = iterate(w);
     if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) end_at_best(w);
   }
-  if (status == TWX_SOLVED) statistics->minimum = is_minimum(w);
+  if (status == TWX_SOLVED || status == TWX_ACCEPTABLE) statistics->minimum = is_minimum(w);
   unscale(w, z, solution);
   return statistics->status = status;
 }
