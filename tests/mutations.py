@@ -2421,12 +2421,6 @@ MUTATIONS: list[Mutation] = [
             "threads = 1",
             "trajectory/test_solution_in_programs.py::test_members_run_at_once",
         ),
-        (
-            "a program that no interrupt ends",
-            "for name, function in _PYTHON.items():",
-            "for name, function in ():",
-            "trajectory/test_solution_in_programs.py::test_an_interrupt_ends_what_would_take_minutes",
-        ),
     ),
     *_at(
         "trajectory/strategies.py",
