@@ -191,6 +191,7 @@ class Solvable(ABC, Generic[One, Many]):
                 large as its scale, and as the guess's gaps.
             callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
                 with status STOPPED, and the result is the iterate with the smallest error, with its measures.
+                `IPOPT` and `Fatrop` call it and go on.
             max_iterations: iterations a try may use.
             max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
                 at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
