@@ -89,7 +89,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- Jacobians column by column ----------------------------------------------------------------------------------
     *_at(
-        "lowering/jacobian.py",
+        "system/jacobian.py",
         (
             "all controls move by the first one's tangents",
             "arrays[k] + d[at : at + arrays[k].size].reshape",
@@ -159,7 +159,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/loops.py",
+        "scalar/loops.py",
         (
             "programs for numbers of rows are kept for ever",
             "= weakref.WeakValueDictionary()",
@@ -168,7 +168,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/inputs.py",
+        "system/inputs.py",
         (
             "what JAX has in double precision becomes infinite in single",
             "if not wider or is_traced(array):",
@@ -232,7 +232,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- language ----------------------------------------------------------------------------------------------------
     *_at(
-        "expr/solve.py",
+        "expr/matrices/solve.py",
         (
             "refined once alone",
             "for _ in range(2):",
@@ -241,7 +241,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/arithmetic.py",
+        "expr/operations/arithmetic.py",
         ("strict at a tie", "function = operator.lt", "function = operator.le", "expr/test_comparisons.py"),
         (
             "negative powers in products have derivatives alone",
@@ -286,7 +286,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/choice.py",
+        "expr/operations/choice.py",
         (
             "not, turned round halfway",
             "return Where(condition.condition, self.y, self.x)",
@@ -339,7 +339,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/table_kinds.py",
+        "expr/tables/kinds.py",
         (
             "an even axis guessed too high",
             "* float(self._density) - 0.5",
@@ -361,7 +361,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/kernel.py",
+        "scalar/targets/llvm/kernel.py",
         (
             "rounding of known numbers is no rounding",
             "for _ in range(4)]",
@@ -370,7 +370,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/code.py",
+        "scalar/targets/llvm/code.py",
         (
             "the offset of a load in bytes",
             "getelementptr {target}, ptr {there}, i64 {offset}",
@@ -491,7 +491,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- expr and system ---------------------------------------------------------------------------------------------
     *_at(
-        "expr/interpolation.py",
+        "expr/tables/interpolation.py",
         (
             "a corner of the cell is another one",
             "weight * along(axis + 1, *places, i + 1)",
@@ -518,7 +518,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/arithmetic.py",
+        "expr/operations/arithmetic.py",
         ("0 - x is x", "return Neg(self.right)", "return self.right", "expr/test_canonicalize.py"),
         (
             "a sum of opposites keeps the wrong one",
@@ -528,7 +528,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/elementwise.py",
+        "expr/operations/elementwise.py",
         (
             "acos is asin",
             "jnp.arctan2(_leg(values[0]), values[0])",
@@ -537,7 +537,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/vmap.py",
+        "expr/transformations/vmap.py",
         ("nested maps share placeholders", "Placeholder(len(around), i", "Placeholder(0, i", "expr/test_vmap.py"),
         ("elements of any shape", "if shape != placeholder.shape:", "if False:", "expr/test_vmap.py"),
         (
@@ -548,7 +548,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/rate.py",
+        "expr/transformations/rate.py",
         ("leaves and rates of any shape", "expect(self, name, got, shape)", "pass", "expr/test_rate_substitution.py"),
         (
             "a condition in place of a leaf that moves",
@@ -582,11 +582,11 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/arithmetic.py",
+        "expr/operations/arithmetic.py",
         ("a constraint turned round", "return self.lhs - self.rhs", "return self.rhs - self.lhs", "expr/test_vmap.py"),
     ),
     *_at(
-        "system.py",
+        "system/system.py",
         (
             "a rate of the state's shape on a group",
             "wanted = state.group.tangent_shape",
@@ -596,7 +596,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- lowering ----------------------------------------------------------------------------------------------------
     *_at(
-        "lowering/scalar/entry.py",
+        "scalar/primitives/entry.py",
         (
             "cotangents of a choice swapped",
             "Cotangent(g.select(c, weight, zero), rate), Cotangent(g.select(c, zero, weight), rate)",
@@ -605,7 +605,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/operations.py",
+        "scalar/primitives/operations.py",
         (
             "derivative of atan2",
             "return [g.mul(a[1], inverse), g.neg(g.mul(a[0], inverse))]",
@@ -614,7 +614,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/operations.py",
+        "scalar/primitives/operations.py",
         (
             "slope of max where both are equal",
             'g.select(on(g, "eq", *a), g.constant(0.5), g.zero)',
@@ -623,7 +623,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/graph.py",
+        "scalar/graph.py",
         (
             "x - y that cancels is -0",
             "if self.differentiating and self.numbers[b] is None and (_SUB, b, a) in self._known:",
@@ -650,7 +650,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/emitter.py",
+        "scalar/targets/xla.py",
         (
             "quotients of quotients as XLA has them",
             "apart = [g.operation(a) is _DIV for a in arguments]",
@@ -665,7 +665,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/arithmetic.py",
+        "expr/operations/arithmetic.py",
         (
             "quotients of quotients on arrays as XLA has them",
             "own = [_apart(v) if inner else v",
@@ -686,7 +686,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/cotangents.py",
+        "scalar/cotangents.py",
         (
             "cotangents of many readers are numbers",
             "wide = g.dtype.itemsize > 4 and",
@@ -695,7 +695,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/cotangents.py",
+        "scalar/cotangents.py",
         (
             "a cotangent in place of the sum",
             "weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)",
@@ -704,7 +704,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/powers.py",
+        "scalar/primitives/powers.py",
         (
             "y^-2 by itself",
             "operation.exponent == -2",
@@ -738,7 +738,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "in_range.py",
+        "scalar/primitives/in_range.py",
         (
             "b^-2 in the derivative of a quotient",
             "terms.append(-(y * quotient(db, b)))",
@@ -765,7 +765,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/norms.py",
+        "scalar/primitives/norms.py",
         (
             "a norm of scalars has a second derivative at zero",
             "g.select(zero, g.zero, g.div(each, divisor))",
@@ -774,7 +774,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/primitive.py",
+        "scalar/jax_primitive.py",
         (
             "what is not linear is transposed",
             "if any(i in moving for i in back.program.flat):",
@@ -783,7 +783,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/program.py",
+        "scalar/reader.py",
         (
             "product with the divisor",
             "known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))",
@@ -792,7 +792,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/derivatives.py",
+        "scalar/derivatives.py",
         (
             "threads add to one graph at once",
             "with g.lock:",
@@ -807,7 +807,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/hessian.py",
+        "system/hessian.py",
         (
             "no second order of the group",
             "sums[pair] = g.add(sums.get(pair, g.zero), g.mul(bend, slopes[place]))",
@@ -828,7 +828,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/movement.py",
+        "scalar/primitives/movement.py",
         (
             "inner padding",
             "places = low + np.arange(size) * (between + 1)",
@@ -843,7 +843,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/movement.py",
+        "scalar/primitives/movement.py",
         (
             "a function at places read as setting",
             'when=lambda p: p["update_jaxpr"] is None and _scattered(p)',
@@ -852,7 +852,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/movement.py",
+        "scalar/primitives/movement.py",
         (
             "another order of axes read as the usual one",
             'when=default("dimensions")',
@@ -861,7 +861,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/arithmetic.py",
+        "scalar/primitives/arithmetic.py",
         (
             "place of the largest",
             "enumerate(others, start=1)",
@@ -1034,7 +1034,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- lowering, native kernels ------------------------------------------------------------------------------------
     *_at(
-        "lowering/native/tile.py",
+        "scalar/targets/llvm/kernel_body.py",
         (
             "lane of the row before",
             '("i64", str(lane))',
@@ -1043,7 +1043,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/code.py",
+        "scalar/targets/llvm/code.py",
         (
             "max loses NaN",
             'self.instruction("fcmp uno", kind, a, a), a, first)',
@@ -1058,7 +1058,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/kernel.py",
+        "scalar/targets/llvm/kernel.py",
         (
             "kernels that stay",
             "weakref.finalize(lease, _rest, place, lease.code)",
@@ -1079,7 +1079,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/iterations.py",
+        "scalar/targets/llvm/iterations.py",
         (
             "a row where a step ends is left out",
             'code.instruction("fcmp ole", kind, mark, record[0])',
@@ -1094,7 +1094,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/rows.py",
+        "scalar/targets/llvm/lanes.py",
         (
             "what rows share, read beyond",
             "mul nuw nsw i64 {place}, {stride}",
@@ -1103,7 +1103,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/cache.py",
+        "scalar/kernel_cache.py",
         (
             "code of a damaged file",
             "content[:_SUM] == _checksum(key, code)",
@@ -1119,7 +1119,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- lowering, export --------------------------------------------------------------------------------------------
     *_at(
-        "lowering/scalar/operations.py",
+        "scalar/primitives/operations.py",
         (
             "max in C loses NaN",
             'f"($a {compare} $b || isnan($a)) ? $a : $b"',
@@ -1134,7 +1134,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/entry.py",
+        "scalar/primitives/entry.py",
         (
             "whole part in CasADi",
             "return casadi.sign(a) * casadi.floor(casadi.fabs(a))",
@@ -1143,7 +1143,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/export/saved.py",
+        "system/export/saved.py",
         (
             "modules that a file names are imported",
             "if module in _ON_DEMAND:",
@@ -1204,7 +1204,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/loops.py",
+        "scalar/loops.py",
         (
             "of batches rows are filled again by later steps",
             "here = (first + jnp.arange(few, dtype=number.dtype) >= number) & (marks <= reach)",
@@ -1483,7 +1483,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/without_numbers.py",
+        "expr/transformations/without_numbers.py",
         (
             "exponents as numbers",
             "or (isinstance(parent, Power) and k == 1)",
@@ -1525,7 +1525,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/scalar/before.py",
+        "scalar/hoisting.py",
         (
             "what two arguments decide counts as of one",
             "and found.issuperset(sources)",
@@ -1679,7 +1679,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "expr/independent_rows.py",
+        "expr/matrices/independent_rows.py",
         (
             "rows of round-off are chosen",
             "good, real = square > least * longest",
@@ -1781,7 +1781,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "walk.py",
+        "scalar/walk.py",
         (
             "the search for garbage stays off",
             'if _state["within"] == 0 and _state["was_on"]:',
@@ -1790,7 +1790,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/pieces.py",
+        "scalar/targets/llvm/pieces.py",
         (
             "results written before they are there",
             "number = max(place.get(i, 0) for i in nodes)",
@@ -1956,7 +1956,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/jacobian.py",
+        "system/jacobian.py",
         (
             "columns along tangents of the state from the left",
             "d[at : at + group.dimension])",
@@ -1965,7 +1965,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/backends.py",
+        "scalar/backends.py",
         (
             "wide arrays become scalars whatever is in them",
             "program.operations <= _MOSTLY * work",
@@ -2519,7 +2519,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/native/loop.py",
+        "scalar/targets/llvm/loop.py",
         ("the rows of a reversed scan forwards", '{k}") if ring.reverse', '{k}") if False', "lowering/test_fast.py"),
         (
             "one iteration more",
@@ -2547,7 +2547,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "lowering/whole.py",
+        "scalar/segments.py",
         (
             "a loop before what it waits for",
             "after.update(dict.fromkeys(eqn.outvars, own + loops))",
@@ -2585,34 +2585,34 @@ MUTATIONS: list[Mutation] = [
     ),
     Mutation(
         "texts of kernels share a context",
-        "lowering/native/machine_code.py",
+        "scalar/targets/llvm/machine_code.py",
         "llvm.parse_assembly(text, llvm.create_context())",
         "llvm.parse_assembly(text)",
         ("lowering/test_lifetimes.py::test_llvm_keeps_nothing_of_a_text",),
     ),
     Mutation(
         "after a long kernel LLVM schedules nothing more",
-        "lowering/native/machine_code.py",
+        "scalar/targets/llvm/machine_code.py",
         '"-enable-misched=true"',
         '"-enable-misched=false"',
         ("lowering/native/test_native_pieces.py",),
     ),
     Mutation(
         "loops see what varies between devices",
-        "lowering/written.py",
+        "scalar/array_primitive.py",
         "if not spread(leaves):",
         "if True:",
         ("lowering/test_sharding.py",),
     ),
     Mutation(
         "traced values in enclosing functions are not found",
-        "lowering/closures.py",
+        "scalar/closures.py",
         '(value, "__kwdefaults__"), *filled]',
         '(value, "__kwdefaults__")]',
         ("lowering/test_sharding.py",),
     ),
     *_at(
-        "monte_carlo.py",
+        "monte_carlo/sweeps.py",
         ("moments without what is between chunks", "apart**2 * self.count * share", "0.0 * share", "test_sweep.py"),
         (
             "failed members in the statistics",
@@ -2630,7 +2630,7 @@ MUTATIONS: list[Mutation] = [
     ),
     Mutation(
         "files of other shapes are chunks",
-        "chunks.py",
+        "monte_carlo/chunks.py",
         "if shapes == self._shapes(k):",
         "if shapes:",
         ("test_sweep.py",),
@@ -2665,7 +2665,7 @@ MUTATIONS: list[Mutation] = [
     ),
     Mutation(
         "a script of a formula on what follows",
-        "expr/mathml.py",
+        "expr/printing/mathml.py",
         """part.items[-1]["_^".index(part.next_is) + 1] = item""",
         """part.items[-1]["^_".index(part.next_is) + 1] = item""",
         ("expr/test_mathml.py",),

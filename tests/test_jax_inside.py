@@ -13,8 +13,8 @@ import pytest
 
 import twistax as tx
 from twistax import jax_inside
-from twistax.lowering.scalar.emitter import as_function
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.xla import as_function
 
 SOURCE = Path(tx.__file__).parent
 
@@ -130,7 +130,7 @@ def test_one_equation_alone() -> None:
 
 
 def test_without_metadata_functions_run_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    from twistax.lowering.small_call import small_call
+    from twistax.scalar.small_call import small_call
 
     monkeypatch.setattr(jax_inside, "_set_xla_metadata", None)
     assert not jax_inside.small_calls_exist()

@@ -17,7 +17,7 @@ import pytest
 
 from test_docs import module_of_site
 from twistax.expr import Expr
-from twistax.expr.elementwise import Entrywise
+from twistax.expr.operations.elementwise import Entrywise
 
 NAMES = [name for name in module_of_site("names").public_names() if getattr(name.value, "__module__", "") != "typing"]
 

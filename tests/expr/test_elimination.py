@@ -17,7 +17,7 @@ import pytest
 import scipy.linalg
 
 import twistax as tx
-from twistax.expr.solve import eliminate
+from twistax.expr.matrices.solve import eliminate
 
 #: From matrices and right-hand sides of a number of systems to their solutions, by Solve and by Inv.
 Run = Callable[[np.ndarray, np.ndarray], Sequence[Any]]

@@ -16,10 +16,10 @@ from scipy import interpolate
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.expr.table_kinds import Axis
-from twistax.lowering.scalar.program import emitted_form, scalarize
-from twistax.table_load import Table, load
-from twistax.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
+from twistax.expr.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
+from twistax.expr.tables.kinds import Axis
+from twistax.scalar.primitives.table_load import Table, load
+from twistax.scalar.reader import emitted_form, scalarize
 
 RNG = np.random.default_rng(3)
 x = tx.State("x", (3,))

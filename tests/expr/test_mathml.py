@@ -3,9 +3,9 @@
 from xml.etree import ElementTree
 
 import pytest
+from twistax.expr.printing.mathml import mathml
 
 import twistax as tx
-from twistax.expr.mathml import mathml
 from twistax.expr.node import all_nodes
 
 FENCED = '<mrow><mo stretchy="true">(</mo><mrow>{}</mrow><mo stretchy="true">)</mo></mrow>'

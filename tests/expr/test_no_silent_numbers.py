@@ -16,7 +16,7 @@ import twistax as tx
 from twistax.checks import real_array, reals
 from twistax.expr.fields import Operand, freeze
 from twistax.integrators.links import linked
-from twistax.lowering.inputs import cast
+from twistax.system.inputs import cast
 
 s, v = tx.State("s"), tx.State("v", shape=(3,))
 A, B = tx.State("A", shape=(2, 2)), tx.State("B", shape=(2, 2))

@@ -23,7 +23,7 @@ from users_nodes import around
 
 import twistax as tx
 from mutations import ROOT, Mutation
-from twistax.lowering.native.backend import Native
+from twistax.scalar.targets.llvm.backend import Native
 
 
 @pytest.mark.parametrize("number", range(8))

@@ -27,7 +27,7 @@ from splitting_bodies import (
 import twistax as tx
 from twistax.compositions import ALL, KAHAN_LI6, KAHAN_LI8, STRANG, SUZUKI4
 from twistax.integrators import VectorField
-from twistax.lowering import small_call as module
+from twistax.scalar import small_call as module
 from twistax.scenes import SCENES, offset_tumble
 from twistax.scenes.free_rotation import SymmetricBody
 

@@ -13,7 +13,7 @@ import pytest
 from integrator_bodies import start
 
 import twistax as tx
-from twistax.lowering.scalar.primitive import Derived
+from twistax.scalar.jax_primitive import Derived
 from twistax.scenes.rocket import ROCKET
 
 Cost = Callable[[jax.Array], jax.Array]

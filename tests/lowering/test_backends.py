@@ -16,9 +16,9 @@ import twistax as tx
 from twistax.expr import Example, Expr
 from twistax.expr.fields import Operand
 from twistax.expr.node import Shape
-from twistax.lowering.backends import Backend
-from twistax.lowering.functions import Kept
 from twistax.mechanics import Chain, chain_models, forward_dynamics
+from twistax.scalar.backends import Backend
+from twistax.system.functions import Kept
 
 RNG = np.random.default_rng(0)
 #: Methods of few stages compile quickly; what runs their rates is the same for all.
@@ -245,7 +245,7 @@ def test_long_functions_are_kernels_in_loops(monkeypatch: pytest.MonkeyPatch) ->
     """With the numbers, and the derivatives, of the loops that XLA compiles."""
     system, x, u = case("arm")
     plain = tx.compile(system, backend=tx.XLA())
-    monkeypatch.setattr("twistax.lowering.native.backend._LONG", 100)
+    monkeypatch.setattr("twistax.scalar.targets.llvm.backend._LONG", 100)
     kernels = tx.compile(system, backend=tx.Native())
 
     def end(dynamics: tx.Dynamics, rate: Any) -> Any:

@@ -15,8 +15,8 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
-from twistax.lowering import jacobian
-from twistax.lowering.scalar.graph import TooLarge
+from twistax.scalar.graph import TooLarge
+from twistax.system import jacobian
 
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
 V, mass = tx.State("V", (6,)), tx.State("mass")
@@ -477,8 +477,8 @@ def test_explain_of_one_entry() -> None:
 
 def test_a_jacobian_too_large_for_one_program_goes_column_by_column(monkeypatch: pytest.MonkeyPatch) -> None:
     """With controls and parameters or without any: there may be nothing of a kind."""
-    from twistax.lowering.functions import Functions
-    from twistax.lowering.scalar.graph import TooLarge
+    from twistax.scalar.graph import TooLarge
+    from twistax.system.functions import Functions
 
     def too_large(*_: Any) -> Any:
         raise TooLarge("too many scalars")

@@ -12,7 +12,7 @@ import pytest
 from jax.test_util import check_grads
 
 import twistax as tx
-from twistax.lowering.native import kernel, machine_code
+from twistax.scalar.targets.llvm import kernel, machine_code
 
 pytest.importorskip("llvmlite")
 

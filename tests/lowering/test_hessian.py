@@ -14,10 +14,10 @@ from scipy.linalg import expm
 import twistax as tx
 from twistax.expr import Expr
 from twistax.expr.fields import Operand
-from twistax.lowering import hessian as hessians
-from twistax.lowering.scalar.graph import TooLarge
 from twistax.report.sections import hessians as of_the_arm
+from twistax.scalar.graph import TooLarge
 from twistax.scenes import SCENES
+from twistax.system import hessian as hessians
 
 mp = pytest.importorskip("mpmath")
 

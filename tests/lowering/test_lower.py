@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.explain import count_equations
+from twistax.system.explain import count_equations
 
 x, m = tx.State("x", (3,)), tx.State("m", (2, 3))
 g = tx.State("g", group=tx.SE3)
@@ -234,7 +234,7 @@ def test_leaves_may_be_called_like_time_or_a_constant() -> None:
 def test_chains_that_end_the_process_in_xla_are_refused_where_they_are_compiled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from twistax.lowering import backends
+    from twistax.scalar import backends
 
     monkeypatch.setattr(backends, "_LONGEST_CHAIN", 1500)
     s = tx.State("s")

@@ -16,10 +16,10 @@ from test_mechanisms import Tree, body_of, free_tree, mimicking_tree
 import twistax as tx
 from twistax import mechanics
 from twistax.expr.graph import leaves_of
-from twistax.lowering.native import kernel
-from twistax.lowering.native.tile import by_numpy
-from twistax.lowering.scalar.program import ScalarProgram, scalarize
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
+from twistax.scalar.reader import ScalarProgram, scalarize
+from twistax.scalar.targets.llvm import kernel
+from twistax.scalar.targets.llvm.kernel_body import by_numpy
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 LONG = np.longdouble

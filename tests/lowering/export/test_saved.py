@@ -21,7 +21,7 @@ from twistax.expr import Example, Expr, all_nodes, leaves_of
 from twistax.expr.fields import Operand
 from twistax.expr.node import Shape
 from twistax.groups.special import SpecialOrthogonal
-from twistax.lowering.export.saved import read_nodes, write_nodes
+from twistax.system.export.saved import read_nodes, write_nodes
 
 
 def again(dynamics: tx.Dynamics, folder: Path) -> tx.Dynamics:

@@ -23,14 +23,14 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 import twistax as tx
 from twistax import jax_inside
-from twistax.lowering.native import kernel as kernel_module
-from twistax.lowering.native import machine_code
-from twistax.lowering.native.code import Module
-from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import kernel as kernel_module
+from twistax.scalar.targets.llvm import machine_code
+from twistax.scalar.targets.llvm.code import Module
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 w, mass, R = tx.State("w", (3,)), tx.State("mass"), tx.State("R", group=tx.SO3)
 J, F = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0])), tx.Control("F", (3,))
@@ -295,7 +295,7 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 found = []
 jax.monitoring.register_event_listener(lambda event, **_: found.append(event))
 import numpy as np, twistax as tx
-from twistax.lowering.native import kernel
+from twistax.scalar.targets.llvm import kernel
 compiled, texts = kernel.compiled, []
 kernel.compiled = lambda text, *a: texts.append(text) or compiled(text, *a)
 x = tx.State("x", (4,))
