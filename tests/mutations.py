@@ -686,24 +686,6 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "scalar/cotangents.py",
-        (
-            "cotangents of many readers are numbers",
-            "wide = g.dtype.itemsize > 4 and",
-            "wide =",
-            "lowering/test_range.py::test_each_reader_of_a_distance_gives_its_second_derivative",
-        ),
-    ),
-    *_at(
-        "scalar/cotangents.py",
-        (
-            "a cotangent in place of the sum",
-            "weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)",
-            "weights[term.rate] = term.weight",
-            "lowering/test_scalar_elementwise.py lowering/test_scalar_composition.py",
-        ),
-    ),
-    *_at(
         "scalar/primitives/powers.py",
         (
             "y^-2 by itself",
@@ -1525,7 +1507,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "scalar/hoisting.py",
+        "scalar/rewriting.py",
         (
             "what two arguments decide counts as of one",
             "and found.issuperset(sources)",

@@ -19,7 +19,8 @@ from twistax.errors import ModelError
 from twistax.expr.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
 from twistax.expr.tables.kinds import Axis
 from twistax.scalar.primitives.table_load import Table, load
-from twistax.scalar.reader import emitted_form, scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.rewriting import emitted_form
 
 RNG = np.random.default_rng(3)
 x = tx.State("x", (3,))

@@ -3,10 +3,10 @@
 from xml.etree import ElementTree
 
 import pytest
-from twistax.expr.printing.mathml import mathml
 
 import twistax as tx
 from twistax.expr.node import all_nodes
+from twistax.expr.printing.mathml import mathml
 
 FENCED = '<mrow><mo stretchy="true">(</mo><mrow>{}</mrow><mo stretchy="true">)</mo></mrow>'
 

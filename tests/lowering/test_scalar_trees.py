@@ -13,7 +13,7 @@ import pytest
 from scalar_cases import Case, compare, oracles
 
 from twistax import expr as tx
-from twistax.scalar.reader import emitted_form
+from twistax.scalar.rewriting import emitted_form
 
 sys.path.append(str(Path(__file__).parents[1] / "expr"))
 from expr_cases import function_of

@@ -17,7 +17,8 @@ import twistax as tx
 from twistax import mechanics
 from twistax.expr.graph import leaves_of
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
-from twistax.scalar.reader import ScalarProgram, scalarize
+from twistax.scalar.program import ScalarProgram
+from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel
 from twistax.scalar.targets.llvm.kernel_body import by_numpy
 

@@ -16,7 +16,7 @@ from ..groups import Product
 from ..scalar.backends import Backend
 from ..scalar.fast import fast
 from ..scalar.jax_primitive import Derived, call_program
-from ..scalar.reader import emitted_form
+from ..scalar.rewriting import emitted_form
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
 from ..system.jacobian import Differentiated, RateJacobian
 

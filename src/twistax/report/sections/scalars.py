@@ -17,7 +17,9 @@ import twistax as tx
 from ...scalar.backends import Backend
 from ...scalar.derivatives import cotangent_program, jacobian
 from ...scalar.jax_primitive import Derived, call_program
-from ...scalar.reader import ScalarProgram, one_by_one, scalarize
+from ...scalar.program import ScalarProgram
+from ...scalar.reader import scalarize
+from ...scalar.rewriting import one_by_one
 from ...scalar.targets.llvm.backend import installed
 from ..checks import Absent, Check, Section, agree, apart, at_most, between
 from ..speed.cases import CASES, Case
