@@ -14,7 +14,8 @@ import pytest
 
 import twistax as tx
 from twistax.checks import real_array, reals
-from twistax.expr.fields import Operand, freeze
+from twistax.expr.fields import freeze
+from twistax.expr.node import Operand
 from twistax.integrators.links import linked
 from twistax.system.inputs import cast
 

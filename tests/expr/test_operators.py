@@ -10,7 +10,7 @@ import pytest
 
 from twistax import expr as tx
 from twistax.errors import ShapeError
-from twistax.expr.fields import Operand
+from twistax.expr.node import Operand
 
 s = tx.State("s")
 x, q, f6 = tx.State("x", shape=(3,)), tx.State("q", shape=(4,)), tx.State("f", shape=(6,))

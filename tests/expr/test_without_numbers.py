@@ -9,7 +9,7 @@ from expr_cases import value_of
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.fields import Operand
+from twistax.expr.node import Operand
 from twistax.expr.transformations.without_numbers import Structure
 
 x, v = tx.State("x", shape=(2,)), tx.State("v")

@@ -14,8 +14,7 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Example, Expr
-from twistax.expr.fields import Operand
-from twistax.expr.node import Shape
+from twistax.expr.node import Operand, Shape
 from twistax.mechanics import Chain, chain_models, forward_dynamics
 from twistax.scalar.backends import Backend
 from twistax.system.functions import Kept

@@ -13,7 +13,7 @@ from scipy.linalg import expm
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.fields import Operand
+from twistax.expr.node import Operand
 from twistax.report.sections import hessians as of_the_arm
 from twistax.scalar.graph import TooLarge
 from twistax.scenes import SCENES

@@ -14,7 +14,7 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.fields import Operand
+from twistax.expr.node import Operand
 
 x, u = tx.State("x", shape=(3,), initial=[1.0, 2.0, 3.0]), tx.Control("u", shape=(3,))
 J = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0]))

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.expr.fields import Operand
+from twistax.expr.node import Operand
 from twistax.testing import LawError, check_node
 
 

@@ -17,8 +17,7 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.expr.fields import Operand
-from twistax.expr.node import Expr
+from twistax.expr.node import Expr, Operand
 from twistax.solver.processors import processors
 from twistax.trajectory import Problem, Solution, solution
 

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.expr.fields import Operand
-from twistax.expr.node import Expr
+from twistax.expr.node import Expr, Operand
 from twistax.trajectory import Collocation, Problem
 from twistax.trajectory.evaluated import Evaluated, moved
 from twistax.trajectory.staged import Staged

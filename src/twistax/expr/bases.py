@@ -9,8 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ShapeError
-from .fields import ExprLike
-from .node import Expr, Numbers, Shape
+from .node import Expr, ExprLike, Numbers, Shape
 
 
 def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:

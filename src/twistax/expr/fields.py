@@ -16,7 +16,7 @@ import itertools
 import numbers
 import pickle
 import weakref
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias, overload
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -24,34 +24,7 @@ import numpy as np
 from ..errors import ModelError, OperationError
 from .moved import first_module
 
-if TYPE_CHECKING:
-    from .node import Expr
-
-    ExprLike: TypeAlias = Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]
-
 _MISSING = inspect.Parameter.empty
-
-
-class Operand:
-    """Marks a field that holds one child expression (to a type checker: takes numbers and arrays too)."""
-
-    if TYPE_CHECKING:
-
-        @overload
-        def __get__(self, instance: None, owner: type) -> Operand: ...
-        @overload
-        def __get__(self, instance: object, owner: type) -> Expr: ...
-        def __get__(self, instance: object | None, owner: type) -> Any: ...
-        def __set__(self, instance: object, value: ExprLike) -> None: ...
-
-
-if TYPE_CHECKING:
-    Operands = tuple[Expr, ...]
-else:
-    ExprLike = Any
-
-    class Operands:
-        """Marks a field that holds any number of child expressions."""
 
 
 class Field(NamedTuple):

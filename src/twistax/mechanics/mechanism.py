@@ -13,8 +13,8 @@ import numpy as np
 from ..checks import listed, short
 from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
-from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
+from ..expr.node import ExprLike
 from ..expr.operations.soft import Asked
 from .arguments import of_shape
 from .bodies import SpatialInertia

@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
-from .primitives.cotangents import Cotangent, Cotangents
 from .graph import Call, ScalarGraph
+from .primitives.cotangents import Cotangent, Cotangents
 from .primitives.interface import Nodes, flat, nodes
 from .program import ScalarProgram
 from .reader import JaxprReader

@@ -18,8 +18,7 @@ import pytest
 import twistax as tx
 import twistax.mechanics
 from twistax.expr import Example, Expr, all_nodes, leaves_of
-from twistax.expr.fields import Operand
-from twistax.expr.node import Shape
+from twistax.expr.node import Operand, Shape
 from twistax.groups.special import SpecialOrthogonal
 from twistax.system.export.saved import read_nodes, write_nodes
 

@@ -13,8 +13,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..bases import expect_square
-from ..fields import Operand
-from ..node import Expr, Shape
+from ..node import Expr, Operand, Shape
 from .solve import LinearSystem
 
 

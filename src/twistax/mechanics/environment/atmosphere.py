@@ -12,7 +12,8 @@ from ...checks import reals
 from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.bases import Entrywise
-from ...expr.fields import ExprLike, Operand, positive
+from ...expr.fields import positive
+from ...expr.node import ExprLike, Operand
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 
