@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from ..checks import callable_with, short
 from ..errors import ModelError, OperationError
@@ -15,11 +15,12 @@ if TYPE_CHECKING:
     import jax
 
 
+@runtime_checkable
 class Node(Protocol):
     """What walking over graphs and printing ask of a node; `Expr` says what it is."""
 
-    is_leaf: Any
-    precedence: Any
+    is_leaf: ClassVar[bool]
+    precedence: ClassVar[int]
 
     def children(self) -> Sequence[Any]: ...
     def eager_children(self) -> Sequence[Any]: ...
@@ -95,7 +96,7 @@ def find_path(root: Node, target: Node) -> str:
     return " -> ".join(steps)
 
 
-def bottom_up(root: Node, slot: str, compute: Callable[[Node], Any]) -> Any:
+def bottom_up(root: N, slot: str, compute: Callable[[N], Any]) -> Any:
     """Compute a cached property for every node below `root`, children first."""
     if slot not in root.__dict__:
         for node in walk([root], lambda node: [child for child in node.children() if slot not in child.__dict__]):

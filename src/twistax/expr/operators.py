@@ -149,7 +149,7 @@ class Operators:
     def __ge__(self, other: Any) -> Any:
         return NODES["Inequality"](other, self)
 
-    def __eq__(self, other: Any) -> Any:  # type: ignore[override]
+    def __eq__(self, other: Any) -> Any:
         return NODES["Equality"](self, other)
 
     def __bool__(self) -> bool:
