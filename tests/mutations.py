@@ -2684,27 +2684,6 @@ MUTATIONS: list[Mutation] = [
         "axes * -np.sign(np.linalg.det(axes))",
         ("view/test_view_scene.py",),
     ),
-    *_at(
-        "report/sections/rivals.py",
-        (
-            "ends that only one of two statements fixes",
-            "yield (math.inf, 0.0) if free is",
-            "yield (math.nan, 0.0) if free is",
-            "report/test_rivals.py::test_another_statement_is_seen",
-        ),
-        (
-            "two statements with other limits",
-            "yield np.reshape(own, leaf.shape), limit",
-            "yield limit, limit",
-            "report/test_rivals.py::test_another_statement_is_seen",
-        ),
-        (
-            "a peer that is not where it says is believed",
-            "return max(miss for own",
-            "return min(0.0 * miss for own",
-            "report/test_rivals.py::test_a_line_for_each_of_three",
-        ),
-    ),
 ]
 
 

@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from twistax.groups import se3
-from twistax.report.sections import maps
-from twistax.report.sections.maps import BAR, MAPS, twists, worst_units
+from twistax.report.stability import maps
+from twistax.report.stability.maps import BAR, MAPS, twists, worst_units
 
 
 def measured(each, dtype, cases):

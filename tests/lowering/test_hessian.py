@@ -16,7 +16,7 @@ from twistax.expr import Expr
 from twistax.expr.fields import Operand
 from twistax.lowering import hessian as hessians
 from twistax.lowering.scalar.graph import TooLarge
-from twistax.report.sections import hessians as of_the_arm
+from twistax.report.figures import hessians as of_the_arm
 from twistax.scenes import SCENES
 
 mp = pytest.importorskip("mpmath")

@@ -10,10 +10,11 @@ import pytest
 import twistax as tx
 from twistax.lowering.native.backend import installed
 from twistax.mechanics import screws
-from twistax.report.checks import Absent, Check, explained
-from twistax.report.page import texts
-from twistax.report.sections import FIGURES, identities, keeping, scalars, steps
+from twistax.report.figures import identities, scalars, steps
+from twistax.report.harness import Absent, Measurement, Race, Repeats, explained, texts
+from twistax.report.registry import FIGURES
 from twistax.report.speed.cases import CASES
+from twistax.report.stability import keeping
 from twistax.scenes import SCENES
 
 QUICK = [check for section in FIGURES.values() for _, check in explained(section) if not check.slow]
@@ -31,7 +32,7 @@ def test_every_row_has_a_key_of_its_own() -> None:
 @pytest.mark.parametrize(
     "check", [c for section in FIGURES.values() for _, c in explained(section) if not c.slow], ids=lambda c: c.what
 )
-def test_what_is_quick_is_what_was_asked_for(check: Check) -> None:
+def test_what_is_quick_is_what_was_asked_for(check: Measurement) -> None:
     row = check.run()
     assert row.holds is not False, f"{row.came}; asked for: {row.bar}"
 
@@ -84,7 +85,7 @@ def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_momenta_of_the_exact_motion_stay() -> None:
-    kept = keeping.tumble().kept
+    kept = keeping.tumble().invariants
     states = [SCENES["offset-tumble"].truth(t) for t in np.linspace(0.0, 10.0, 11)]
     xs = {name: np.stack([state[name] for state in states]) for name in ("g", "V")}
     values, size = kept(xs)["momentum"]
@@ -137,25 +138,25 @@ def test_changes_shrink_with_the_order() -> None:
 
 @pytest.mark.slow
 def test_both_loops_end_alike() -> None:
-    found = steps.looped(tx.RKMK(tx.tableaus.HEUN), 200)
-    assert all(each.seconds > 0.0 and each.compile_seconds > 0.0 for each in found.values())
+    race = Race(lambda: steps.looped(tx.RKMK(tx.tableaus.HEUN), 200), 1e-12, Repeats(1, 1))
+    assert all(it.seconds > 0.0 and it.compile_seconds > 0.0 for it in race.programs.values())
 
 
 def test_c_steps_the_same_body_and_the_difference_sees_another(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """With another drag the ends are far more than the bar apart; without a compiler it says so."""
     monkeypatch.setattr(steps.shutil, "which", lambda name: None)
     with pytest.raises(Absent, match="no gcc on this machine"):
-        steps.beside_c.__wrapped__(2_000)
+        steps.beside_c(2_000)
     monkeypatch.undo()
     if steps.shutil.which("gcc") is None:
         pytest.skip("needs gcc")
-    monkeypatch.setattr(steps, "_REPEATS", steps.Repeats(1, 1))
-    assert len(steps.beside_c.__wrapped__(2_000)) == 3
+    race = lambda: Race(lambda: steps.beside_c(2_000), steps.BESIDE_C.bar, Repeats(1, 1), steps.BESIDE_C.read)  # noqa: E731
+    assert len(race().programs) == 3
     changed = tmp_path / "rkmk4.c"
     changed.write_text(steps.SOURCE.read_text().replace("DRAG = 0.1;", "DRAG = 0.1001;"))
     monkeypatch.setattr(steps, "SOURCE", changed)
     with pytest.raises(RuntimeError, match="DISAGREES"):
-        steps.beside_c.__wrapped__(2_000)
+        race().programs  # noqa: B018
 
 
 # ---- scalars and kernels ---------------------------------------------------------------------------------------------

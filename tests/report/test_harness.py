@@ -20,24 +20,37 @@ import twistax as tx
 from twistax import progress
 from twistax.__main__ import main
 from twistax.report import command
-from twistax.report.checks import (
+from twistax.report.command import run_report
+from twistax.report.harness import (
     Absent,
-    Check,
-    Checked,
-    Ended,
+    EarlyEnd,
+    Measurement,
+    Origin,
+    PageFigure,
+    Race,
+    Repeats,
+    Row,
+    SectionReport,
+    Store,
+    Timed,
     agree,
     at_most,
     between,
+    compiled,
     draw,
+    duration,
     either,
     ends,
+    in_turn,
+    number,
+    plain,
     refused,
+    render,
+    renew,
+    save_csv,
     simulated,
+    table_of,
 )
-from twistax.report.command import run_report
-from twistax.report.page import Picture, duration, render, renew, table_of
-from twistax.report.rows import Origin, Row, Store, number, plain, save_csv
-from twistax.report.timing import Repeats, Timed, compiled, in_turn
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
@@ -123,15 +136,15 @@ def test_numbers_are_held_against_bars() -> None:
     assert between(4.0).met(4.0)
     assert not between(4.0).met(3.9)
     assert between(4.8, 5.2).text == "at least 4.8, at most 5.2"
-    assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(Ended(tx.Result.MAX_STEPS, 0.1))
+    assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(EarlyEnd(tx.Result.MAX_STEPS, 0.1))
     assert not either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(2.0)
 
 
 def test_an_end_needs_its_name_and_its_time() -> None:
     expected = ends(tx.Result.NON_FINITE, 0.9, 1.1)
-    assert expected.met(Ended(tx.Result.NON_FINITE, 1.0))
-    assert not expected.met(Ended(tx.Result.NON_FINITE, 1.2))
-    assert not expected.met(Ended(tx.Result.MAX_STEPS, 1.0))
+    assert expected.met(EarlyEnd(tx.Result.NON_FINITE, 1.0))
+    assert not expected.met(EarlyEnd(tx.Result.NON_FINITE, 1.2))
+    assert not expected.met(EarlyEnd(tx.Result.MAX_STEPS, 1.0))
 
 
 def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
@@ -143,16 +156,33 @@ def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
 def test_an_integration_that_ends_early_raises_how_and_when() -> None:
     x = tx.State("x")
     growing = tx.compile(tx.System(rates={x: x * x}))
-    with pytest.raises(Ended, match="NON_FINITE at t = 1") as ended:
+    with pytest.raises(EarlyEnd, match="NON_FINITE at t = 1") as ended:
         simulated(growing, {"x": 1.0}, t1=2.0, dt=0.02)
     assert ended.value.result is tx.Result.NON_FINITE
 
 
 def test_results_must_agree_before_times_count() -> None:
     agree(1e-12, 1e-9)
-    for apart in (1e-8, math.nan):
+    for size in (1e-8, math.nan):
         with pytest.raises(RuntimeError, match="DISAGREES by"):
-            agree(apart, 1e-9)
+            agree(size, 1e-9)
+
+
+def test_a_race_compares_first_and_is_run_once() -> None:
+    calls: list[str] = []
+
+    def programs(error: float) -> dict[str, Timed]:
+        calls.append("made")
+        return {"one": Timed(lambda: np.ones(2)), "two": Timed(lambda: np.array([1.0, 1.0 + error]), 2)}
+
+    race = Race(lambda: programs(1e-10), 1e-9, Repeats(2, 1))
+    assert race.ratio("two", "one") == race.seconds("two") / race.seconds("one")
+    assert race.seconds("one", 1e-3) == pytest.approx(1e3 * race.seconds("one"))
+    assert calls == ["made"]
+    assert race.programs["two"].samples
+    for error in (1e-8, math.nan):
+        with pytest.raises(RuntimeError, match="DISAGREES by"):
+            Race(lambda error=error: programs(error), 1e-9, Repeats(2, 1)).ratio("two", "one")
 
 
 # ---- a report of checks ----------------------------------------------------------------------------------------------
@@ -165,28 +195,28 @@ def raising(error: Exception) -> Callable[[], float]:
     return measure
 
 
-def section(*more: Check) -> list[str | Check]:
-    lost = raising(Ended(tx.Result.NON_FINITE, 0.5))
+def section(*more: Measurement) -> list[str | Measurement]:
+    lost = raising(EarlyEnd(tx.Result.NON_FINITE, 0.5))
     return [
         "Short steps.",
-        Check("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
+        Measurement("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
         "Long steps.",
-        Check("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
+        Measurement("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
         "Too long steps.",
-        Check("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
+        Measurement("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
         "For a test.",
         *more,
     ]
 
 
-SILENT = Check("a silent one", "RK4", at_most(1.0), lambda: math.nan)
-ABSENT = Check("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
-BROKEN = Check("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
+SILENT = Measurement("a silent one", "RK4", at_most(1.0), lambda: math.nan)
+ABSENT = Measurement("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
+BROKEN = Measurement("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
 
 
 def run(
     folder: Path,
-    *more: Check,
+    *more: Measurement,
     quick: bool = False,
     again: bool = False,
     renew: Any = None,
@@ -207,7 +237,7 @@ def run(
         method=None,
         case=None,
     )
-    return run_report(Checked("stability", {"long": section(*more)}, given), given)
+    return run_report(SectionReport("stability", {"long": section(*more)}, given), given)
 
 
 def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,7 +291,7 @@ def test_without_matplotlib_everything_but_the_figures_is_there(
 
 
 def test_the_figure_shows_numbers_and_ends() -> None:
-    placed = [(check.run(), check.place) for check in section() if isinstance(check, Check)]
+    placed = [(check.run(), check.place) for check in section() if isinstance(check, Measurement)]
     text = draw(placed, {"title": "Made up", "axes": ["step", "error"]}).decode()
     assert "Made up" in text
     assert "x: ends by name" in text
@@ -288,7 +318,7 @@ def test_a_page_is_safe_html_and_plain_markdown() -> None:
     assert "<title>a &lt; b</title>" in page
     assert '<td class="word">a | <code>x &lt; 1</code></td><td><strong>1</strong></td>' in page
     assert "http" not in page
-    assert Picture("a.svg", b"<svg/>").data.startswith("data:image/svg+xml;base64,")
+    assert PageFigure("a.svg", b"<svg/>").data.startswith("data:image/svg+xml;base64,")
 
 
 def test_tables_of_a_document_are_renewed_and_its_prose_is_kept(tmp_path: Path) -> None:
@@ -384,7 +414,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Checked, "measure", interrupt)
+    monkeypatch.setattr(SectionReport, "measure", interrupt)
     assert main(["report", "--figures", "--out", str(tmp_path)]) == 130
     assert "interrupted; the same command goes on" in capsys.readouterr().err
 
@@ -393,7 +423,7 @@ def test_options_are_read_before_anything_heavy_is_loaded() -> None:
     code = (
         "import sys, contextlib, twistax.__main__ as m\n"
         "with contextlib.suppress(SystemExit): m.main(['report', '--fast'])\n"
-        "print([n for n in sys.modules if n.startswith(('diffrax', 'jinja2', 'matplotlib', 'twistax.report.checks'))])"
+        "print([n for n in sys.modules if n.startswith(('diffrax', 'jinja2', 'matplotlib', 'twistax.report.harness'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

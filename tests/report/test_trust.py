@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.report.sections import OPTIMAL, problems, trust
+from twistax.report.registry import OPTIMAL
+from twistax.report.sections import problems, trust
 from twistax.report.sections.curvature import is_saddle
 from twistax.report.sections.packed import packed
 from twistax.report.sections.problems import Known

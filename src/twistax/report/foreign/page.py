@@ -9,10 +9,7 @@ from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
-from ..checks import Report, at_most, between, judged
-from ..page import texts
-from ..rows import DONE, Row, now, number
-from ..timing import Tell
+from ..harness import DONE, Report, Row, Tell, at_most, between, judged, now, number, texts
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased
 

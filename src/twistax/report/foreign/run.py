@@ -13,8 +13,7 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import Absent
-from ..rows import first_line
+from ..harness import Absent, first_line
 from .ipopt import stated
 from .statement import Foreign, Phased
 

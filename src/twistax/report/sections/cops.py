@@ -31,7 +31,7 @@ def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
     moves: dict[Any, Any] = dict(zip(places, rates)) | {rate: u[k] / heavy[k] for k, rate in enumerate(rates)}
     still: dict[Any, Any] = dict.fromkeys(rates, 0.0)
     start, goal = (
-        dict(zip(places, own)) for own in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
+        dict(zip(places, values)) for values in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
     )
     options |= {"nodes": nodes, "initial": still | start, "final": still | goal}
     return stated(moves, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)

@@ -14,9 +14,8 @@ import numpy as np
 import twistax as tx
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
-from ..checks import Absent, Check, Section, at_most, between, needed, slow
+from ..harness import Absent, Measurement, Section, at_most, between, needed, printed, slow
 from . import cops, flights, problems
-from .costs import printed
 from .problems import FIVE_SWITCHES, Known
 
 #: Solves of which the fastest counts, starts tried, and the relative difference of costs of one optimum.
@@ -45,7 +44,7 @@ _KNOWN: dict[str, Known] = {
 _FLAT = "from where a constraint has no slope: cost"
 
 OPTIMA: Section = [
-    *(slow(f"{name}: from the optimum", "relative", at_most(it.bar), it.apart) for name, it in _KNOWN.items()),
+    *(slow(f"{name}: from the optimum", "relative", at_most(it.bar), it.error) for name, it in _KNOWN.items()),
     *(slow(f"{name}: iterations", "steps", between(), lambda k=it: k.result.iterations) for name, it in _KNOWN.items()),
     slow(_FLAT, "least is 0", at_most(1e-9), lambda: problems.no_slope().solve().cost),
 ]
@@ -71,7 +70,7 @@ _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "quadrotor past three spheres: 1.489138 s, 31 nodes": (flights.quadrotor, 1.489138, 1e-5),
     "Panda from shelf to shelf: 0.860227 s, 41 nodes": (flights.panda, 0.860227, 1e-5),
 }
-PROBLEMS = {name: Known(*each, {"guesses": _STARTS}) for name, each in _HELD.items()}
+PROBLEMS = {name: Known(*fields, {"guesses": _STARTS}) for name, fields in _HELD.items()}
 
 
 def _reached(it: Known) -> float:
@@ -81,9 +80,9 @@ def _reached(it: Known) -> float:
     return float(sum(same)) if best.solved else 0.0
 
 
-def _published(name: str, it: Known) -> list[Check]:
+def _published(name: str, it: Known) -> list[Measurement]:
     return [
-        slow(name, "apart", at_most(it.bar), it.apart),
+        slow(name, "apart", at_most(it.bar), it.error),
         slow(name, "starts that reach it, of 8", between(), _reached, it),
         slow(name, "beyond limits between nodes", between(), lambda: _beyond(it.plain)),
         slow(name, "compile, s", between(), lambda: it.result.compile_seconds),
@@ -116,10 +115,10 @@ KNOWN: dict[str, Known] = {
 }
 
 
-def _on_meshes(name: str, it: Known) -> list[Check]:
+def _on_meshes(name: str, it: Known) -> list[Measurement]:
     error = lambda: float(np.max(it.result.meshes[-1].error))  # noqa: E731
     return [
-        slow(name, "apart", at_most(it.bar), it.apart),
+        slow(name, "apart", at_most(it.bar), it.error),
         slow(name, "meshes", between(), lambda: len(it.result.meshes)),
         slow(name, "nodes of the last", between(), lambda: it.result.meshes[-1].nodes),
         slow(name, "largest error of an interval", at_most(it.options["refine"]), error),
@@ -141,11 +140,11 @@ def _tried(name: str, by: str) -> TrajectoryResult:
     """The fastest of several equal solves, after one that compiles and may hang; that one unless it is SOLVED."""
     kind, problem = _SOLVERS[by], PROBLEMS[name].problem
     first = problem.solve(solver=kind and kind(max_seconds=_LONGEST))
-    found: list[TrajectoryResult] = []
+    repeats: list[TrajectoryResult] = []
     begin = time.perf_counter()
-    while first.solved and len(found) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
-        found.append(problem.solve(solver=kind and kind(max_seconds=None)))
-    return min(found, key=lambda result: result.solve_seconds, default=first)
+    while first.solved and len(repeats) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
+        repeats.append(problem.solve(solver=kind and kind(max_seconds=None)))
+    return min(repeats, key=lambda result: result.solve_seconds, default=first)
 
 
 def _timed(name: str, by: str) -> TrajectoryResult:
@@ -176,17 +175,17 @@ SOLVERS: Section = [
 
 def _ratios(measure: Callable[[str, str], float], of: Callable[[Sequence[float]], float]) -> float:
     """Ours over IPOPT's, where both are SOLVED at the same cost."""
-    found = []
+    ratios = []
     for name in PROBLEMS:
         try:
             ours, theirs = _timed(name, "twistax"), _timed(name, "IPOPT")
         except Absent:
             continue
         if abs(ours.cost / theirs.cost - 1.0) <= _SAME:
-            found.append(measure(name, "twistax") / measure(name, "IPOPT"))
-    if not found:
+            ratios.append(measure(name, "twistax") / measure(name, "IPOPT"))
+    if not ratios:
         raise Absent("IPOPT solved none of them")
-    return of(found)
+    return of(ratios)
 
 
 RATIOS: Section = [
@@ -241,9 +240,9 @@ def _first_solve(problem: str, cached: bool) -> float:
     """Seconds of processor time of the first solve of a process, the median of three that are not the first one."""
     code = _FIRST_SOLVE.format(problem)
     with tempfile.TemporaryDirectory() as folder:
-        own = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
-        printed(code, **own)
-        return statistics.median(printed(code, **own) for _ in range(3))
+        environment = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
+        printed(code, **environment)
+        return statistics.median(printed(code, **environment) for _ in range(3))
 
 
 def _nothing_there(problem: str) -> float:

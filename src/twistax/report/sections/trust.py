@@ -20,7 +20,7 @@ from ...expr.graph import substitute
 from ...system import name_of
 from ...trajectory.conditions import split
 from ...trajectory.phases import PhasedProblem
-from ..checks import Section, at_most, between, slow
+from ..harness import Section, at_most, between, slow
 from . import cops, flights, problems
 from .curvature import is_saddle
 from .packed import packed

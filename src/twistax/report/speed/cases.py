@@ -23,8 +23,8 @@ Inputs = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Case:
-    """A function of three vectors to one. Derivatives are by the first two."""
+class EvaluatedFunction:
+    """A function of three vectors to one, as a system of the package and by hand. Derivatives are by the first two."""
 
     name: str  # on the command line
     title: str  # on the page
@@ -164,7 +164,7 @@ def _free_body() -> tx.System:
     return tx.System(rates={y: moved, V: _BODY.acceleration(V, wrench)})
 
 
-FREE_BODY = Case(
+FREE_BODY = EvaluatedFunction(
     "free-body",
     "free body, 13 states",
     *((7, 6, 6), 13, ("y", "V"), ("x",)),
@@ -181,7 +181,7 @@ def _numbers_of(chain: Chain) -> list[tuple[Any, Any]]:
     ]
 
 
-def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> Case:
+def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> EvaluatedFunction:
     """Of positions, velocities and accelerations of a chain the forces of its motors, or the other way round."""
     chain = functools.cache(model)  # made when first asked for: the command line only needs names
     links = functools.cache(lambda: _numbers_of(chain()))
@@ -193,7 +193,7 @@ def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> C
         third = tx.Parameter("third", shape=(n,), value=np.zeros(n))
         return tx.System(rates={qd: ours(chain(), q, qd, third)}, parameters=[third])
 
-    return Case(
+    return EvaluatedFunction(
         f"{name.lower()}-{n}",
         f"{name}, {n} links",
         *((n, n, n), n, ("qd",), ("u", "x")),
@@ -208,4 +208,4 @@ _MODELS: dict[int, Callable[[], Chain]] = {7: chain_models.panda, 30: functools.
 _CHAINS = [_of_chain(k, n, model, k == "RNEA") for n, model in _MODELS.items() for k in ("RNEA", "ABA")]
 
 #: By name.
-CASES: dict[str, Case] = {case.name: case for case in (FREE_BODY, *_CHAINS)}
+CASES: dict[str, EvaluatedFunction] = {case.name: case for case in (FREE_BODY, *_CHAINS)}

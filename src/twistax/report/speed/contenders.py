@@ -6,6 +6,7 @@ import ctypes
 import dataclasses
 import functools
 import importlib.util
+import math
 import shutil
 import subprocess
 import tempfile
@@ -27,8 +28,8 @@ from ...lowering.scalar.graph import TooLarge
 from ...mechanics import Chain
 from ...mechanics.flight import numbers
 from ...scenes.scene import cross_matrix
-from ..timing import Timed, compiled, repeated
-from .cases import CENTER, MASS, Case, inertia
+from ..harness import Timed, compiled, repeated
+from .cases import CENTER, MASS, EvaluatedFunction, inertia
 
 #: Calls from Python that are timed together.
 CALLS = 20
@@ -51,12 +52,23 @@ def values(timed: Timed) -> NDArray[np.float64]:
     return np.concatenate([np.asarray(part, np.float64) for part in parts], axis=-1)
 
 
-class Quantity(NamedTuple):
-    """Of a function."""
+def relative_difference(results: NDArray[np.float64], reference: NDArray[np.float64], rank: int) -> float:
+    """The largest difference of entries over the largest of the reference, the worst of all points.
+
+    Infinite where shapes differ or something is not finite. The rank is that of one result.
+    """
+    if results.shape != reference.shape or not np.all(np.isfinite(results)):
+        return math.inf
+    axes = tuple(range(results.ndim - rank, results.ndim))
+    return float(np.max(np.max(np.abs(results - reference), axis=axes) / np.max(np.abs(reference), axis=axes)))
+
+
+class DerivativeKind(NamedTuple):
+    """What is evaluated of a function: its value, its Jacobian or a gradient."""
 
     name: str  # for tables
     title: str  # for the page
-    shape: Callable[[Case], tuple[int, ...]]  # of the result of a case
+    shape: Callable[[EvaluatedFunction], tuple[int, ...]]  # of the result of a case
     by_jax: Callable[[Function], Function]  # of a traceable function
 
 
@@ -71,9 +83,9 @@ def _gradient(function: Function) -> Function:
 
 
 _SLOPES, _TOTAL = "Jacobian by the first two arguments", "gradient of the sum of the results by the first two arguments"
-VALUE = Quantity("value", "value", lambda case: (case.results,), lambda function: function)
-JACOBIAN = Quantity("jacobian", _SLOPES, lambda case: (case.results, sum(case.sizes[:2])), _jacobian)
-GRADIENT = Quantity("gradient", _TOTAL, lambda case: (sum(case.sizes[:2]),), _gradient)
+VALUE = DerivativeKind("value", "value", lambda case: (case.results,), lambda function: function)
+JACOBIAN = DerivativeKind("jacobian", _SLOPES, lambda case: (case.results, sum(case.sizes[:2])), _jacobian)
+GRADIENT = DerivativeKind("gradient", _TOTAL, lambda case: (sum(case.sizes[:2]),), _gradient)
 QUANTITIES = (VALUE, JACOBIAN, GRADIENT)
 
 # ---- uses and tasks -------------------------------------------------------------------------------------------------
@@ -110,7 +122,9 @@ class JaxTask:
         around: what becomes of the whole, the loop or the batch too.
     """
 
-    def __init__(self, case: Case, make: Callable[[], Function], around: Callable[[Any], Any] = jax.jit) -> None:
+    def __init__(
+        self, case: EvaluatedFunction, make: Callable[[], Function], around: Callable[[Any], Any] = jax.jit
+    ) -> None:
         self._case, self._make, self._around = case, make, around
 
     def single(self) -> Timed:
@@ -142,7 +156,7 @@ class JaxTask:
 
     def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
         """For one point, or for a batch of them."""
-        arguments = [jnp.asarray(each if points else each[0]) for each in self._case.points(points or 1)]
+        arguments = [jnp.asarray(a if points else a[0]) for a in self._case.points(points or 1)]
         begin = time.perf_counter()
         function = self._around(use(self._make()))
         made = time.perf_counter() - begin
@@ -159,7 +173,7 @@ class Contender:
 
     name: str  # in tables
     colour: str  # in figures
-    task: Callable[[Case, Quantity], Task]  # raises `Lacks` where there is none
+    task: Callable[[EvaluatedFunction, DerivativeKind], Task]  # raises `Lacks` where there is none
     package: str = ""  # needed, as pip calls it
     module: str = ""  # and as Python does, if another name
     tool: str = ""  # needed, as the command line calls it
@@ -171,7 +185,7 @@ class Contender:
         return f"there is no {self.tool}" if self.tool and shutil.which(self.tool) is None else None
 
 
-def _twistax(backend: Backend, case: Case, quantity: Quantity) -> Task:
+def _twistax(backend: Backend, case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     """This package with a backend; derivatives by JAX where it does not unroll them itself."""
     system = case.system()
 
@@ -189,14 +203,14 @@ def _twistax(backend: Backend, case: Case, quantity: Quantity) -> Task:
     return JaxTask(case, make)
 
 
-def _unrolls(dynamics: tx.Dynamics, case: Case) -> bool:
+def _unrolls(dynamics: tx.Dynamics, case: EvaluatedFunction) -> bool:
     """Whether `dynamics.jacobian` is of use: it unrolls all scalars, which takes a compiler long beyond some."""
     arguments, inside = [points[0] for points in case.points(1)], dynamics._functions
     try:
-        found, _ = inside.rate_jacobian(inside.prepare(0.0, *case.inputs(*arguments)), case.by)
+        slopes, _ = inside.rate_jacobian(inside.prepare(0.0, *case.inputs(*arguments)), case.by)
     except TooLarge:
         return False
-    return found.program.operations <= tx.XLA().largest
+    return slopes.program.operations <= tx.XLA().largest
 
 
 SCALARS = Contender("twistax XLA", "C0", functools.partial(_twistax, tx.XLA()))
@@ -204,14 +218,14 @@ NATIVE = Contender("twistax native", "C3", functools.partial(_twistax, tx.Native
 ARRAYS = Contender("twistax arrays", "C9", functools.partial(_twistax, tx.JAX()))
 
 
-def _plain(case: Case, quantity: Quantity) -> Task:
+def _plain(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     return JaxTask(case, lambda: quantity.by_jax(functools.partial(case.by_hand, jnp)))
 
 
 PLAIN = Contender("plain JAX", "C7", _plain)
 
 
-def _openscvx(case: Case, quantity: Quantity) -> Task:
+def _openscvx(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     import openscvx as ox
     from openscvx.symbolic.lower import lower_to_jax
 
@@ -243,7 +257,9 @@ OPENSCVX = Contender("OpenSCvx", "C2", _openscvx, package="openscvx")
 class _Called:
     """What is called point by point, and a loop and a batch that write into an array: as `loop.c` has them."""
 
-    def __init__(self, case: Case, quantity: Quantity, seconds: float, *how: Any, wrap: Any = np.asarray) -> None:
+    def __init__(
+        self, case: EvaluatedFunction, quantity: DerivativeKind, seconds: float, *how: Any, wrap: Any = np.asarray
+    ) -> None:
         self._case, self._shape, self._seconds = case, quantity.shape(case), seconds
         (self._call, self._loop, self._batch), self._wrap = how, wrap
 
@@ -258,11 +274,11 @@ class _Called:
         out = np.zeros((count, *self._shape))
         return self._into(out, self._batch, self._case.points(count), count, count)
 
-    def _into(self, out: Any, call: Any, points: Sequence[Any], evaluations: int, *given: Any) -> Timed:
-        arguments = [np.ascontiguousarray(each) for each in points]
+    def _into(self, out: Any, call: Any, points: Sequence[Any], evaluations: int, *counts: Any) -> Timed:
+        arguments = [np.ascontiguousarray(values) for values in points]
 
         def run() -> Any:
-            call(*given, *arguments, out)
+            call(*counts, *arguments, out)
             return out
 
         return Timed(run, evaluations, self._seconds)
@@ -276,12 +292,12 @@ def pinocchio_model(chain: Chain) -> Any:
     for link, body in zip(chain.links, chain.bodies.values(), strict=True):
         mount = numbers(link.mount)
         before = model.addJoint(before, pin.JointModelRZ(), pin.SE3(mount[:3, :3], mount[:3, 3]), link.name)
-        own = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
-        model.appendBodyToJoint(before, own, pin.SE3.Identity())
+        inertia = pin.Inertia(float(numbers(body.mass)), numbers(body.center_of_mass), numbers(body.inertia))
+        model.appendBodyToJoint(before, inertia, pin.SE3.Identity())
     return model
 
 
-def _pinocchio(case: Case, quantity: Quantity) -> Task:
+def _pinocchio(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     import pinocchio as pin
 
     if case.chain is None:
@@ -301,8 +317,8 @@ def _pinocchio(case: Case, quantity: Quantity) -> Task:
         *fed, out = arguments
         for _ in range(steps):
             out[...] = call(*fed)
-            for each in fed:
-                each += tiny * out.reshape(-1)[: each.size]
+            for argument in fed:
+                argument += tiny * out.reshape(-1)[: argument.size]
 
     def batch(count: int, a: Any, b: Any, c: Any, out: Any) -> None:
         for i in range(count):
@@ -342,7 +358,7 @@ def _as_numpy(ca: Any) -> Any:
     )
 
 
-def _casadi(case: Case, quantity: Quantity) -> Task:
+def _casadi(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
     """Written and compiled once for all uses. Raises Lacks where gcc takes too long."""
     import casadi as ca
 
