@@ -37,7 +37,7 @@ class Origin:
     def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
         """Of rows measured now; versions are of other packages in use."""
         root = Path(twistax.__file__).parent
-        left_out = {root / "demo.py", Path(__file__).with_name("page.py")}
+        left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
         files = [path for path in sorted({*root.rglob("*")} - left_out) if path.suffix in (".py", ".c", ".json", ".ll")]
         code = _digest(b"".join(path.read_bytes() for path in files))
         return cls({name: _version(name) for name in _VERSIONED} | dict(versions or {}), code, _machine(), dict(effort))
