@@ -2613,11 +2613,10 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "monte_carlo.py",
-        ("moments without what is between chunks", "apart**2 * self.count * share", "0.0 * share", "test_sweep.py"),
         (
             "failed members in the statistics",
-            "moments.add([column[ended_well(codes)] for column in columns])",
-            "moments.add(columns)",
+            "yield [column[good] for column in columns]",
+            "yield columns",
             "test_sweep.py",
         ),
         (
@@ -2626,7 +2625,7 @@ MUTATIONS: list[Mutation] = [
             "array",
             "test_sweep.py",
         ),
-        ("a last chunk with members twice", "kept = numbers <= last", "kept = numbers >= 0", "test_sweep.py"),
+        ("a last chunk with members twice", "is_member = numbers <= last", "is_member = numbers >= 0", "test_sweep.py"),
     ),
     Mutation(
         "files of other shapes are chunks",
