@@ -11,7 +11,10 @@ import twistax as tx
 from twistax.lowering.native.backend import installed
 from twistax.mechanics import screws
 from twistax.report.figures import identities, scalars, steps
-from twistax.report.harness import Absent, Measurement, Race, Repeats, explained, texts
+from twistax.report.harness.expected import Absent
+from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.page import texts
+from twistax.report.harness.timing import Race, Repeats
 from twistax.report.registry import FIGURES
 from twistax.report.speed.cases import CASES
 from twistax.report.stability import keeping

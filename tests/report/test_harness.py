@@ -21,36 +21,13 @@ from twistax import progress
 from twistax.__main__ import main
 from twistax.report import command
 from twistax.report.command import run_report
-from twistax.report.harness import (
-    Absent,
-    EarlyEnd,
-    Measurement,
-    Origin,
-    PageFigure,
-    Race,
-    Repeats,
-    Row,
-    SectionReport,
-    Store,
-    Timed,
-    agree,
-    at_most,
-    between,
-    compiled,
-    draw,
-    duration,
-    either,
-    ends,
-    in_turn,
-    number,
-    plain,
-    refused,
-    render,
-    renew,
-    save_csv,
-    simulated,
-    table_of,
-)
+from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, either, ends, refused, simulated
+from twistax.report.harness.measurement import Measurement
+from twistax.report.harness.page import PageFigure, render, renew, table_of
+from twistax.report.harness.report import SectionReport, draw
+from twistax.report.harness.rows import Row, duration, number, plain
+from twistax.report.harness.store import Origin, Store, save_csv
+from twistax.report.harness.timing import Race, Repeats, Timed, agree, compiled, in_turn
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})

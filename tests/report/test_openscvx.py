@@ -12,7 +12,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twistax.report.harness import expected, table_of
+from twistax.report.harness import expected
+from twistax.report.harness.page import table_of
 from twistax.report.registry import OPTIMAL
 from twistax.report.sections import openscvx
 from twistax.trajectory.result import Trajectory

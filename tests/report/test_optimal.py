@@ -8,7 +8,7 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import twistax as tx
-from twistax.report.harness import Absent
+from twistax.report.harness.expected import Absent
 from twistax.report.registry import OPTIMAL
 from twistax.report.sections import optimal, problems
 

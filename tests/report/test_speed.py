@@ -15,7 +15,9 @@ import pytest
 
 import twistax as tx
 from twistax.report.command import run_report
-from twistax.report.harness import Origin, Repeats, Row, Store, Timed
+from twistax.report.harness.rows import Row
+from twistax.report.harness.store import Origin, Store
+from twistax.report.harness.timing import Repeats, Timed
 from twistax.report.speed import page
 from twistax.report.speed.cases import CASES, FREE_BODY, EvaluatedFunction
 from twistax.report.speed.contenders import (

@@ -2,7 +2,8 @@
 
 import pytest
 
-from twistax.report.harness import Measurement, explained, texts
+from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.page import texts
 from twistax.report.registry import STABILITY
 
 #: Sections that take long to compile, beside the rows that take long to run.

@@ -13,7 +13,8 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
-from twistax.report.harness import Origin, Repeats, Store
+from twistax.report.harness.store import Origin, Store
+from twistax.report.harness.timing import Repeats
 from twistax.report.work_precision import integrators, page
 from twistax.report.work_precision.integrators import (
     INTEGRATORS,

@@ -6,7 +6,9 @@ from typing import Any
 
 import pytest
 
-from twistax.report.harness import Origin, Row, render
+from twistax.report.harness.page import render
+from twistax.report.harness.rows import Row
+from twistax.report.harness.store import Origin
 from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
 from twistax.report.work_precision.integrators import INTEGRATORS, OURS, QUICK, WHAT, equal_steps, tolerances
 from twistax.report.work_precision.page import LONG, STIFF, context, suited

@@ -14,21 +14,11 @@ from pathlib import Path
 import jax
 
 from ..progress import Progress
-from .harness import (
-    Origin,
-    PageFigure,
-    Report,
-    Row,
-    Store,
-    Table,
-    Tell,
-    quiet,
-    render,
-    renew,
-    save_csv,
-    table_of,
-    within,
-)
+from .harness.page import PageFigure, Table, render, renew, table_of
+from .harness.report import Report
+from .harness.rows import Row
+from .harness.store import Origin, Store, save_csv
+from .harness.timing import Tell, quiet, within
 
 #: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
 #: package with it.

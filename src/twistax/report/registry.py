@@ -4,7 +4,8 @@ import functools
 
 from .figures import calls, costs, derivatives, hessians, identities, lookups, mechanisms, scalars, small, steps
 from .foreign import FOREIGN
-from .harness import Section, SectionReport
+from .harness.measurement import Section
+from .harness.report import SectionReport
 from .sections import openscvx, optimal, strategies, trust
 from .stability import events, failures, files, flight_limits, keeping, maps, moving_masses, spoiled, statuses, stiff
 

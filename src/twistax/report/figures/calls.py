@@ -11,7 +11,9 @@ import numpy as np
 import twistax as tx
 
 from ...mechanics import chain_models, forward_dynamics
-from ..harness import Measurement, Race, Repeats, Section, Timed, at_most, between, slow
+from ..harness.expected import at_most, between
+from ..harness.measurement import Measurement, Section, slow
+from ..harness.timing import Race, Repeats, Timed
 
 _SAVED = 301
 

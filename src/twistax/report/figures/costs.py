@@ -17,19 +17,11 @@ import twistax as tx
 
 from ...lowering.explain import count_equations
 from ...scenes import SCENES, heavy_top, powered_descent, touchdown
-from ..harness import (
-    Measurement,
-    Origin,
-    Section,
-    Store,
-    at_most,
-    between,
-    empty_call_seconds,
-    plain,
-    printed,
-    seconds_of,
-    slow,
-)
+from ..harness.expected import at_most, between
+from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.rows import plain
+from ..harness.store import Origin, Store
+from ..harness.timing import empty_call_seconds, printed, seconds_of
 from ..speed.cases import CASES
 from ..work_precision.findings import Curve
 from ..work_precision.integrators import FULL, INTEGRATORS, Integrator, equal_steps, measure_scene, ours, tolerances
@@ -93,12 +85,12 @@ def _starts() -> list[float]:
 
 
 COSTS: Section = [
-    Measurement("equations of the chain", "tx.lower", at_most(30), lambda: chain_equations()["tx.lower"]),
-    Measurement("equations of the chain", "tx.compile", at_most(30), lambda: chain_equations()["tx.compile"]),
-    Measurement("free body: build, lower, compile", "tx.compile", at_most(0.6, "s"), compile_seconds),
-    Measurement("`import twistax` beyond `import jax`", "median of 7 processes", at_most(0.3, "s"), import_seconds),
-    Measurement("kernel of the Panda's steps", "first start", between(unit="s"), lambda: _starts()[0]),
-    Measurement("kernel of the Panda's steps", "second start", at_most(0.1, "s"), lambda: _starts()[1]),
+    quick("equations of the chain", "tx.lower", at_most(30), lambda: chain_equations()["tx.lower"]),
+    quick("equations of the chain", "tx.compile", at_most(30), lambda: chain_equations()["tx.compile"]),
+    quick("free body: build, lower, compile", "tx.compile", at_most(0.6, "s"), compile_seconds),
+    quick("`import twistax` beyond `import jax`", "median of 7 processes", at_most(0.3, "s"), import_seconds),
+    quick("kernel of the Panda's steps", "first start", between(unit="s"), lambda: _starts()[0]),
+    quick("kernel of the Panda's steps", "second start", at_most(0.1, "s"), lambda: _starts()[1]),
 ]
 
 

@@ -18,7 +18,9 @@ from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ...trajectory.declared import declared
-from ..harness import Measurement, Repeats, Section, Timed, agree, at_most, between, compiled, in_turn, slow
+from ..harness.expected import at_most, between
+from ..harness.measurement import Section, quick, slow
+from ..harness.timing import Repeats, Timed, agree, compiled, in_turn
 
 _REPEATS, _RK4 = Repeats(5, 5), tx.RKMK(tx.tableaus.RK4)
 
@@ -92,10 +94,10 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
 
 
 LINEARISATION: Section = [
-    Measurement("closed form against", _LOGARITHM, at_most(1e-12), lambda: linearised()[1][_LOGARITHM]),
-    Measurement("closed form against", _DIFFERENCES, at_most(1e-8), lambda: linearised()[1][_DIFFERENCES]),
+    quick("closed form against", _LOGARITHM, at_most(1e-12), lambda: linearised()[1][_LOGARITHM]),
+    quick("closed form against", _DIFFERENCES, at_most(1e-8), lambda: linearised()[1][_DIFFERENCES]),
     *(
-        Measurement(what, name, between(unit=unit), lambda name, read: read(linearised()[0][name]), name, read)
+        quick(what, name, between(unit=unit), lambda name, read: read(linearised()[0][name]), name, read)
         for name in (_CLOSED, _LOGARITHM)
         for what, unit, read in (
             ("compiling", "s", lambda timed: timed.compile_seconds),

@@ -11,20 +11,9 @@ import numpy as np
 import twistax as tx
 
 from ...mechanics import chain_models, forward_dynamics
-from ..harness import (
-    Absent,
-    Measurement,
-    Race,
-    Repeats,
-    Section,
-    Timed,
-    at_most,
-    batch,
-    between,
-    needed,
-    repeated,
-    slow,
-)
+from ..harness.expected import Absent, at_most, between, needed
+from ..harness.measurement import Section, quick, slow
+from ..harness.timing import Race, Repeats, Timed, batch, repeated
 from ..speed.cases import EvaluatedFunction
 from ..speed.contenders import CASADI, VALUE
 
@@ -92,7 +81,7 @@ _RACE = Race(_programs, 1e-11, Repeats(31, 15), lambda matrices: np.asarray(matr
 _WHAT = "Hessian of a Panda's weighted ABA"
 
 HESSIANS: Section = [
-    Measurement(f"{_WHAT}: operations", "dynamics.hessian", between(), lambda: operations()[0]),
-    Measurement(f"{_WHAT}: operations", "over CasADi's", at_most(1), lambda: operations()[0] / operations()[1]),
+    quick(f"{_WHAT}: operations", "dynamics.hessian", between(), lambda: operations()[0]),
+    quick(f"{_WHAT}: operations", "over CasADi's", at_most(1), lambda: operations()[0] / operations()[1]),
     slow(f"{_WHAT}: batch of 4,096", "over CasADi's C", at_most(0.2), _RACE.ratio, "ours", "C"),
 ]

@@ -22,7 +22,8 @@ from ...expr import Constant, Expr, State, leaves_of, lie
 from ...expr.linalg import Dot
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
 from ...mechanics import joints, power
-from ..harness import Measurement, Section, at_most
+from ..harness.expected import at_most
+from ..harness.measurement import Section, quick
 
 _CASES, _POINTS, _SEED = 200, 5, 20240607
 
@@ -171,7 +172,7 @@ def _joints() -> float:
 
 
 IDENTITIES: Section = [
-    Measurement(_LIE, "twists [v; w]", at_most(1e-12), _lie, LINEAR_FIRST),
-    Measurement(_LIE, "twists [w; v]", at_most(1e-12), _lie, ANGULAR_FIRST),
-    Measurement(_MECHANICS, "tx.mechanics", at_most(1e-13), _joints),
+    quick(_LIE, "twists [v; w]", at_most(1e-12), _lie, LINEAR_FIRST),
+    quick(_LIE, "twists [w; v]", at_most(1e-12), _lie, ANGULAR_FIRST),
+    quick(_MECHANICS, "tx.mechanics", at_most(1e-13), _joints),
 ]

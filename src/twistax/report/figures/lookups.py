@@ -11,7 +11,9 @@ import numpy as np
 import twistax as tx
 
 from ...lowering.native.backend import installed
-from ..harness import Measurement, Race, Section, Timed, between, compiled, slow
+from ..harness.expected import between
+from ..harness.measurement import Measurement, Section, slow
+from ..harness.timing import Race, Timed, compiled
 from .scalars import need_llvmlite
 
 _BATCH = 100_000

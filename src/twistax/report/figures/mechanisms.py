@@ -20,7 +20,9 @@ from ... import mechanics
 from ...lowering.scalar.program import scalarize
 from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.derivatives import inverse_dynamics_derivatives
-from ..harness import Absent, Measurement, Repeats, Section, Timed, agree, at_most, batch, in_turn, needed, slow
+from ..harness.expected import Absent, at_most, needed
+from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.timing import Repeats, Timed, agree, batch, in_turn
 from ..speed.contenders import pinocchio_model
 
 _BATCH = 4096
@@ -175,7 +177,7 @@ def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -
     """One measurement a limit, of the robots with files and then of 60 links."""
     unit = "s" if "compiling" in what else ""
     return [
-        Measurement(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, part, slow=limit > 1.0)
+        quick(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, part, slow=limit > 1.0)
         for robot, limit in zip((*_FILES, "60 links"), limits, strict=False)
     ]
 
@@ -183,7 +185,7 @@ def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -
 _seconds = lambda robot, part: _ours(robot, part)[1]  # noqa: E731
 
 MECHANISMS: Section = [
-    Measurement("operations of ABA, Panda", "mechanics.forward_dynamics", at_most(1450), _operations, "Panda"),
+    quick("operations of ABA, Panda", "mechanics.forward_dynamics", at_most(1450), _operations, "Panda"),
     *_row("compiling dynamics", "tx.Native", (0.4, 1.0, 2.5, 4.0), _seconds, "dynamics"),
     *_row("compiling derivatives", "tx.Native", (2.0, 5.0, 12.0, 20.0), _seconds, "derivatives"),
     *_row("dynamics of ABA, batch of 4,096", "over Pinocchio", (0.05, 0.1, 0.15), _ratio, "dynamics"),

@@ -19,21 +19,9 @@ from ...lowering.native.backend import installed
 from ...lowering.scalar.derivatives import cotangent_program, jacobian
 from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
-from ..harness import (
-    Absent,
-    Measurement,
-    Repeats,
-    Section,
-    Timed,
-    agree,
-    at_most,
-    between,
-    compiled,
-    difference,
-    in_turn,
-    needed,
-    seconds_of,
-)
+from ..harness.expected import Absent, at_most, between, needed
+from ..harness.measurement import Measurement, Section, quick
+from ..harness.timing import Repeats, Timed, agree, compiled, difference, in_turn, seconds_of
 from ..speed.cases import CASES, EvaluatedFunction
 from ..speed.contenders import relative_difference
 from .steps import c_body
@@ -210,9 +198,9 @@ _panda_slopes = lambda: one_by_one(_slopes(_PANDA))  # noqa: E731
 _EMPTY = "a call of it above one that adds its arguments"
 
 KERNELS: Section = [
-    Measurement("building the Panda's ABA", "llvmlite", at_most(0.4, "s"), _build_seconds, lambda: program_of(_PANDA)),
-    Measurement("building its Jacobian", "llvmlite", at_most(4.0, "s"), _build_seconds, _panda_slopes, slow=True),
-    Measurement(_EMPTY, "llvmlite", at_most(1.0, "us"), _above_an_empty_call),
-    Measurement(_BATCH, "llvmlite", at_most(0.3), batch_ratio, slow=True),
-    Measurement(_SINES, "llvmlite", at_most(2.0, "ulp"), lambda: units_off(angles(30_000), tx.Native()), slow=True),
+    quick("building the Panda's ABA", "llvmlite", at_most(0.4, "s"), _build_seconds, lambda: program_of(_PANDA)),
+    quick("building its Jacobian", "llvmlite", at_most(4.0, "s"), _build_seconds, _panda_slopes, slow=True),
+    quick(_EMPTY, "llvmlite", at_most(1.0, "us"), _above_an_empty_call),
+    quick(_BATCH, "llvmlite", at_most(0.3), batch_ratio, slow=True),
+    quick(_SINES, "llvmlite", at_most(2.0, "ulp"), lambda: units_off(angles(30_000), tx.Native()), slow=True),
 ]

@@ -14,7 +14,9 @@ import numpy as np
 
 import twistax as tx
 
-from ..harness import Absent, Measurement, Race, Repeats, Section, Timed, at_most, between
+from ..harness.expected import Absent, at_most, between
+from ..harness.measurement import Section, quick
+from ..harness.timing import Race, Repeats, Timed
 from ..speed.cases import FREE_BODY
 from ..speed.contenders import CASADI, VALUE, JaxTask
 from .steps import C_ARRAY, FLAGS, c_loop
@@ -98,9 +100,9 @@ _RACES["free body in a scan"] = Race(
 
 SMALL: Section = [
     *(
-        Measurement(f"{what}: time over C", by, bar, _over_c, race, by)
+        quick(f"{what}: time over C", by, bar, _over_c, race, by)
         for what, race in _RACES.items()
         for by, bar in (("tx.fast", at_most(1.5)), ("JAX", between()))
     ),
-    *(Measurement(f"{name}: time over JAX", "tx.fast", at_most(0.2), reported, name) for name in _REPORTED),
+    *(quick(f"{name}: time over JAX", "tx.fast", at_most(0.2), reported, name) for name in _REPORTED),
 ]

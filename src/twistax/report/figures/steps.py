@@ -24,7 +24,9 @@ from ...integrators import VectorField
 from ...integrators.charts import Chart
 from ...lowering.backends import Backend
 from ...lowering.small_call import small_call
-from ..harness import Absent, Measurement, Race, Section, Timed, at_most, between, compiled, slow
+from ..harness.expected import Absent, at_most, between
+from ..harness.measurement import Measurement, Section, slow
+from ..harness.timing import Race, Timed, compiled
 
 
 @functools.cache

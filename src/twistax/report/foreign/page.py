@@ -9,7 +9,11 @@ from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
-from ..harness import DONE, Report, Row, Tell, at_most, between, judged, now, number, texts
+from ..harness.expected import at_most, between, judged
+from ..harness.page import texts
+from ..harness.report import Report
+from ..harness.rows import DONE, Row, now, number
+from ..harness.timing import Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased
 

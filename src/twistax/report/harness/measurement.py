@@ -55,8 +55,8 @@ class Measurement:
         return judged(row, self.expected, came)
 
 
-#: One that the quick run leaves out.
-slow = functools.partial(Measurement, slow=True)
+#: A measurement of every run, and one that the quick run leaves out.
+quick, slow = Measurement, functools.partial(Measurement, slow=True)
 
 #: The measurements of a section, those that need it after a plain sentence that explains what comes of them. Its title,
 #: and what its page says of it, stand in `templates/sections.toml`.

@@ -22,7 +22,8 @@ from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
 from ...trajectory.conditions import split
 from ...trajectory.result import Trajectory
-from ..harness import Section, at_most, between, needed, slow
+from ..harness.expected import at_most, between, needed
+from ..harness.measurement import Section, slow
 from . import flights, problems
 from .problems import Known
 

@@ -14,7 +14,9 @@ import numpy as np
 import twistax as tx
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
-from ..harness import Absent, Measurement, Section, at_most, between, needed, printed, slow
+from ..harness.expected import Absent, at_most, between, needed
+from ..harness.measurement import Measurement, Section, slow
+from ..harness.timing import printed
 from . import cops, flights, problems
 from .problems import FIVE_SWITCHES, Known
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...trajectory import Strategy
-from ..harness import Measurement, Section, between, slow
+from ..harness.expected import between
+from ..harness.measurement import Measurement, Section, slow
 from .optimal import PROBLEMS
 
 #: Starts of each problem: its guess, and that guess perturbed. The relative difference of costs of one optimum.

@@ -20,7 +20,8 @@ from ...expr.graph import substitute
 from ...system import name_of
 from ...trajectory.conditions import split
 from ...trajectory.phases import PhasedProblem
-from ..harness import Section, at_most, between, slow
+from ..harness.expected import at_most, between
+from ..harness.measurement import Section, slow
 from . import cops, flights, problems
 from .curvature import is_saddle
 from .packed import packed

@@ -28,7 +28,7 @@ from ...lowering.scalar.graph import TooLarge
 from ...mechanics import Chain
 from ...mechanics.flight import numbers
 from ...scenes.scene import cross_matrix
-from ..harness import Timed, compiled, repeated
+from ..harness.timing import Timed, compiled, repeated
 from .cases import CENTER, MASS, EvaluatedFunction, inertia
 
 #: Calls from Python that are timed together.

@@ -14,27 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from ...trajectory.many import processors
-from ..harness import (
-    Repeats,
-    Report,
-    Row,
-    Store,
-    Table,
-    Tell,
-    Timed,
-    as_svg,
-    at_most,
-    duration,
-    empty_call_seconds,
-    first_line,
-    judged,
-    keep,
-    now,
-    panels,
-    quiet,
-    texts,
-    within,
-)
+from ..harness.expected import at_most, judged
+from ..harness.page import Table, as_svg, panels, texts
+from ..harness.report import Report
+from ..harness.rows import Row, duration, first_line, now
+from ..harness.store import Store
+from ..harness.timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet, within
 from .cases import CASES, EvaluatedFunction
 from .contenders import (
     ALL,

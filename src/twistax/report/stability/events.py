@@ -12,7 +12,8 @@ import numpy as np
 import twistax as tx
 
 from ...groups import se3
-from ..harness import Measurement, Section, at_most, between, ends, simulated
+from ..harness.expected import at_most, between, ends, simulated
+from ..harness.measurement import Measurement, Section, quick
 
 _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 
@@ -45,7 +46,7 @@ def _miss(wanted: float, *names: str, which: int = 0, **how: float) -> float:
 
 
 def _reached(what: str, at: float, bar: float) -> Measurement:
-    return Measurement(what, "RK4", at_most(bar, "s"), _miss, at, "reaching", at=at)
+    return quick(what, "RK4", at_most(bar, "s"), _miss, at, "reaching", at=at)
 
 
 def _tilted() -> float:
@@ -153,40 +154,36 @@ EVENTS: Section = [
     _reached("before the edge of a step by 2e-16 s", 0.5 - 2e-16, 5e-16),
     _reached("after the edge of a step by 2e-16 s", 0.5 + 2e-16, 5e-16),
     "Whether it counts as ended or as stopped, the time is the same.",
-    Measurement("at the end, at 1 s", "RK4", at_most(5e-16, "s"), lambda: abs(_end("reaching", 1.0) - 1.0)),
+    quick("at the end, at 1 s", "RK4", at_most(5e-16, "s"), lambda: abs(_end("reaching", 1.0) - 1.0)),
     "A condition of any direction that is zero at the start is no event: a body that leaves the ground has not landed.",
-    Measurement("at the start: the end", "RK4", _LATE, _end, "reaching", 0.0),
+    quick("at the start: the end", "RK4", _LATE, _end, "reaching", 0.0),
     "One that goes past zero there, in the direction of the event, is.",
-    Measurement("a ball that begins to fall at the ground: the end", "Tsit5", at_most(0.0, "s"), _begun, None),
+    quick("a ball that begins to fall at the ground: the end", "Tsit5", at_most(0.0, "s"), _begun, None),
     "Unless it is told to wait until it has been on the other side.",
-    Measurement("the same, at_start=AtStart.IGNORE", "Tsit5", between(3.0, unit="s"), _begun, tx.AtStart.IGNORE),
+    quick("the same, at_start=AtStart.IGNORE", "Tsit5", between(3.0, unit="s"), _begun, tx.AtStart.IGNORE),
     "Of several roots in a step the first counts, whichever was named first.",
-    Measurement(
-        "two events in one step, at 0.56 and 0.53 s", "RK4", at_most(3e-16, "s"), _miss, 0.53, *_TWO_EVENTS, which=1
-    ),
+    quick("two events in one step, at 0.56 and 0.53 s", "RK4", at_most(3e-16, "s"), _miss, 0.53, *_TWO_EVENTS, which=1),
     "The sign is the same at both ends of the step; the polynomial of the step is looked at too.",
-    Measurement(_TWO_ROOTS, "RK4", at_most(3e-15, "s"), _miss, 0.51, "product"),
+    quick(_TWO_ROOTS, "RK4", at_most(3e-15, "s"), _miss, 0.51, "product"),
     "A perigee that steps pass over, 10 km and 100 m under the ground; the rest is the tolerance.",
-    Measurement("an impact near the perigee, 10 km deep, rtol 1e-6", "DOP853", at_most(0.1, "s"), _impact, 1e4),
-    Measurement("an impact near the perigee, 100 m deep, rtol 1e-6", "DOP853", at_most(1.0, "s"), _impact, 100.0),
+    quick("an impact near the perigee, 10 km deep, rtol 1e-6", "DOP853", at_most(0.1, "s"), _impact, 1e4),
+    quick("an impact near the perigee, 100 m deep, rtol 1e-6", "DOP853", at_most(1.0, "s"), _impact, 100.0),
     "Events that do not end the integration are kept with their times.",
-    Measurement("two crossings on the way", "Tsit5", at_most(1e-12, "s"), _crossings),
+    quick("two crossings on the way", "Tsit5", at_most(1e-12, "s"), _crossings),
     "Both in the first step, of 2.5 s.",
-    Measurement("two crossings in a step", "Tsit5", at_most(1e-12, "s"), _crossings, dt=2.5),
+    quick("two crossings in a step", "Tsit5", at_most(1e-12, "s"), _crossings, dt=2.5),
     "The same events, in the other order.",
-    Measurement("two crossings backward in time", "Tsit5", at_most(1e-12, "s"), _crossings, t0=3.0, t1=-1.0),
+    quick("two crossings backward in time", "Tsit5", at_most(1e-12, "s"), _crossings, t0=3.0, t1=-1.0),
     "Each member of a batch has crossings of its own.",
-    Measurement(
-        "three balls under jit and vmap, of which one stays below", "RK4", at_most(1e-12, "s"), _thrown_together
-    ),
+    quick("three balls under jit and vmap, of which one stays below", "RK4", at_most(1e-12, "s"), _thrown_together),
     "By the implicit function theorem.",
-    Measurement("derivatives of their times with respect to the speed", "RK4", at_most(1e-9), _moved),
+    quick("derivatives of their times with respect to the speed", "RK4", at_most(1e-9), _moved),
     "More crossings than there is room for end the integration; none is lost in silence.",
-    Measurement("more crossings than max_crossings", "Tsit5", ends(tx.Result.MAX_CROSSINGS, 1.0, 2.0), _full),
+    quick("more crossings than max_crossings", "Tsit5", ends(tx.Result.MAX_CROSSINGS, 1.0, 2.0), _full),
     "Without a change of sign there is no event; take the derivative as the condition.",
-    Measurement("a condition that touches zero, at 0.55 s: the end", "RK4", _LATE, _end, "touching"),
+    quick("a condition that touches zero, at 0.55 s: the end", "RK4", _LATE, _end, "touching"),
     "The root is found in the group, within the tolerance of the integration.",
-    Measurement("a condition on an attitude, rtol 1e-11", "Tsit5", at_most(1e-10, "s"), _tilted),
+    quick("a condition on an attitude, rtol 1e-11", "Tsit5", at_most(1e-10, "s"), _tilted),
 ]
 
 #: A twist that is held between jumps: times, s, and twists.
@@ -247,29 +244,25 @@ _NAMED = "a function that switches at 0.4 s, named with jumps, rtol 1e-10"
 
 JUMPS: Section = [
     "Steps end at every row of a table, also where two are 1e-9 s apart.",
-    Measurement("five twists, rtol 1e-9", "DOP853", at_most(1e-13), lambda: _poses()[0]),
+    quick("five twists, rtol 1e-9", "DOP853", at_most(1e-13), lambda: _poses()[0]),
     "Nothing has to be found out by steps that fail.",
-    Measurement("the same: steps taken back", "DOP853", at_most(0.0, "steps"), lambda: _poses()[1]),
+    quick("the same: steps taken back", "DOP853", at_most(0.0, "steps"), lambda: _poses()[1]),
     "A step ends at the switch.",
-    Measurement("a table, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _TABLE),
+    quick("a table, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _TABLE),
     "A function's jumps are not seen from outside; named, they are ends of steps.",
-    Measurement(_NAMED, "Tsit5", at_most(1e-10), _chosen, _switch, jumps=[0.4]),
+    quick(_NAMED, "Tsit5", at_most(1e-10), _chosen, _switch, jumps=[0.4]),
     "The error control finds the jump, at many steps taken back, and to its tolerance only.",
-    Measurement("the same, not named", "Tsit5", at_most(1e-7), _chosen, _switch),
+    quick("the same, not named", "Tsit5", at_most(1e-7), _chosen, _switch),
     "Where the switch falls between two equal steps, the order is kept.",
-    Measurement("a table, on the edge of a step of 0.1 s", "RK4", at_most(1e-6), _switched, _TABLE, dt=0.1),
+    quick("a table, on the edge of a step of 0.1 s", "RK4", at_most(1e-6), _switched, _TABLE, dt=0.1),
     "Equal steps are split at a switch inside of them, and the order is kept.",
-    Measurement("a table, inside of a step of 1/6 s", "RK4", at_most(1e-5), _switched, _TABLE, dt=1.0 / 6.0),
-    Measurement("a table, inside of a step of 1/48 s", "RK4", at_most(5e-9), _switched, _TABLE, dt=1.0 / 48.0),
+    quick("a table, inside of a step of 1/6 s", "RK4", at_most(1e-5), _switched, _TABLE, dt=1.0 / 6.0),
+    quick("a table, inside of a step of 1/48 s", "RK4", at_most(5e-9), _switched, _TABLE, dt=1.0 / 48.0),
     "A function's jumps are not seen from outside; named, they split steps.",
-    Measurement(
-        "a function, inside of a step, named", "RK4", at_most(5e-9), _switched, _switch, dt=1.0 / 48.0, jumps=[0.4]
-    ),
+    quick("a function, inside of a step, named", "RK4", at_most(5e-9), _switched, _switch, dt=1.0 / 48.0, jumps=[0.4]),
     "The same switch from the other side.",
-    Measurement("there and back across a table, steps of 1/48 s", "RK4", at_most(1e-8), _returned, dt=1.0 / 48.0),
-    Measurement("there and back across a table, rtol 1e-10", "Tsit5", at_most(1e-8), _returned, rtol=1e-10),
+    quick("there and back across a table, steps of 1/48 s", "RK4", at_most(1e-8), _returned, dt=1.0 / 48.0),
+    quick("there and back across a table, rtol 1e-10", "Tsit5", at_most(1e-8), _returned, rtol=1e-10),
     "What is commanded from the end on does not reach back.",
-    Measurement(
-        "a table with a jump at the start and at the end, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _AT_ENDS
-    ),
+    quick("a table with a jump at the start and at the end, rtol 1e-10", "Tsit5", at_most(1e-10), _chosen, _AT_ENDS),
 ]

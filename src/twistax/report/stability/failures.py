@@ -12,7 +12,8 @@ import twistax as tx
 
 from ...scenes import SCENES
 from ...scenes.scene import placed
-from ..harness import Expected, Measurement, Section, at_most, ends, refused, simulated
+from ..harness.expected import Expected, at_most, ends, refused, simulated
+from ..harness.measurement import Measurement, Section, quick
 
 _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 _NAN, _INF = float("nan"), float("inf")
@@ -41,13 +42,13 @@ def _case(
     """From 1; the lag from 0. What `tx.integrate` itself raises counts if that is asked for."""
     start = {"R": np.eye(3), "w": 1.0} if name == "spinning up" else {"x": 0.0 if name == "driven" else 1.0}
     run = tx.integrate if raised else simulated
-    return Measurement(what, by, expected, lambda: run(_system(name), start, t1=t1, method=_METHODS[by], **how))
+    return quick(what, by, expected, lambda: run(_system(name), start, t1=t1, method=_METHODS[by], **how))
 
 
 def _of_top(what: str, result: tx.Result, **control: Any) -> Measurement:
     options: dict[str, Any] = {"rtol": 1e-9, "method": _METHODS["Tsit5"], "control": tx.StepControl(**control)}
     measure = lambda: simulated(_TOP.dynamics, _TOP.start, t1=20.0, **options)  # noqa: E731
-    return Measurement(what, "Tsit5", ends(result, 0.0, 20.0), measure)
+    return quick(what, "Tsit5", ends(result, 0.0, 20.0), measure)
 
 
 def _kept() -> float:
@@ -76,7 +77,7 @@ FAILURES: Section = [
     "The rotation stays in its group until the rate is lost.",
     _case("a body spun up to infinity at 1 s, rtol 1e-9", "DOP853", "spinning up", _AT_POLE, rtol=1e-9),
     "With throw=False the saved times before the failure come back, and no others.",
-    Measurement("the part before the pole is kept", "Tsit5", at_most(1e-7), _kept),
+    quick("the part before the pole is kept", "Tsit5", at_most(1e-7), _kept),
     "An integration whose tolerance asks for shorter steps than dtmin ends.",
     _of_top("steps of at least 0.5 s (dtmin), rtol 1e-9", _SMALL, dtmin=0.5),
     "It ends where the steps ran out.",
@@ -104,7 +105,7 @@ def _refused(
     """Of a pose at rest that nothing pushes, but for what is given."""
     start = {"g": np.eye(4) if g is None else g, "V": np.full(6, V)}
     how = {"t1": 1.0, "u": {"F": np.full(6, F)}, "params": {"m": m}} | (how if "rtol" in how else {"dt": 0.1} | how)
-    return Measurement(what, "tx.integrate", refused(tx.InputError, words), lambda: simulated(_thing(), start, **how))
+    return quick(what, "tx.integrate", refused(tx.InputError, words), lambda: simulated(_thing(), start, **how))
 
 
 _REFLECTION, _SHEARED = np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-3 * np.eye(3, k=1)

@@ -11,7 +11,8 @@ import numpy as np
 import twistax as tx
 
 from ...mechanics import Mechanism, load
-from ..harness import Measurement, Section, at_most, needed, refused
+from ..harness.expected import at_most, needed, refused
+from ..harness.measurement import Measurement, Section, quick
 
 #: A rod on a hinge in URDF: its inertial and its joint.
 _INERTIAL = '<inertial><mass value="2"/><inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -66,7 +67,7 @@ def _beside(within: bool) -> float:
 
 
 def _refused(what: str, words: str, *parts: str, **options: Any) -> Measurement:
-    return Measurement(what, "load", refused(tx.ModelError, words), _loaded, *parts, **options)
+    return quick(what, "load", refused(tx.ModelError, words), _loaded, *parts, **options)
 
 
 _BOUND, _OUTSIDE = at_most(1e-14, "rad/s2"), refused(tx.ModelError, "outside of the folder")
@@ -80,11 +81,11 @@ FILES: Section = [
     _refused(
         "principal moments -1, 2, 2 kg m2", "not negative", _BASE, _link(_INERTIAL.format(-1, 2, 2)), _HINGE
     ),
-    Measurement("principal moments 1, 1, 5 kg m2: noted, apart from Newton and Euler", "load", _BOUND, _noted,
+    quick("principal moments 1, 1, 5 kg m2: noted, apart from Newton and Euler", "load", _BOUND, _noted,
           5.0, 1.0, 1.0),
     _refused("the same with physical=True", "above the sum", _BASE, _link(_INERTIAL.format(5, 1, 1)), _HINGE,
              physical=True),
     "Other files are read in the folder of the model, or in the one that is named.",
-    Measurement("a scene that includes a file of another folder", "load", _OUTSIDE, _beside, False),
-    Measurement("the same with within=: its mass", "load", at_most(0, "kg"), _beside, True),
+    quick("a scene that includes a file of another folder", "load", _OUTSIDE, _beside, False),
+    quick("the same with within=: its mass", "load", at_most(0, "kg"), _beside, True),
 ]  # fmt: skip

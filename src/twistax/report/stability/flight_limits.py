@@ -11,7 +11,8 @@ import twistax as tx
 from ...mechanics import SpatialInertia, flight
 from ...mechanics.flight import numbers
 from ...units import degrees
-from ..harness import Measurement, Section, at_most, between, refused
+from ..harness.expected import at_most, between, refused
+from ..harness.measurement import Section, quick
 
 #: Altitude, km, temperature, K, pressure, Pa, density, kg/m3. Source: U.S. Standard Atmosphere, 1976, table I.
 _PRINTED = np.array(
@@ -71,21 +72,21 @@ _LOST = refused(tx.TrajectoryError, "at the start these are not finite")
 
 FLIGHT: Section = [
     "At 100, 150, 200, 300, 500, 1000 km; the printed table is itself 1e-3 off its equations above 700 km.",
-    Measurement("temperature of the Earth's air, relative to the table", "flight.EARTH", at_most(1.1e-3), _off, 1),
-    Measurement("its pressure", "flight.EARTH", at_most(1.1e-3), _off, 2),
-    Measurement("its density", "flight.EARTH", at_most(1.1e-3), _off, 3),
+    quick("temperature of the Earth's air, relative to the table", "flight.EARTH", at_most(1.1e-3), _off, 1),
+    quick("its pressure", "flight.EARTH", at_most(1.1e-3), _off, 2),
+    quick("its density", "flight.EARTH", at_most(1.1e-3), _off, 3),
     "Beyond, every gas falls by its own weight from what it is at 1000 km.",
-    Measurement("the density at 1000 km and 1 m above it, relative", "flight.EARTH", at_most(1e-5), _jump, False),
-    Measurement("the slope of its logarithm below and above", "flight.EARTH", at_most(2e-4), _jump, True),
+    quick("the density at 1000 km and 1 m above it, relative", "flight.EARTH", at_most(1e-5), _jump, False),
+    quick("the slope of its logarithm below and above", "flight.EARTH", at_most(2e-4), _jump, True),
     "Of 1 m/s eastward local axes turn without end at a pole.",
-    Measurement(
+    quick(
         "a rate relative to local axes at a pole",
         "flight.start",
         _NORTH,
         lambda: _placed(90.0 * degrees, flight.local_axes)["V"][5],
     ),
     "A rate that does not exist is no target.",
-    Measurement("a trim to the rate of local axes at a pole", "tx.trim", _LOST, _trimmed),
+    quick("a trim to the rate of local axes at a pole", "tx.trim", _LOST, _trimmed),
     "By its derivative at the bound, 5e9, a step of 2e-10 would do; at points around the derivative is another.",
-    Measurement("what is left of 1 + sqrt(push)", "tx.trim", between(1e-3), _without_a_root),
+    quick("what is left of 1 + sqrt(push)", "tx.trim", between(1e-3), _without_a_root),
 ]

@@ -20,7 +20,9 @@ from ...mechanics.flight import numbers
 from ...scenes import SCENES, free_bodies, heavy_top, offset_tumble
 from ...scenes.free_rotation import SymmetricBody
 from ...scenes.scene import about, placed, rotation_angle
-from ..harness import Expected, Measurement, Section, at_most, between, either, ends, plain, simulated
+from ..harness.expected import Expected, at_most, between, either, ends, simulated
+from ..harness.measurement import Measurement, Section, quick
+from ..harness.rows import plain
 
 Array = NDArray[Any]
 
@@ -148,14 +150,14 @@ def _drift(motion: Any, chart: Chart | None, expected: Expected, note: str = "")
     what = f"R'R - I after a million steps, {'tumbling' if motion is free_body else 'constant twist'}{note}"
     by = f"RK4, {'quaternion' if chart is None else 'matrix that nothing puts back'}"
     run = motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (_MILLION,)
-    return Measurement(what, by, expected, _absolute, "R'R - I", *run, slow=True)
+    return quick(what, by, expected, _absolute, "R'R - I", *run, slow=True)
 
 
 _TIMES = tuple(range(50, 5001, 50))
 _LINEAR = _absolute, "linear momentum", free_body, _RK4, 1e-3, _TIMES
 
 KEEPING: Section = [
-    Measurement("world linear momentum, 5 s, steps of 1 ms", "RK4", at_most(1e-9, "N s"), *_LINEAR),
+    quick("world linear momentum, 5 s, steps of 1 ms", "RK4", at_most(1e-9, "N s"), *_LINEAR),
     "A stored quaternion does not grow.",
     _drift(free_body, None, at_most(1e-14)),
     _drift(constant_twist, None, at_most(1e-14)),
@@ -178,7 +180,7 @@ def _largest(motion: Callable[[], MovingBody], composition: Any, name: str) -> f
 def _keeps(title: str, name: str, motion: Any, composition: Any) -> Measurement:
     expected = at_most(_BARS[name]) if composition is tx.compositions.KAHAN_LI6 else between()
     by = composition.name if composition else "RK4"
-    return Measurement(f"{title}: {name}", by, expected, _largest, motion, composition, name, slow=True)
+    return quick(f"{title}: {name}", by, expected, _largest, motion, composition, name, slow=True)
 
 
 LONG: Section = [
@@ -204,7 +206,7 @@ def _runs(
     """Changes after each number of steps; the bars are for up to 1e4 and up to 1e6 of them."""
     what, by = f"{name}, {motion.__name__.replace('_', ' ').replace('top', 'heavy top')}", _BY[method]
     return [
-        Measurement(
+        quick(
             f"{what}, {plain(float(count))} steps",
             by,
             at_most(bar, unit),
@@ -278,23 +280,19 @@ _FAR = "a body 1.7e9 m from the origin"
 
 EXTREMES: Section = [
     "With the differences of moments in front, the ratio enters as a factor alone.",
-    Measurement(_THIN, "DOP853", _TIGHT, _spun, *_NEEDLE, differences=True),
+    quick(_THIN, "DOP853", _TIGHT, _spun, *_NEEDLE, differences=True),
     "J1 w1 w2 - J2 w2 w1 leaves round-off of 1e-17 N m where products are fused, 1e-5 rad/s2 for a needle. "
     "The integration sees the noise, and runs out of steps rather than go wrong.",
-    Measurement(
-        "the same needle, torque J w x w", "DOP853", either(_TIGHT, ends(tx.Result.MAX_STEPS)), _spun, *_NEEDLE
-    ),
+    quick("the same needle, torque J w x w", "DOP853", either(_TIGHT, ends(tx.Result.MAX_STEPS)), _spun, *_NEEDLE),
     "The ratio makes rates of 1e-12 rad/s into a nutation of 3 rad/s; no true body is so flat.",
-    Measurement(_FLAT, "DOP853", _TIGHT, _spun, *_FLYWHEEL),
+    quick(_FLAT, "DOP853", _TIGHT, _spun, *_FLYWHEEL),
     "The motion of a free body does not depend on its mass, and no tolerance or threshold here does.",
     *(
-        Measurement(f"mass {plain(mass)} {_BY_MASS}", "DOP853", _NEAR, _worst, mass, slow=True)
+        quick(f"mass {plain(mass)} {_BY_MASS}", "DOP853", _NEAR, _worst, mass, slow=True)
         for mass in (1e-9, 1e-3, 1e3, 1e12)
     ),
     "The rotation does not feel where the body is.",
-    Measurement(f"rotation of {_FAR}", "DOP853", at_most(1e-11, "rad"), lambda: _tumbled(2.0, 1e9)[0], slow=True),
+    quick(f"rotation of {_FAR}", "DOP853", at_most(1e-11, "rad"), lambda: _tumbled(2.0, 1e9)[0], slow=True),
     "A double resolves 1e-7 m there; round-off of 500 steps adds up.",
-    Measurement(
-        f"position of {_FAR}, 500 steps", "DOP853", at_most(3e-5, "m"), lambda: _tumbled(2.0, 1e9)[1], slow=True
-    ),
+    quick(f"position of {_FAR}, 500 steps", "DOP853", at_most(3e-5, "m"), lambda: _tumbled(2.0, 1e9)[1], slow=True),
 ]

@@ -21,7 +21,9 @@ import twistax as tx
 
 from ...groups import se3, so3
 from ...scenes import SCENES
-from ..harness import Measurement, Section, at_most, needed, plain, refused, simulated
+from ..harness.expected import at_most, needed, refused, simulated
+from ..harness.measurement import Measurement, Section, quick
+from ..harness.rows import plain
 
 #: The largest figure allowed.
 BAR = 8.0
@@ -162,9 +164,7 @@ _of_block = lambda mapping, precision, block: _of_twists(mapping, precision)[blo
 _ULP = at_most(BAR, "ulp")
 
 LAST_PLACES: Section = [
-    Measurement(
-        f"{mapping.name}, angles {mapping.angles} rad", f"{name}, {block}", _ULP, _of_block, mapping, name, block
-    )
+    quick(f"{mapping.name}, angles {mapping.angles} rad", f"{name}, {block}", _ULP, _of_block, mapping, name, block)
     for mapping in MAPS
     for name in ("float64", "float32")
     for block in mapping.blocks
@@ -180,7 +180,7 @@ def _accuracy(mapping: LieMap) -> Measurement:
     angles = [angle for angle in (*_ANGLES, *_LARGE) if angle <= (1e3 if mapping.largest > 6.3 else mapping.largest)]
     xis = np.array([np.concatenate([_VELOCITY, angle * _AXIS]) for angle in angles])
     what = f"{mapping.name} of SE(3), angles {plain(angles[0])} to {plain(angles[-1])} rad"
-    return Measurement(what, "tx.lie.se3", _ULP, lambda: max(worst_units(mapping, xis).values()))
+    return quick(what, "tx.lie.se3", _ULP, lambda: max(worst_units(mapping, xis).values()))
 
 
 @jax.jit
@@ -199,7 +199,7 @@ def _back(angle: float, derivative: bool, bar: float) -> Measurement:
         return float(np.max(np.abs(back - angle * _AXIS)) / angle)
 
     what = f"{'derivative of ' if derivative else ''}log(Exp(w)), |w| = {plain(angle)} rad"
-    return Measurement(what, "tx.lie.so3", at_most(bar), measure)
+    return quick(what, "tx.lie.so3", at_most(bar), measure)
 
 
 def _half_turn() -> float:
@@ -230,15 +230,11 @@ ANGLES: Section = [
     "Every coefficient function carries a derivative of its own: no 0/0 at any angle.",
     *(_back(angle, True, 2e-14) for angle in _ANGLES),
     "At half a turn w and -w are one rotation; the one with a positive first entry comes back, with finite slopes.",
-    Measurement("log of a half turn", "tx.lie.so3", at_most(1e-15, "rad"), _half_turn, slow=True),
+    quick("log of a half turn", "tx.lie.so3", at_most(1e-15, "rad"), _half_turn, slow=True),
     "At a full turn the left Jacobian has no inverse; just before, the loss is that of its condition.",
-    Measurement(
-        "left Jacobian times its inverse, 1e-6 rad before a full turn", "tx.lie.so3", at_most(1e-9), _at_full_turn
-    ),
+    quick("left Jacobian times its inverse, 1e-6 rad before a full turn", "tx.lie.so3", at_most(1e-9), _at_full_turn),
     "Rotation and translation do not share a scale: each comes back to its own round-off.",
-    Measurement(
-        "log(Exp(xi)) of a pose with |v| = 1e9 m, |w| = 1e-9 rad", "tx.lie.se3", at_most(1e-15), _pose_round_trip
-    ),
+    quick("log(Exp(xi)) of a pose with |v| = 1e9 m, |w| = 1e-9 rad", "tx.lie.se3", at_most(1e-15), _pose_round_trip),
 ]
 
 _TOP = SCENES["euler-top"]
@@ -276,15 +272,15 @@ _TOO_FINE = refused(tx.InputError, "ten times the round-off of float32")
 
 PRECISION: Section = [
     "Only round-off is left: a few units for some rad of motion.",
-    Measurement("Euler top, 2 s, equal steps of 0.02 s", "DOP853", at_most(50.0, "eps"), _error, dt=0.02),
+    quick("Euler top, 2 s, equal steps of 0.02 s", "DOP853", at_most(50.0, "eps"), _error, dt=0.02),
     "A tolerance of 80 eps is kept.",
-    Measurement("Euler top, 2 s, rtol 1e-5", "DOP853", at_most(200.0, "eps"), _error, rtol=1e-5),
+    quick("Euler top, 2 s, rtol 1e-5", "DOP853", at_most(200.0, "eps"), _error, rtol=1e-5),
     "Finer than round-off no step can be; the message tells how to get doubles.",
-    Measurement("rtol 1e-6, which is below ten eps", "DOP853", _TOO_FINE, _error, rtol=1e-6),
+    quick("rtol 1e-6, which is below ten eps", "DOP853", _TOO_FINE, _error, rtol=1e-6),
     "The stored quaternion is put back to length one in every step.",
-    Measurement("R'R - I after 10,000 steps", "RK4", at_most(5.0, "eps"), _defect),
+    quick("R'R - I after 10,000 steps", "RK4", at_most(5.0, "eps"), _defect),
     "The squares underflow; the series never sees them.",
-    Measurement("log(Exp(w)), |w| = 3e-30 rad", "tx.lie.so3", at_most(4.0, "eps"), _single_round_trip),
+    quick("log(Exp(w)), |w| = 3e-30 rad", "tx.lie.so3", at_most(4.0, "eps"), _single_round_trip),
     "Single precision has switch points of its own between series and closed forms.",
-    *(Measurement(f"{m.name} of SE(3), 60 twists", "tx.lie.se3", _ULP, _single_units, m, slow=True) for m in MAPS),
+    *(quick(f"{m.name} of SE(3), 60 twists", "tx.lie.se3", _ULP, _single_units, m, slow=True) for m in MAPS),
 ]

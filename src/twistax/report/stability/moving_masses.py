@@ -20,7 +20,8 @@ from ...mechanics import (
     loops,
     spatial_momentum,
 )
-from ..harness import Measurement, Section, at_most, between, simulated
+from ..harness.expected import at_most, between, simulated
+from ..harness.measurement import Section, quick
 
 _TENSOR = np.array([[2.0, 0.1, 0.0], [0.1, 3.0, -0.2], [0.0, -0.2, 4.0]])
 _SPIN = np.array([0.3, -0.2, 0.5, 0.4, 0.9, -0.6])
@@ -161,23 +162,21 @@ def _redundant() -> float:
 
 MOVING_MASSES: Section = [
     "Momentum counts what masses that move within a body carry.",
-    Measurement("momentum of a body whose inertia changes in time", "tx.integrate", at_most(1e-12), _in_time),
+    quick("momentum of a body whose inertia changes in time", "tx.integrate", at_most(1e-12), _in_time),
     "A boom that is a state moves the hub by the acceleration of its centre of mass.",
-    Measurement("momentum of a body with a boom that deploys", "tx.integrate", at_most(1e-12), _by_states),
+    quick("momentum of a body with a boom that deploys", "tx.integrate", at_most(1e-12), _by_states),
     "The energy of a mechanism counts the springs of its drives.",
-    Measurement("energy of a hinge and a ball joint on springs", "tx.integrate", at_most(1e-10), _sprung),
+    quick("energy of a hinge and a ball joint on springs", "tx.integrate", at_most(1e-10), _sprung),
 ]
 
 LOOPS: Section = [
     "An axis that is off by round-off says nothing new: its row is left out.",
-    Measurement("four-bar, an axis tilted by 1e-7 rad: accelerations", "loops", at_most(1e-6), _tilted, 0),
-    Measurement("the same: the closure's wrench", "loops", at_most(1e-6), _tilted, 1),
+    quick("four-bar, an axis tilted by 1e-7 rad: accelerations", "loops", at_most(1e-6), _tilted, 0),
+    quick("the same: the closure's wrench", "loops", at_most(1e-6), _tilted, 1),
     "A second hinge of a door says nothing new at all: what its rows are is round-off.",
-    Measurement("a door whose upper hinge is off by 1e-9 m: acceleration", "loops", at_most(1e-12), _ajar, 1e-9),
-    Measurement("the same, by 1e-6 m", "loops", at_most(1e-12), _ajar, 1e-6),
+    quick("a door whose upper hinge is off by 1e-9 m: acceleration", "loops", at_most(1e-12), _ajar, 1e-9),
+    quick("the same, by 1e-6 m", "loops", at_most(1e-12), _ajar, 1e-6),
     "In the flat posture rows vanish, and the rank stays.",
-    Measurement(
-        "Bennett's linkage through its flat posture, dt = 1 ms: energy", "tx.integrate", at_most(1e-8), _energy
-    ),
-    Measurement("the same: redundant rows, of 5", "loop_diagnostics", between(3.0, 3.0, "rows"), _redundant),
+    quick("Bennett's linkage through its flat posture, dt = 1 ms: energy", "tx.integrate", at_most(1e-8), _energy),
+    quick("the same: redundant rows, of 5", "loop_diagnostics", between(3.0, 3.0, "rows"), _redundant),
 ]

@@ -12,7 +12,8 @@ import numpy as np
 
 import twistax as tx
 
-from ..harness import Measurement, Section, at_most
+from ..harness.expected import at_most
+from ..harness.measurement import Measurement, Section, quick
 
 _METHODS: dict[str, Any] = {
     "RK4": tx.RKMK(tx.tableaus.RK4),
@@ -105,7 +106,7 @@ def _drift(by: str, which: int) -> float:
 
 def _slopes(by: str, said: str, **how: Any) -> Measurement:
     what = f"derivatives that are numbers, of a failed integration in a batch, {said}"
-    return Measurement(what, by, at_most(0), _numbers_among_slopes, by, **how)
+    return quick(what, by, at_most(0), _numbers_among_slopes, by, **how)
 
 
 _NOISE, _TIMES = "rate 9e5/s, with noise of 1e5 units of round-off", np.linspace(0.0, 1.0, 41)
@@ -118,16 +119,14 @@ SPOILED: Section = [
     _slopes("Magnus 4", "steps of 0.05 s", steps=20),
     _slopes("Radau IIA 5", "steps of 0.05 s", steps=20),
     "Errors are made from numbers, by NumPy: nothing is compiled after a failure, and no process ends.",
-    Measurement("processes that died of four failing integrations, x64 on", "Radau IIA 5", at_most(0), _died, True),
-    Measurement("processes that died of four failing integrations, x64 off", "Radau IIA 5", at_most(0), _died, False),
+    quick("processes that died of four failing integrations, x64 on", "Radau IIA 5", at_most(0), _died, True),
+    quick("processes that died of four failing integrations, x64 off", "Radau IIA 5", at_most(0), _died, False),
     "Rounding of terms that cancel in a rate is no reason to give a step up.",
-    Measurement(f"{_NOISE}, steps of 0.002 s", "Radau IIA 5", at_most(2e-6), _noisy, dt=2e-3),
-    Measurement(
-        f"{_NOISE}, rtol 1e-9, 41 saved times", "Radau IIA 5", at_most(2e-6), _noisy, rtol=1e-9, save_at=_TIMES
-    ),
+    quick(f"{_NOISE}, steps of 0.002 s", "Radau IIA 5", at_most(2e-6), _noisy, dt=2e-3),
+    quick(f"{_NOISE}, rtol 1e-9, 41 saved times", "Radau IIA 5", at_most(2e-6), _noisy, rtol=1e-9, save_at=_TIMES),
     "What rounding takes off a state in single precision is carried along and added again.",
     *(
-        Measurement(f"{what} after 1e6 steps of float32, of its way", by, at_most(1e-6), _drift, by, which)
+        quick(f"{what} after 1e6 steps of float32, of its way", by, at_most(1e-6), _drift, by, which)
         for by in ("RK4", "CF4")
         for which, what in ((_CLOCK, "a clock"), (_PLACE, "a position"), (_ANGLE, "a rotation"))
     ),

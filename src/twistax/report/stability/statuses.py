@@ -10,7 +10,8 @@ import numpy as np
 import twistax as tx
 
 from ...trajectory import Collocation, Mesh, Problem, Status, TrajectoryResult
-from ..harness import Measurement, Section, at_most, between, slow
+from ..harness.expected import at_most, between
+from ..harness.measurement import Section, quick, slow
 from ..sections import problems
 from ..sections.problems import stated
 
@@ -108,24 +109,24 @@ def _above() -> float:
 
 STATUSES: Section = [
     "A square has no slope where it is zero: its multiplier grows without end, and every gradient is small beside it.",
-    Measurement("rest as v^2 <= 0, 21 nodes: cost while SOLVED", "interior point", at_most(_OFF), _to_rest, 21),
-    Measurement(
+    quick("rest as v^2 <= 0, 21 nodes: cost while SOLVED", "interior point", at_most(_OFF), _to_rest, 21),
+    quick(
         "a place as (p - 1)^2 <= 0, 21 nodes: cost while SOLVED", "interior point", at_most(_OFF), _to_rest, 21, True
     ),
     "Intervals that are too long for a rate miss their ends; one that follows them closely says so.",
-    Measurement(
+    quick(
         "a lag of 50 1/s, intervals of 0.1 s: cost while SOLVED",
         "RK4",
         at_most(_OFF),
         lambda: _claimed(_lagging().solve(), _LEAST),
     ),
-    Measurement("the same: apart, and SOLVED", "Radau", at_most(1e-4), _behind_a_lag),
+    quick("the same: apart, and SOLVED", "Radau", at_most(1e-4), _behind_a_lag),
     "An optimiser that moves nodes moves them to where the error pays.",
-    Measurement("hypersensitive, 20 free nodes: cost while SOLVED", "RK4", at_most(_OFF), _sensitive),
+    quick("hypersensitive, 20 free nodes: cost while SOLVED", "RK4", at_most(_OFF), _sensitive),
     "What a coarse mesh gains is three quarters of the cost here.",
     slow("a chain of 8 links, 21 nodes, 1 substep: cost while SOLVED", "RK4", at_most(_OFF), _chain, 1),
     "A limit is asked at nodes and substeps; what it is exceeded by between them is said.",
-    Measurement("a ceiling between nodes: what is said, apart", "message", at_most(0.1), _above),
+    quick("a ceiling between nodes: what is said, apart", "message", at_most(0.1), _above),
     "A solution is the answer where it is the start.",
-    Measurement("a solve from its own result: iterations", "interior point", between(0.0, 0.0, "steps"), _warm),
+    quick("a solve from its own result: iterations", "interior point", between(0.0, 0.0, "steps"), _warm),
 ]

@@ -15,7 +15,9 @@ from ...integrators import Method
 from ...scenes import SCENES, Scene, actuator_lag, stiff_attitude
 from ...scenes.scene import about, rotation_angle
 from ..figures.derivatives import fourth_order, weighted_end
-from ..harness import Expected, Measurement, Section, at_most, between, ends, plain, simulated, slow
+from ..harness.expected import Expected, at_most, between, ends, simulated
+from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.rows import plain
 
 _HOLD, _LAG, _JOINT = stiff_attitude.STIFF_ATTITUDE, actuator_lag.ACTUATOR_LAG, SCENES["stiff-joint"]
 _RADAU, _GAUSS = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5), tx.ImplicitRKMK(tx.tableaus.GAUSS_LEGENDRE6)
@@ -36,7 +38,7 @@ def _error(scene: Scene, of: Scene, **options: Any) -> float:
 def _held(rate: float, what: str, method: Method, expected: Expected, **how: Any) -> Measurement:
     """The error of the attitude hold at a rate, rad; one system, so that every rate is the same compiled program."""
     what, scene = f"rate {plain(rate)}/s, {what}", stiff_attitude.scene(rate)
-    return Measurement(what, _NAMES[method], expected, _error, scene, _HOLD, method=method, **how)
+    return quick(what, _NAMES[method], expected, _error, scene, _HOLD, method=method, **how)
 
 
 def _long(rate: float, dt: float, method: Method, expected: Expected, slow: bool = False) -> Measurement:
@@ -117,7 +119,7 @@ _SLOPES = "gradient against differences, rates 1e2 to 1e8: worst"
 
 STIFFNESS: Section = [
     _slow(_ALL, at_most(1.0), lambda: max(_off(rate, rtol=tol) / tol for rate, tol in _RUNS)),
-    Measurement("five steps of 1 s at rate 1e8: error", "Radau IIA 5", at_most(0.05), _off, 1e8, steps=5),
+    quick("five steps of 1 s at rate 1e8: error", "Radau IIA 5", at_most(0.05), _off, 1e8, steps=5),
     _slow("order at rate 1, equal steps", between(4.8, 5.2), order_seen, 1.0),
     _slow(_SLOPES, at_most(1e-6), _gradient),
     "Where the rate times the step is neither small nor large the order is lower, as that of the stages is 3.",
@@ -178,7 +180,7 @@ def _why(label: str, bar: float | None) -> str:
 def _turn(label: str, turn: float, bar: float | None) -> Measurement:
     what, by = f"{turn:g} rad a step, {_STEPS} steps", label if label == "Magnus 6" else f"DOP853, {label}"
     expected = ends(tx.Result.NON_FINITE, before=0.0) if bar is None else at_most(bar, "rad")
-    return Measurement(what, by, expected, _turned, label, _STEPS * turn, steps=_STEPS, place=(label, turn))
+    return quick(what, by, expected, _turned, label, _STEPS * turn, steps=_STEPS, place=(label, turn))
 
 
 _AGAIN = "200 rad, rtol 1e-9, first step of 7 s"
@@ -191,5 +193,5 @@ TURNING: Section = [
         for item in (_why(label, bar), _turn(label, turn, bar))
     ),
     "Steps chosen by tolerances are taken back where the chart ends, and made shorter.",
-    Measurement(_AGAIN, "DOP853", at_most(1e-7, "rad"), _turned, _POLYNOMIALS, 200.0, rtol=1e-9, dt=7.0),
+    quick(_AGAIN, "DOP853", at_most(1e-7, "rad"), _turned, _POLYNOMIALS, 200.0, rtol=1e-9, dt=7.0),
 ]

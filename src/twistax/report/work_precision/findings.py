@@ -14,7 +14,8 @@ from statistics import geometric_mean, median
 import numpy as np
 
 from ...scenes import SCENES
-from ..harness import Row, at_most, judged, plain
+from ..harness.expected import at_most, judged
+from ..harness.rows import Row, plain
 from .integrators import INTEGRATORS, OURS, Integrator, Provider
 
 #: Errors at which methods are compared.

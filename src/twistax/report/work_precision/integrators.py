@@ -20,7 +20,9 @@ import twistax as tx
 from ...integrators import Method
 from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
-from ..harness import Repeats, Row, Store, Tell, Timed, first_line, keep, now, quiet, seconds_of
+from ..harness.rows import Row, first_line, now
+from ..harness.store import Store
+from ..harness.timing import Repeats, Tell, Timed, keep, quiet, seconds_of
 
 
 def tolerances(coarsest: int, finest: int, per_decade: int) -> tuple[float, ...]:

@@ -10,7 +10,11 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 from ...scenes import SCENES
-from ..harness import ABSENT, KERNELS, Report, Row, Table, Tell, as_svg, duration, empty_call_seconds, panels, plain
+from ..harness.page import Table, as_svg, panels
+from ..harness.report import Report
+from ..harness.rows import Row, duration, plain
+from ..harness.store import ABSENT, KERNELS
+from ..harness.timing import Tell, empty_call_seconds
 from .findings import TARGETS, Findings, bar_rows
 from .integrators import FULL, INTEGRATORS, ONE_CALL, OURS, QUICK, SHIPPED, measure_scene
 
