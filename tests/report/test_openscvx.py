@@ -46,24 +46,24 @@ def _path(miss: float, beyond: float) -> Any:
 
 def test_a_line_for_each_of_three() -> None:
     """Of values made up: relative to the optimum, by each, whether or not it says that it is solved."""
-    ours = openscvx.Solve(2.0, True, _path(1e-9, 0.0), 12, 1.5, 0.01)
+    ours = openscvx.PeerSolve(2.0, True, _path(1e-9, 0.0), 12, 1.5, 0.01)
     theirs = {
-        False: openscvx.Solve(2.5, True, _path(0.1, 0.02), 143, 4.0, 1.25),
-        True: openscvx.Solve(1.5, False, _path(1e-3, 0.0), 200, 5.0, 2.0),
+        False: openscvx.PeerSolve(2.5, True, _path(0.1, 0.02), 143, 4.0, 1.25),
+        True: openscvx.PeerSolve(1.5, False, _path(1e-3, 0.0), 200, 5.0, 2.0),
     }
 
-    class MadeUp(openscvx.Comparison):
-        def ours(self) -> openscvx.Solve:
+    class MadeUp(openscvx.PeerProblem):
+        def ours(self) -> openscvx.PeerSolve:
             return ours
 
-        def theirs(self, same_transcription: bool) -> openscvx.Solve:
+        def theirs(self, same_transcription: bool) -> openscvx.PeerSolve:
             return theirs[same_transcription]
 
         def difference(self) -> float:
             return 0.0
 
     fields = vars(openscvx.PROBLEMS[FASTEST])
-    it = MadeUp(**{field.name: fields[field.name] for field in dataclasses.fields(openscvx.Comparison)})
+    it = MadeUp(**{field.name: fields[field.name] for field in dataclasses.fields(openscvx.PeerProblem)})
     rows = [check.run("openscvx") for check in openscvx._rows("mass", it)]
     head, table, _ = table_of(rows, wide=True)
     found = {cells[0]: dict(zip(head, cells, strict=True)) for cells in table}
@@ -93,11 +93,11 @@ def test_what_its_program_ended_with_is_said(monkeypatch: pytest.MonkeyPatch) ->
 
 
 @pytest.fixture
-def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., openscvx.Comparison]:
+def answered(monkeypatch: pytest.MonkeyPatch) -> Callable[..., openscvx.PeerProblem]:
     """A problem whose answer is given."""
     monkeypatch.setattr(openscvx, "needed", lambda *_: None)
 
-    def make(name: str, **said: Any) -> openscvx.Comparison:
+    def make(name: str, **said: Any) -> openscvx.PeerProblem:
         it = dataclasses.replace(openscvx.PROBLEMS[name])
         vars(it)["_answers"] = [said, said]
         return it
@@ -118,7 +118,7 @@ def _bang(final: float = 2.0) -> dict[str, Any]:
     return {"value": final, "converged": True, "iterations": 14, "initialize": 5.0, "solve": 0.2, "nodes": nodes}
 
 
-def test_its_controls_are_rolled_out(answered: Callable[..., openscvx.Comparison]) -> None:
+def test_its_controls_are_rolled_out(answered: Callable[..., openscvx.PeerProblem]) -> None:
     found = answered(FASTEST, **_bang()).theirs(True)
     assert (found.value, found.iterations) == (2.0, 14)
     assert openscvx._missed(found) < 1e-12
@@ -158,12 +158,12 @@ def _stated(**changes: Any) -> dict[str, Any]:
     ],
     ids=["rates", "end", "free end", "limits", "time"],
 )
-def test_another_statement_is_seen(answered: Callable[..., openscvx.Comparison], changes: dict[str, Any]) -> None:
+def test_another_statement_is_seen(answered: Callable[..., openscvx.PeerProblem], changes: dict[str, Any]) -> None:
     assert answered(FASTEST, **_stated()).difference() == 0.0
     assert not answered(FASTEST, **_stated(**changes)).difference() < 0.05
 
 
-def test_quaternions_are_read_as_rotations(answered: Callable[..., openscvx.Comparison]) -> None:
+def test_quaternions_are_read_as_rotations(answered: Callable[..., openscvx.PeerProblem]) -> None:
     rng = np.random.default_rng(2)
     q, w, u = rng.normal(size=(5, 4)), rng.normal(size=(5, 3)), rng.normal(size=(5, 3))
     q /= np.linalg.norm(q, axis=1)[:, None]

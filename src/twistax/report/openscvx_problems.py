@@ -154,50 +154,51 @@ _PROBLEMS: dict[str, Callable[[int], Stated]] = {
 
 
 def solved(name: str, nodes: int, uniform: bool = False, **settings: Any) -> dict[str, Any]:
-    """What comes of one settings, in plain values: how it ended, states and controls at nodes, and what was stated."""
-    stated = _PROBLEMS[name](nodes)
-    last: dict[str, Any] = {"final": stated.time, "max": stated.time}
-    if isinstance(stated.time, tuple):
-        kind = "minimize" if stated.value == "time" else "free"
-        last = {"final": (kind, stated.time[0]), "max": stated.time[1]}
+    """A solve with one choice of settings, in plain values: how it ended, its nodes, and the statement as the
+    problem has it."""
+    statement = _PROBLEMS[name](nodes)
+    last: dict[str, Any] = {"final": statement.time, "max": statement.time}
+    if isinstance(statement.time, tuple):
+        kind = "minimize" if statement.value == "time" else "free"
+        last = {"final": (kind, statement.time[0]), "max": statement.time[1]}
     time = ox.Time(initial=0.0, min=0.0, uniform_time_grid=uniform, **last)
-    statement = (stated.rates, list(stated.constraints), stated.states, stated.controls, nodes, time)
-    problem = ox.Problem(*statement, **settings)
+    arguments = (statement.rates, list(statement.constraints), statement.states, statement.controls, nodes, time)
+    problem = ox.Problem(*arguments, **settings)
     problem.settings.dev.printing = False
     problem.initialize()
     result = problem.solve()
     return {
         "converged": bool(result.converged),
-        "value": float(np.squeeze(result.nodes[stated.value][-1])),
+        "value": float(np.squeeze(result.nodes[statement.value][-1])),
         "iterations": problem.state.k - 1,
         "initialize": problem.timing_init,
         "solve": problem.timing_solve,
         "nodes": {name: np.asarray(values).tolist() for name, values in result.nodes.items()},
-        "stated": _read(problem, stated) if "float_dtype" in settings else None,
+        "stated": _read(problem, statement) if "float_dtype" in settings else None,
     }
 
 
-def _read(problem: Any, stated: Stated) -> dict[str, Any]:
+def _read(problem: Any, statement: Stated) -> dict[str, Any]:
     """Ends, limits and rates as the problem has them, rates and constraints at random points."""
     rng, where = np.random.default_rng(0), problem.slices
     x, u = (np.zeros((_POINTS, len(vector.max))) for vector in (problem.x_unified, problem.u_unified))
-    leaves = {leaf.name: leaf for leaf in (*stated.states, *stated.controls)}
-    for values, parts in ((x, stated.states), (u, stated.controls)):
+    leaves = {leaf.name: leaf for leaf in (*statement.states, *statement.controls)}
+    for values, parts in ((x, statement.states), (u, statement.controls)):
         for leaf in parts:
             spot = rng.uniform(0.1, 0.9, (_POINTS, *leaf.shape)) * (leaf.max - leaf.min) + leaf.min
             # Quaternions.
             values[:, where[leaf.name]] = spot / np.linalg.norm(spot, axis=1)[:, None] if leaf.shape == (4,) else spot
     u[:, problem.settings.sim.time_dilation_slice] = 1.0
-    functions = [problem.lowered.dynamics.f, *(lower_to_jax(c.lhs - c.rhs) for c in stated.constraints)]
+    functions = [problem.lowered.dynamics.f, *(lower_to_jax(c.lhs - c.rhs) for c in statement.constraints)]
     rates, *limits = jax.jit(jax.vmap(lambda a, b: [f(a, b, 0, {}) for f in functions]))(x, u)
-    ends = {s.name: [_fixed(s.initial, s.initial_type), _fixed(s.final, s.final_type)] for s in stated.states}
+    ends = {s.name: [_fixed(s.initial, s.initial_type), _fixed(s.final, s.final_type)] for s in statement.states}
     return {
         "points": {n: (u if isinstance(e, ox.Control) else x)[:, where[n]].tolist() for n, e in leaves.items()},
-        "rates": {s.name: rates[:, where[s.name]].tolist() for s in stated.states},
+        "rates": {s.name: rates[:, where[s.name]].tolist() for s in statement.states},
         "constraints": [np.ravel(values).tolist() for values in limits],
         "ends": ends,
         "limits": {n: [leaf.min.tolist(), leaf.max.tolist()] for n, leaf in leaves.items()},
-        "time": stated.time,
+        "time": statement.time,
     }
 
 

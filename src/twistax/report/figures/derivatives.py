@@ -55,16 +55,14 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     scale = np.append(declared((*dynamics.states, *dynamics.controls)), _STEP)
     n = dynamics.dimension
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.
-    moves = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]
-    xs = jax.jit(jax.vmap(dynamics.retract, (None, 0)))(initial(Start(), vehicle), moves)
+    offsets = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]
+    xs = jax.jit(jax.vmap(dynamics.retract, (None, 0)))(initial(Start(), vehicle), offsets)
     thrusts = vehicle.max_thrust * (np.array([0.0, 0.0, 0.6]) + 0.1 * rng.normal(size=(_BATCH, 3)))
 
     def end(x: Any, u: Any, z: jax.Array) -> Any:
         """The end of the step that starts at x (+) d under u + du, h + dh."""
-        inputs = dynamics._functions.prepare(0.0, dynamics.retract(x, z[:n]), {"T": u["T"] + z[n : n + 3]})
-        control, length = dict(inputs.u), _STEP + z[n + 3]
-        field = VectorField(dynamics, lambda _: control, dict(inputs.params))
-        return _RK4.step(field, inputs.t, dict(inputs.x), length)
+        field = VectorField(dynamics, lambda _: {"T": u["T"] + z[n : n + 3]}, {})
+        return _RK4.step(field, jnp.zeros(()), dynamics.retract(x, z[:n]), _STEP + z[n + 3])
 
     def moved(x: Any, u: Any, z: jax.Array) -> jax.Array:
         """The tangent from the planned end to that one."""
@@ -128,7 +126,7 @@ def _gradient(steps: str) -> dict[str, float]:
     reverse, forward = gradient.result(), jax.jit(jax.jacfwd(function))(z)
     references = {"to forward mode": forward, "to differences": fourth_order(run, n + 1, _H)}
     size = float(jnp.abs(reverse).max())
-    numbers = {name: float(jnp.abs(reverse - other).max()) / size for name, other in references.items()}
+    numbers = {name: float(jnp.abs(reverse - reference).max()) / size for name, reference in references.items()}
     agree(max(numbers.values()), 1e-6)
     in_turn([gradient, solution], _REPEATS)
     numbers |= {"compiling": gradient.compile_seconds, "memory": gradient.memory / 1e6}

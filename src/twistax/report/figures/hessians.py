@@ -48,8 +48,8 @@ def operations() -> tuple[int, int]:
     """Ours and CasADi's."""
     ca, theirs = needed("casadi", "casadi"), in_casadi()
     dynamics().hessian_pattern("qd")
-    moves = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
-    count = sum(theirs.instruction_id(k) not in moves for k in range(theirs.n_instructions()))
+    no_operations = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
+    count = sum(theirs.instruction_id(k) not in no_operations for k in range(theirs.n_instructions()))
     return dynamics()._functions.hessians.values()[-1].program.operations, count
 
 

@@ -82,9 +82,9 @@ def refused(error: type[tx.TwistaxError], words: str) -> Expected:
     return Expected(f"{error.__name__} with the words: {words}", met)
 
 
-def either(one: Expected, other: Expected) -> Expected:
+def either(first: Expected, second: Expected) -> Expected:
     """One of two, where processors differ."""
-    return Expected(f"{one.text}, or {other.text}", lambda came: one.met(came) or other.met(came))
+    return Expected(f"{first.text}, or {second.text}", lambda came: first.met(came) or second.met(came))
 
 
 def judged(row: Row, expected: Expected, came: Outcome | None = None) -> Row:

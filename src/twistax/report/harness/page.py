@@ -103,8 +103,8 @@ def renew(path: Path, tables: Mapping[str, Table]) -> list[str]:
     for name, table in tables.items():
         if f"<!-- {name} -->" in text:
             written, _ = render("table", {"title": "", "table": table})
-            before, _, rest = text.partition(f"<!-- {name} -->\n")
-            text = f"{before}<!-- {name} -->\n\n{written}\n<!-- end -->{rest.partition('<!-- end -->')[2]}"
+            before, _, after = text.partition(f"<!-- {name} -->\n")
+            text = f"{before}<!-- {name} -->\n\n{written}\n<!-- end -->{after.partition('<!-- end -->')[2]}"
             names.append(name)
     path.write_text(text)
     return names

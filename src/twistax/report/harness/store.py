@@ -103,9 +103,9 @@ class Store:
         """Drop the rows of a group."""
         self._rows = {key: row for key, row in self._rows.items() if row.group != group}
 
-    def save(self, bars: Sequence[Row] = (), whole: bool = False) -> None:
+    def save(self, bars: Sequence[Row] = (), complete: bool = False) -> None:
         """Write strict JSON, a row a line, with rows about rows beside them, and whether the run left nothing out."""
-        head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest, "whole": whole}
+        head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest, "whole": complete}
         parts = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items()]
         for name, rows in (("bars", bars), ("rows", list(self))):
             lines = ",\n".join(json.dumps(row.record(), allow_nan=False) for row in rows)

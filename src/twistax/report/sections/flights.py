@@ -46,14 +46,14 @@ _SPEEDS = np.array([400.0, 1e3, 2.2e3, 5e3, 1e4])
 def _path(start: Any, periapsis: Any, ends: Any, nodes: int) -> list[Any]:
     """Places, velocities and angles of thrust of that ascent between two times."""
     times = np.linspace(ends[0], ends[1], nodes)
-    height, way, speed = (np.interp(times, _ENDS, a)[:, None] for a in (_HEIGHTS, _WAYS, _SPEEDS))
+    height, share, speed = (np.interp(times, _ENDS, a)[:, None] for a in (_HEIGHTS, _WAYS, _SPEEDS))
     up, last = (a / np.linalg.norm(a) for a in (np.asarray(start), np.asarray(periapsis[0])))
     across = np.cross(np.cross(up, last), up)
     across /= np.linalg.norm(across)
-    angle = way * np.arccos(up @ last)
-    along = np.cos(angle) * across - np.sin(angle) * up
+    angle = share * np.arccos(up @ last)
+    forward = np.cos(angle) * across - np.sin(angle) * up
     place = (_RADIUS + height) * (np.cos(angle) * up + np.sin(angle) * across)
-    return [place, speed * along, 2.2 * times / _ENDS[-1], 0.5 - 0.8 * times / _ENDS[-1]]
+    return [place, speed * forward, 2.2 * times / _ENDS[-1], 0.5 - 0.8 * times / _ENDS[-1]]
 
 
 def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedProblem:
@@ -175,11 +175,11 @@ def chain_of_masses(count: int = 10, nodes: int = 21) -> Problem:
 
     Source: Wirsching, Bock, Diehl, Fast NMPC of a chain of masses connected by springs (2006), its masses and lengths.
     """
-    mass, rest, goal = 0.033, 0.033, np.array([1.0, 0.0, 0.0])
+    mass, length, goal = 0.033, 0.033, np.array([1.0, 0.0, 0.0])
     x, v = tx.State("x", shape=(3 * count,)), tx.State("v", shape=(3 * count,))
     end, u = tx.State("end", shape=(3,)), tx.Control("u", shape=(3,), min=-1.0, max=1.0)
     places: list[Any] = [np.zeros(3), *(x[3 * k : 3 * k + 3] for k in range(count)), end]
-    pulls = [(1.0 - rest / tx.linalg.Norm(b - a)) * (b - a) for a, b in itertools.pairwise(places)]
+    pulls = [(1.0 - length / tx.linalg.Norm(b - a)) * (b - a) for a, b in itertools.pairwise(places)]
     falls = [(b - a) / mass - np.array([0.0, 0.0, 9.81]) for a, b in itertools.pairwise(pulls)]
     line = np.linspace(0.0, 1.0, count + 2)[1:-1, None] * goal
     start: dict[Any, Any] = {x: line.ravel(), v: np.zeros(3 * count), end: goal + np.array([0.0, 0.5, 0.0])}

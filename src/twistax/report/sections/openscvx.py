@@ -35,7 +35,7 @@ _LONGEST = 600.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Solve:
+class PeerSolve:
     """A solve by either: its objective, whether it says that it is solved, its path, its steps and its seconds."""
 
     value: float
@@ -47,7 +47,7 @@ class Solve:
 
 
 @dataclasses.dataclass(frozen=True)
-class Comparison:
+class PeerProblem:
     """A problem that both packages state.
 
     Args:
@@ -88,18 +88,18 @@ class Comparison:
             raise self._answers
         return dict(self._answers[same_transcription])
 
-    def ours(self) -> Solve:
+    def ours(self) -> PeerSolve:
         """From the naive guess; timed once more, as there all is compiled, and run, by `initialize`."""
         it = self.known.plain
         again = self.known.problem.solve().solve_seconds
-        return Solve(it.cost, it.solved, it, it.iterations, it.compile_seconds, again)
+        return PeerSolve(it.cost, it.solved, it, it.iterations, it.compile_seconds, again)
 
-    def theirs(self, same_transcription: bool) -> Solve:
+    def theirs(self, same_transcription: bool) -> PeerSolve:
         """The same there. Raises Absent where OpenSCvx is not installed, and what its program ended with."""
         answer = self._answer(same_transcription)
         path = self.trajectory(answer["nodes"], zero_order_hold=same_transcription)
         seconds = (answer[name] for name in ("iterations", "initialize", "solve"))
-        return Solve(answer["value"], answer["converged"], path, *seconds)
+        return PeerSolve(answer["value"], answer["converged"], path, *seconds)
 
     def _numbers(self, values: Mapping[str, Any]) -> dict[str, Any]:
         """Our states as `Ambient` has them, of theirs; leading axis the points."""
@@ -134,10 +134,10 @@ class Comparison:
     def _pairs(self, statement: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
-        stated, system = problem._stated, problem.dynamics.system
+        problem_statement, system = problem._stated, problem.dynamics.system
         plain, points = Ambient(problem.dynamics), self._numbers(statement["points"])
         rows = [constraint.residual() for constraint in system.constraints.values()]
-        rows += [cost for cost in (stated["objective"].running,) if cost is not None]
+        rows += [cost for cost in (problem_statement["objective"].running,) if cost is not None]
 
         def at(y: Any, u: Any) -> Any:
             values = tx.lower([*rows, *system.states, *system.controls])(0.0, plain.from_ambient(y), u)
@@ -148,7 +148,7 @@ class Comparison:
         costs = (np.ravel(statement["rates"][n]) for n in statement["rates"] if n == "cost")
         yield from zip([*statement["constraints"], *costs], values, strict=True)
         for which, end in enumerate(("initial", "final")):
-            ours = {name_of(key): value for key, value in split(end, stated[end])[0].items()}
+            ours = {name_of(key): value for key, value in split(end, problem_statement[end])[0].items()}
             fixed = {name: both[which] for name, both in statement["ends"].items() if name != "cost"}
             theirs = self._states({n: [[0.0 if v is None else v for v in row]] for n, row in fixed.items()})
             for name in theirs:
@@ -158,7 +158,7 @@ class Comparison:
             for limit, theirs in zip((leaf.min, leaf.max), statement["limits"][leaf.name], strict=True):
                 if limit is not None:
                     yield np.reshape(theirs, leaf.shape), limit
-        yield np.max(statement["time"]), np.max(stated["final_time"])
+        yield np.max(statement["time"]), np.max(problem_statement["final_time"])
 
 
 _of = functools.partial
@@ -166,38 +166,38 @@ _SPIN = {"R": ("q",)}
 _POSE = {"g": ("q", "p"), "V": ("v", "w")}
 
 PROBLEMS = {
-    "least time of a mass: 2 s, 21 nodes": Comparison(
+    "least time of a mass: 2 s, 21 nodes": PeerProblem(
         "fastest", _of(problems.fastest, 1.0, (0.5, 6.0), 1.0), 21, 2.0, (10.0, 100.0)
     ),
-    "brachistochrone: 1.80160 s, 51 nodes": Comparison(
+    "brachistochrone: 1.80160 s, 51 nodes": PeerProblem(
         "brachistochrone", problems.brachistochrone, 51, 1.80160, (10.0, 100.0)
     ),
-    "Bryson-Denham: 4, 61 nodes": Comparison("bryson_denham", problems.bryson_denham, 61, 4.0, (0.1, 1.0)),
-    "Goddard: 1.01284, 51 nodes": Comparison("goddard", problems.goddard, 51, 1.01284, (10.0, 100.0)),
-    "cart-pole of Kelly: 58.8077, 51 nodes": Comparison("cart_pole", problems.cart_pole, 51, 58.8077, (0.1, 1.0)),
-    "rendezvous of least fuel: 1.212619, 31 nodes": Comparison(
+    "Bryson-Denham: 4, 61 nodes": PeerProblem("bryson_denham", problems.bryson_denham, 61, 4.0, (0.1, 1.0)),
+    "Goddard: 1.01284, 51 nodes": PeerProblem("goddard", problems.goddard, 51, 1.01284, (10.0, 100.0)),
+    "cart-pole of Kelly: 58.8077, 51 nodes": PeerProblem("cart_pole", problems.cart_pole, 51, 58.8077, (0.1, 1.0)),
+    "rendezvous of least fuel: 1.212619, 31 nodes": PeerProblem(
         "rendezvous", _of(problems.rendezvous, "norm below a slack"), 31, 1.212619, (10.0, 100.0)
     ),
-    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Comparison(
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": PeerProblem(
         "reorientation", problems.reorientation, 51, 3.24307, (10.0, 100.0), _SPIN
     ),
-    "quadrotor past three spheres: 1.489138 s, 31 nodes": Comparison(
+    "quadrotor past three spheres: 1.489138 s, 31 nodes": PeerProblem(
         "quadrotor", flights.quadrotor, 31, 1.489138, (10.0, 100.0), _POSE
     ),
 }
 
 
-def _missed(solve: Solve) -> float:
+def _missed(solve: PeerSolve) -> float:
     return max(miss for of_state in solve.trajectory.dense.misses.values() for miss in of_state.values())
 
 
-def _rows(name: str, it: Comparison) -> Iterator[Any]:
-    solves: dict[str, Callable[[], Solve]] = {
+def _rows(name: str, it: PeerProblem) -> Iterator[Any]:
+    solves: dict[str, Callable[[], PeerSolve]] = {
         "twistax": functools.cache(it.ours),
         "OpenSCvx as it comes": functools.cache(_of(it.theirs, same_transcription=False)),
         "OpenSCvx, held controls and weights of its own": functools.cache(_of(it.theirs, same_transcription=True)),
     }
-    measures: dict[str, Callable[[Solve], float]] = {
+    measures: dict[str, Callable[[PeerSolve], float]] = {
         "apart": lambda solve: abs(solve.value / it.optimum - 1.0),
         "says that it is solved": lambda solve: float(solve.says_solved),
         "a rollout misses the end by": _missed,

@@ -17,8 +17,8 @@ from ...trajectory.conditions import split
 
 def packed(problem: Problem) -> Problem:
     """The same problem, of one phase and without conditions at inner nodes; states of groups stay as they are."""
-    stated: dict[str, Any] = dict(problem._stated)
-    system = stated["dynamics"].system
+    statement: dict[str, Any] = dict(problem._stated)
+    system = statement["dynamics"].system
     flat = [s for s in system.states if s.group.flat]
     ends = np.cumsum([0, *(int(np.prod(s.shape)) for s in flat)])
     parts = dict(zip((s.name for s in flat), map(slice, ends[:-1].tolist(), ends[1:].tolist())))
@@ -40,19 +40,22 @@ def packed(problem: Problem) -> Problem:
     rates: dict[Any, Any] = {s: put(system.rates[s.name]) for s in system.states if s.name not in parts}
     rates[x] = tx.Concat(*(put(system.rates[s.name]) for s in flat))
     constraints: Any = {name: put(constraint) for name, constraint in system.constraints.items()}
-    stated["dynamics"] = tx.compile(tx.System(rates=rates, constraints=constraints))
-    objective = stated["objective"]
+    statement["dynamics"] = tx.compile(tx.System(rates=rates, constraints=constraints))
+    objective = statement["objective"]
     final, running = (None if e is None else put(e) for e in (objective.final, objective.running))
-    stated["objective"] = type(objective)(final, running=running)
+    statement["objective"] = type(objective)(final, running=running)
     for end in ("initial", "final"):
-        values, conditions = split(end, stated[end])
-        stated[end] = [joined({name_of(key): value for key, value in values.items()}), *map(put, conditions.values())]
+        values, conditions = split(end, statement[end])
+        statement[end] = [
+            joined({name_of(key): value for key, value in values.items()}),
+            *map(put, conditions.values()),
+        ]
     with in_double():
         xs = problem.started()[0].xs
-    guess = {name_of(key): value for key, value in (stated["guess"] or {}).items()}
+    guess = {name_of(key): value for key, value in (statement["guess"] or {}).items()}
     path = np.concatenate([np.asarray(xs[name]).reshape(problem.nodes, -1) for name in parts], axis=1)
-    stated["guess"] = {name: value for name, value in guess.items() if name not in parts} | {"x": path}
-    return Problem(**stated)
+    statement["guess"] = {name: value for name, value in guess.items() if name not in parts} | {"x": path}
+    return Problem(**statement)
 
 
 def _or(value: Any, absent: float) -> Any:

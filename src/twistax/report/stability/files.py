@@ -41,8 +41,8 @@ def _loaded(*parts: str, **options: Any) -> float:
 def _noted(*moments: float) -> float:
     """How far a free link with these moments is from Newton and Euler, rad/s2; NaN unless its note has them."""
     robot = _robot(_link(_INERTIAL.format(*moments)), floating=True)
-    said = ", ".join(f"{moment:g}" for moment in sorted(moments))
-    if not any("'rod' has" in note and f"principal moments {said} kg m2" in note for note in robot.notes):
+    listed = ", ".join(f"{moment:g}" for moment in sorted(moments))
+    if not any("'rod' has" in note and f"principal moments {listed} kg m2" in note for note in robot.notes):
         return float("nan")
     tensor = np.diag(moments)
     w, torque = np.array([0.3, -0.7, 0.5]), np.array([1.0, 2.0, -3.0])

@@ -104,8 +104,8 @@ def _drift(by: str, which: int) -> float:
     return _drifted(by)[which]
 
 
-def _slopes(by: str, said: str, **how: Any) -> Measurement:
-    what = f"derivatives that are numbers, of a failed integration in a batch, {said}"
+def _slopes(by: str, steps_taken: str, **how: Any) -> Measurement:
+    what = f"derivatives that are numbers, of a failed integration in a batch, {steps_taken}"
     return quick(what, by, at_most(0), _numbers_among_slopes, by, **how)
 
 

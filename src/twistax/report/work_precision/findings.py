@@ -200,7 +200,7 @@ class Findings:
                 ratios[SCENES[scene].title] = geometric_mean(known)
         return ratios
 
-    def beside(self, provider: Provider) -> tuple[list[float], dict[float, list[str]]]:
+    def compared_with(self, provider: Provider) -> tuple[list[float], dict[float, list[str]]]:
         """Our time over that of a provider wherever it gets, and where it is faster, by error."""
         ratios: list[float] = []
         faster: dict[float, list[str]] = {}

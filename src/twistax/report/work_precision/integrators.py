@@ -257,8 +257,8 @@ def _first_run(scene: Scene, integrator: Integrator) -> Callable[[Row], tuple[Ro
         except (RuntimeError, ValueError) as error:  # diffrax raises where it gives up, from a callback
             if isinstance(error, ValueError) and "callback" not in str(error):
                 raise
-            said = [line for line in str(error).splitlines() if "RuntimeError" in line]
-            return dataclasses.replace(row, note=first_line(said[0] if said else error)[:80]), None
+            lines = [line for line in str(error).splitlines() if "RuntimeError" in line]
+            return dataclasses.replace(row, note=first_line(lines[0] if lines else error)[:80]), None
         good = bool(counts.good)
         state = {name: np.asarray(value) for name, value in program.state(end).items()}
         numbers = {"error": float(scene.error(state)) if good else math.nan, "compile_seconds": compile_seconds}
