@@ -7,8 +7,8 @@ import numpy as np
 import pytest
 
 from twistax.groups import se3
-from twistax.report.stability import maps
-from twistax.report.stability.maps import BAR, MAPS, twists, worst_units
+from twistax.report.stability import lie_maps
+from twistax.report.stability.lie_maps import BAR, MAPS, twists, worst_units
 
 
 def measured(each, dtype, cases):
@@ -64,7 +64,7 @@ def test_the_exact_values_are_right(angle):
     axis = rng.normal(size=3)
     xi = np.concatenate([rng.normal(size=3), angle * axis / np.linalg.norm(axis)])
     with mpmath.workdps(60):
-        exact = maps.exact(xi)
+        exact = lie_maps.exact(xi)
         hat = mpmath.matrix(4, 4)
         hat[:3, :3], hat[:3, 3] = exact.W, exact.v
         ad = mpmath.matrix(6, 6)

@@ -17,7 +17,7 @@ from twistax.report.harness.page import texts
 from twistax.report.harness.timing import Race, Repeats
 from twistax.report.registry import FIGURES
 from twistax.report.speed.cases import CASES
-from twistax.report.stability import keeping
+from twistax.report.stability import invariants
 from twistax.scenes import SCENES
 
 QUICK = [check for section in FIGURES.values() for _, check in explained(section) if not check.slow]
@@ -88,7 +88,7 @@ def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_momenta_of_the_exact_motion_stay() -> None:
-    kept = keeping.tumble().invariants
+    kept = invariants.tumble().invariants
     states = [SCENES["offset-tumble"].truth(t) for t in np.linspace(0.0, 10.0, 11)]
     xs = {name: np.stack([state[name] for state in states]) for name in ("g", "V")}
     values, size = kept(xs)["momentum"]
@@ -103,12 +103,12 @@ def test_momenta_of_the_exact_motion_stay() -> None:
 @pytest.mark.slow
 def test_a_top_keeps_its_vertical_momentum_alone() -> None:
     """The horizontal ones change: what is measured is no constant. Another method loses it."""
-    top = keeping.top((1.0, 1.3, 0.5))
+    top = invariants.top((1.0, 1.3, 0.5))
     method = tx.Splitting(tx.compositions.SUZUKI4, top.bodies)
-    found = keeping.changes(top, method, 1e-2, (2_000,))
+    found = invariants.changes(top, method, 1e-2, (2_000,))
     assert found["vertical momentum"].relative[-1] < 1e-13
     assert 1e-14 < found["energy"].relative[-1] < 1e-8
-    lost = keeping.changes(top, tx.RKMK(tx.tableaus.RK4), 1e-2, (2_000,))
+    lost = invariants.changes(top, tx.RKMK(tx.tableaus.RK4), 1e-2, (2_000,))
     assert min(lost[name].relative[-1] for name in ("vertical momentum", "energy")) > 1e-9
     end = tx.integrate(top.dynamics, dict(top.start), t1=20.0, steps=2_000, method=method).xs
     J = np.array([1.0, 1.3, 0.5])
@@ -118,10 +118,10 @@ def test_a_top_keeps_its_vertical_momentum_alone() -> None:
 
 @pytest.mark.slow
 def test_quaternions_stay_and_matrices_drift() -> None:
-    for motion in (keeping.constant_twist(), keeping.free_body()):
+    for motion in (invariants.constant_twist(), invariants.free_body()):
         ends = [
-            keeping.changes(motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (1_000, 10_000))["R'R - I"].absolute[-1]
-            for chart in (None, keeping.Matrices())
+            invariants.changes(motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (1_000, 10_000))["R'R - I"].absolute[-1]
+            for chart in (None, invariants.Matrices())
         ]
         assert ends[0] < 4e-15 < 5e-15 < ends[1] < 1e-11
 
@@ -130,7 +130,9 @@ def test_quaternions_stay_and_matrices_drift() -> None:
 def test_changes_shrink_with_the_order() -> None:
     for tableau, factor in ((tx.tableaus.EULER, 2.0), (tx.tableaus.HEUN, 4.0), (tx.tableaus.RK4, 16.0)):
         coarse, fine = (
-            keeping.changes(keeping.free_body(), tx.RKMK(tableau), 0.5 / count, (count,))["linear momentum"].absolute[0]
+            invariants.changes(invariants.free_body(), tx.RKMK(tableau), 0.5 / count, (count,))[
+                "linear momentum"
+            ].absolute[0]
             for count in (25, 50)
         )
         assert 0.6 * factor < coarse / fine < 1.6 * factor

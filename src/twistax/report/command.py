@@ -67,7 +67,7 @@ def _refuse(why: str) -> int:
 
 
 def run_report(report: Report, arguments: argparse.Namespace) -> int:
-    """The same for a report that is there; see `run`."""
+    """Run a report: measure, print, save and renew documents. Returns the exit status; see `run`."""
     begin = time.perf_counter()
     folder: Path = arguments.out
     try:
@@ -95,7 +95,7 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
 
 
 def _measure(report: Report, arguments: argparse.Namespace) -> None:
-    """Part by part, with what came of each."""
+    """Measure part by part, and print the rows of each."""
     progress = Progress("report")
     shown = sys.stderr.isatty() and not arguments.no_progress
     tell: Tell = (lambda what, share: progress.done(share, f"all, {what}"[:90])) if shown else quiet
@@ -117,7 +117,7 @@ def _say(word: str, line: str) -> None:
 
 
 def _save(report: Report, arguments: argparse.Namespace, complete: bool) -> None:
-    """Tables, figures and pages."""
+    """Write tables, figures and pages into the folder."""
     folder, name = arguments.out, report.name
     bars = [row for part in report.parts for row in report.bars(part)]
     report.store.save(bars, complete)
@@ -135,7 +135,7 @@ def _save(report: Report, arguments: argparse.Namespace, complete: bool) -> None
 
 
 def _draw(report: Report, folder: Path) -> Mapping[str, PageFigure] | None:
-    """The figures, by name, as files too; None without matplotlib."""
+    """Draw the figures into the folder; gives them by name, None without matplotlib."""
     pictures = {}
     try:
         for stem, draw in report.drawings().items():
@@ -148,7 +148,7 @@ def _draw(report: Report, folder: Path) -> Mapping[str, PageFigure] | None:
 
 
 def _tables(folder: Path, name: str, complete: bool) -> dict[str, Table]:
-    """The tables of bars of this run, by name; after a complete run those of other complete runs in the folder too."""
+    """The tables of this run's bars by name; after a complete run those of other complete runs in the folder, too."""
     groups: dict[str, list[Row]] = {}
     for report in _REPORTS if complete else [name]:
         path = folder / f"{report}.json"
@@ -161,7 +161,7 @@ def _tables(folder: Path, name: str, complete: bool) -> dict[str, Table]:
 
 
 def _command(arguments: argparse.Namespace) -> str:
-    """The words that give this run again."""
+    """The command line that repeats this run."""
     words = ["python -m twistax report"]
     words += [f"--{name}" for name in (*_REPORTS, "quick") if getattr(arguments, name, False)]
     for name in ("scene", "method", "case", "only"):

@@ -1,4 +1,4 @@
-"""Problems of the page of optima in OpenSCvx: a program of its own, as that switches double precision for all of JAX.
+"""Trajectory problems in OpenSCvx: a separate program, as OpenSCvx sets the precision of all of JAX.
 
 `python -m twistax.report.openscvx_problems '{"name": "goddard", "nodes": 51, "settings": [{}]}'` prints the result of
 each settings of `openscvx.Problem`, as JSON; `uniform` among them is `Time.uniform_time_grid`. OpenSCvx scales every
@@ -53,7 +53,7 @@ def _cost(high: float) -> Any:
 
 
 def _control(name: str, nodes: int, low: Any, high: Any, guess: Any = None) -> Any:
-    """Its guess is the middle of its limits unless given."""
+    """A control, whose guess is the middle of its limits by default."""
     control = ox.Control(name, shape=np.shape(np.atleast_1d(low)))
     control.min, control.max = np.atleast_1d(low).astype(float), np.atleast_1d(high).astype(float)
     control.guess = np.tile(0.5 * (control.min + control.max) if guess is None else guess, (nodes, 1))
@@ -207,7 +207,7 @@ def _fixed(values: Any, kinds: Any) -> list[float | None]:
 
 
 def main(request: str) -> None:
-    """Print what comes of all settings; nothing else."""
+    """Print the results of all settings as JSON, and nothing else."""
     options = json.loads(request)
     with contextlib.redirect_stdout(io.StringIO()):
         answers = [solved(options["name"], options["nodes"], **settings) for settings in options["settings"]]

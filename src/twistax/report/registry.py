@@ -2,27 +2,49 @@
 
 import functools
 
-from .figures import calls, costs, derivatives, hessians, identities, lookups, mechanisms, scalars, small, steps
+from .figures import (
+    calls,
+    costs,
+    derivatives,
+    hessians,
+    identities,
+    lookups,
+    mechanisms,
+    scalars,
+    small_matrices,
+    steps,
+)
 from .foreign import FOREIGN
 from .harness.measurement import Section
 from .harness.report import SectionReport
 from .sections import openscvx, optimal, strategies, trust
-from .stability import events, failures, files, flight_limits, keeping, maps, moving_masses, spoiled, statuses, stiff
+from .stability import (
+    events,
+    failures,
+    files,
+    flight_limits,
+    invariants,
+    lie_maps,
+    moving_masses,
+    robustness,
+    statuses,
+    stiff,
+)
 
 STABILITY: dict[str, Section] = {
     "stiff": stiff.STIFF,
     "turning": stiff.TURNING,
-    "angles": maps.ANGLES,
-    "extremes": keeping.EXTREMES,
-    "long": keeping.LONG_RUNS,
-    "single": maps.PRECISION,
+    "angles": lie_maps.ANGLES,
+    "extremes": invariants.EXTREMES,
+    "long": invariants.LONG_RUNS,
+    "single": lie_maps.PRECISION,
     "events": events.EVENTS,
     "jumps": events.JUMPS,
     "inputs": failures.INPUTS,
     "failures": failures.FAILURES,
     "flight": flight_limits.FLIGHT,
     "statuses": statuses.STATUSES,
-    "spoiled": spoiled.SPOILED,
+    "spoiled": robustness.SPOILED,
     "masses": moving_masses.MOVING_MASSES,
     "loops": moving_masses.LOOPS,
     "files": files.FILES,
@@ -30,11 +52,11 @@ STABILITY: dict[str, Section] = {
 
 FIGURES: dict[str, Section] = {
     "identities": identities.IDENTITIES,
-    "keeping": keeping.KEEPING,
-    "maps": maps.LAST_PLACES,
+    "keeping": invariants.KEEPING,
+    "maps": lie_maps.LAST_PLACES,
     "linearisation": derivatives.LINEARISATION,
     "stiffness": stiff.STIFFNESS,
-    "long": keeping.LONG,
+    "long": invariants.LONG,
     "races": costs.RACES,
     "bridge": steps.BRIDGE,
     "costs": costs.COSTS,
@@ -46,7 +68,7 @@ FIGURES: dict[str, Section] = {
     "operations": scalars.OPERATIONS,
     "hessians": hessians.HESSIANS,
     "kernels": scalars.KERNELS,
-    "small": small.SMALL,
+    "small": small_matrices.SMALL,
     "mechanisms": mechanisms.MECHANISMS,
     "landings": costs.LANDINGS,
     "optima": optimal.OPTIMA,

@@ -44,7 +44,7 @@ _STEPS, _POLYNOMIALS = "rows by steps", "rows by polynomials"
 
 
 def called(make: Callable[[], Any]) -> dict[str, Timed]:
-    """The same rollout called in five ways, those with saved times inside of `jit`; all have the same end."""
+    """Five calls of one rollout, those with saved times inside of `jit`; all have the same end."""
     dynamics, x0, options = make()
     saved = {"save_at": np.linspace(0.0, options["t1"], _SAVED)}
     in_jit: dict[str, Any] = {_IN_JIT: {}, _STEPS: saved, _POLYNOMIALS: saved | {"between": tx.Between.POLYNOMIAL}}

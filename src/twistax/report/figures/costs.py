@@ -120,7 +120,8 @@ _RADAU5, _RADAU9, _KAHAN_LI8 = tx.tableaus.RADAU_IIA5, tx.tableaus.RADAU_IIA9, t
 
 @functools.cache
 def _integrators(scene: str) -> list[Integrator]:
-    """Ours first. Every run on the top is one small call: diffrax does not offer that, but is faster for it."""
+    """The integrators of a scene, ours first. On the top diffrax runs as one small call: it does not offer that, but is
+    faster for it."""
     if scene == "stiff-attitude":
         radau = [ours(tableau.name, tx.ImplicitRKMK(tableau)) for tableau in (_RADAU5, _RADAU9)]
         return [*radau, INTEGRATORS["diffrax-kvaerno5-pi"]]

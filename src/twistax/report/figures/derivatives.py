@@ -1,4 +1,4 @@
-"""How right and how dear derivatives are: of a step, and of a whole integration."""
+"""How accurate derivatives are and what they cost: of a step, and of an integration."""
 
 from __future__ import annotations
 

@@ -23,14 +23,14 @@ _BATCH, _ROW = 4096, 4
 
 @functools.cache
 def dynamics() -> tx.Dynamics:
-    """Of the arm, by one thread."""
+    """The forward dynamics of the Panda, compiled for one thread."""
     q, qd, tau = tx.State("q", shape=(7,)), tx.State("qd", shape=(7,)), tx.Control("tau", shape=(7,))
     system = tx.System(rates={q: qd, qd: forward_dynamics(chain_models.panda(), q, qd, tau)})
     return tx.compile(system, backend=tx.Native(threads=1))
 
 
 def _by_casadi(xp: Any, x: Any, u: Any, w: Any) -> list[Any]:
-    """The matrix, in SX, of the same expression."""
+    """The Hessian of the same expression as a CasADi SX matrix."""
     ca = needed("casadi", "casadi")
     rate = dynamics().to_casadi()(t=0, q=x[:7], qd=x[7:], tau=u)["rate_qd"]
     return [ca.vec(ca.hessian(ca.dot(w, rate), ca.vertcat(x, u))[0])]
@@ -38,14 +38,14 @@ def _by_casadi(xp: Any, x: Any, u: Any, w: Any) -> list[Any]:
 
 @functools.cache
 def in_casadi() -> Any:
-    """The matrix as CasADi's function of states, torques and weights."""
+    """The Hessian as a CasADi function of states, torques and weights."""
     ca = needed("casadi", "casadi")
     symbols = [ca.SX.sym(name, size) for name, size in (("x", 14), ("u", 7), ("w", 7))]
     return ca.Function("hessian", symbols, _by_casadi(ca, *symbols))
 
 
 def operations() -> tuple[int, int]:
-    """Ours and CasADi's."""
+    """How many operations the Hessian takes, ours and CasADi's."""
     ca, theirs = needed("casadi", "casadi"), in_casadi()
     dynamics().hessian_pattern("qd")
     no_operations = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)

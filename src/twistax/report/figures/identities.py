@@ -33,7 +33,7 @@ Values = SimpleNamespace
 
 
 class Identity(NamedTuple):
-    """What the package computes, and the same of all cases computed without it."""
+    """An expression of the package, and the values of all cases computed without the package."""
 
     name: str
     expression: Expr
@@ -41,7 +41,7 @@ class Identity(NamedTuple):
 
 
 def worst_errors(identities: Sequence[Identity], z: Values, order: Order = LINEAR_FIRST) -> dict[str, float]:
-    """The worst case of each, by name, of the simplified expressions. Needs JAX's x64 switch."""
+    """The largest error of each simplified expression over all cases, by name. Needs JAX's x64 switch."""
     names = {leaf.name for leaf in leaves_of(*(it.expression for it in identities))} & vars(z).keys()
     function = lower([it.expression.canonicalize() for it in identities])
     results = jax.jit(jax.vmap(functools.partial(function, 0.0)))({n: _ordered(getattr(z, n), order) for n in names})
@@ -55,7 +55,7 @@ def worst_errors(identities: Sequence[Identity], z: Values, order: Order = LINEA
 
 
 def _ordered(value: Array, order: Order) -> Array:
-    """Every axis of six entries of [v; w], but for that of the cases, in an order."""
+    """Reorder every axis of six entries [v; w], but for the leading axis of cases."""
     axes = [axis for axis in range(1, value.ndim) if value.shape[axis] == 6 and not order.linear_leads]
     return np.roll(value, [3] * len(axes), axes)
 
@@ -110,7 +110,7 @@ _T = State("T", shape=(4, 4))
 
 
 def lie_identities(z: Values, o: Order) -> list[Identity]:
-    """Of the brackets, the adjoints, Exp, Log and the Jacobians in an order."""
+    """Identities of brackets, adjoints, Exp, Log and Jacobians in an order of twists."""
     Ad, coAd = functools.partial(lie.SE3Adjoint, order=o), functools.partial(lie.SE3AdjointDual, order=o)
     ad, Exp = functools.partial(lie.Adjoint, order=o), functools.partial(lie.SE3Exp, order=o)
     pairing, power = Dot(lie.AdjointDual(_xi, _F, order=o), _eta) + Dot(_F, ad(_xi, _eta)), np.sum(z.F * z.eta, axis=1)
@@ -145,7 +145,7 @@ JOINTS: tuple[joints.Joint, ...] = (
 
 
 def joint_identities(z: Values) -> list[Identity]:
-    """Of every joint in a random frame. Its motions themselves, and bodies, are a matter of tests/mechanics."""
+    """Identities of every joint in a random frame. Motions of joints, and bodies, are checked in tests/mechanics."""
     identities = []
     for joint in JOINTS:
         k, moved = joint.dofs, joint.screws_in(_T)

@@ -62,8 +62,8 @@ _TABLES: dict[str, tuple[int, int, Any, bool]] = {
 
 
 def _of(what: str, *table: Any) -> list[Measurement]:
-    race, names = Race(lambda: looked_up(*table), 1e-12), (_NATIVE, _XLA, _INTERP)
-    names = names if table[1:3] == (1, _LINEAR) else names[:2]
+    race, names = Race(lambda: looked_up(*table), 1e-12), [_NATIVE, _XLA]
+    names += [_INTERP] if table[1:3] == (1, _LINEAR) else []
     return [slow(what, name, between(unit="ns"), _nanoseconds, race, name) for name in names]
 
 

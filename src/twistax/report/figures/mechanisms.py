@@ -1,4 +1,4 @@
-"""Robots from their files: operations, seconds to compile, and times beside Pinocchio, which is agreed with first."""
+"""Robots from their files: operations, seconds to compile, and times beside Pinocchio, whose results are compared."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ def _file(robot: str) -> tuple[Path, bool]:
 
 @functools.cache
 def _mechanism(robot: str) -> Mechanism:
-    """Without what Pinocchio leaves out: damping and friction."""
+    """The robot without damping and friction, which Pinocchio leaves out."""
     if robot not in _FILES:
         return chain_models.equal_links(int(robot.split()[0]))
     path, floating = _file(robot)
@@ -56,7 +56,7 @@ def _mechanism(robot: str) -> Mechanism:
 
 @functools.cache
 def _points(robot: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """States and controls of a batch."""
+    """Random states and controls of a batch."""
     system, rng = _mechanism(robot).system(), np.random.default_rng(20240611)
     x = {state.name: jnp.asarray(rng.normal(size=(_BATCH, *state.shape))) for state in system.states}
     if "root_position" in x:
@@ -66,7 +66,7 @@ def _points(robot: str) -> tuple[dict[str, Any], dict[str, Any]]:
 
 @functools.cache
 def _ours(robot: str, part: str) -> tuple[Timed, float]:
-    """The batch of a robot by one thread, and the processor's seconds from the expression on."""
+    """A batch of the dynamics or their derivatives by one thread, and the processor time to compile it, s."""
     system, (x, u) = _mechanism(robot).system(), _points(robot)
     begin = time.process_time()
     dynamics = tx.compile(system, backend=tx.Native(threads=1))
@@ -78,7 +78,7 @@ def _ours(robot: str, part: str) -> tuple[Timed, float]:
 
 @functools.cache
 def _pinocchio(robot: str) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, list[int]]:
-    """Its model, positions, velocities and forces of the batch, and its entries of our velocities."""
+    """Pinocchio's model; positions, velocities and forces of the batch; where our velocities stand among its."""
     pin, (path, floating) = needed("pinocchio", "pin"), _file(robot)
     model = pin.buildModelFromUrdf(str(path), *([pin.JointModelFreeFlyer()] if floating else []))
     ours, (x, u) = _mechanism(robot), _points(robot)
@@ -99,7 +99,7 @@ def _pinocchio(robot: str) -> tuple[Any, np.ndarray, np.ndarray, np.ndarray, lis
 
 
 def _theirs(model: Any, function: Any, q: np.ndarray, v: np.ndarray, third: np.ndarray) -> Timed:
-    """Point by point. What a call from Python costs is taken off by `_over`."""
+    """A Pinocchio function called point by point. `_over` subtracts what a call from Python costs."""
     data = model.createData()
 
     def run() -> np.ndarray:
@@ -111,7 +111,7 @@ def _theirs(model: Any, function: Any, q: np.ndarray, v: np.ndarray, third: np.n
 
 
 def _over(ours: Timed, model: Any, function: Any, *points: np.ndarray) -> float:
-    """The time of ours over Pinocchio's, in turn. From theirs the time of a model of one link is taken off."""
+    """Our time over Pinocchio's, timed in turn. The time of a model of one link is subtracted from Pinocchio's."""
     small = pinocchio_model(chain_models.equal_links(1))
     call = _theirs(small, function, *(np.ascontiguousarray(values[:, :1]) for values in points))
     theirs = _theirs(model, function, *points)
@@ -145,7 +145,7 @@ def _ratio(robot: str, part: str) -> float:
 
 
 def _rnea(links: int) -> float:
-    """The derivatives of inverse dynamics of a chain of equal links."""
+    """Our time over Pinocchio's for the derivatives of inverse dynamics of a chain of equal links."""
     pin, chain, n = needed("pinocchio", "pin"), chain_models.equal_links(links), links
     model = pinocchio_model(chain)
     q, qd, qdd = tx.Control("q", shape=(n,)), tx.State("qd", shape=(n,)), tx.Control("qdd", shape=(n,))
@@ -165,7 +165,7 @@ def _rnea(links: int) -> float:
 
 
 def _operations(robot: str) -> float:
-    """Of the forward dynamics."""
+    """Operations of the forward dynamics."""
     mechanism = _mechanism(robot)
     q, qd, tau = (tx.State(name, shape=(mechanism.dofs,)) for name in ("q", "qd", "tau"))
     f = tx.lower(mechanics.forward_dynamics(mechanism, q, qd, tau))
@@ -174,7 +174,7 @@ def _operations(robot: str) -> float:
 
 
 def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -> list[Measurement]:
-    """One measurement a limit, of the robots with files and then of 60 links."""
+    """A measurement for each limit: of the robots with files, then of 60 links."""
     unit = "s" if "compiling" in what else ""
     return [
         quick(f"{what}, {robot}", by, at_most(limit, unit), measure, robot, part, slow=limit > 1.0)

@@ -32,13 +32,13 @@ Function = Callable[..., list[jax.Array]]
 
 @functools.cache
 def in_arrays(case: EvaluatedFunction) -> Function:
-    """The function of a case in arrays."""
+    """The function of a case, compiled to arrays."""
     return case.run_by(tx.compile(case.system(), backend=tx.JAX()))
 
 
 @functools.cache
 def program_of(case: EvaluatedFunction) -> ScalarProgram:
-    """The scalar program of a case."""
+    """The function of a case as a scalar program."""
     return scalarize(in_arrays(case), *_shapes(case))
 
 
@@ -48,13 +48,13 @@ def _shapes(case: EvaluatedFunction) -> list[jax.ShapeDtypeStruct]:
 
 @functools.cache
 def _slopes(case: EvaluatedFunction) -> ScalarProgram:
-    """Its derivatives by the first two arguments."""
+    """The Jacobian of a case by its first two arguments, as a scalar program."""
     program = program_of(case)
     return program.restricted([np.array(list(jacobian(program, [0, 1]).values()))])
 
 
 def _unrolled_in(case: EvaluatedFunction) -> float:
-    """Seconds from the jaxpr to scalars, the best of three."""
+    """Seconds from the jaxpr to the scalar program, the fastest of three."""
     closed = jax.make_jaxpr(in_arrays(case))(*_shapes(case))
     return min(seconds_of(lambda: scalarize(closed)) for _ in range(3))
 
@@ -107,10 +107,10 @@ def need_llvmlite() -> None:
 
 
 def _build_seconds(make: Callable[[], ScalarProgram]) -> float:
-    """From the scalars to a kernel for a batch that was compared with NumPy, s."""
+    """Seconds from a scalar program to a batched kernel that was compared with NumPy."""
     need_llvmlite()
     program = make()
-    # LLVM is awake then.
+    # LLVM is initialised by a first kernel, which is not timed.
     tx.Native().prepare(scalarize(lambda x: [jnp.sin(x)], jax.ShapeDtypeStruct((2,), float)), single=False)
     begin = time.perf_counter()
     if tx.Native().prepare(program, single=False) is None:
@@ -119,7 +119,7 @@ def _build_seconds(make: Callable[[], ScalarProgram]) -> float:
 
 
 def _native(run: Any, *arguments: Any) -> Any:
-    """The same jitted function, seen to call a kernel."""
+    """The jitted function. Raises RuntimeError unless it calls a native kernel."""
     if "custom_call @twistax_" not in run.lower(*arguments).as_text():
         raise RuntimeError("no kernel runs the function")
     return run

@@ -1,4 +1,4 @@
-"""What a step costs, ours in every chart, through diffrax, and in C."""
+"""What a step costs: in every chart, through diffrax, and beside C."""
 
 from __future__ import annotations
 
@@ -166,7 +166,7 @@ def beside_c(steps: int = 500_000) -> dict[str, Timed]:
 
 
 def _end_in_matrices(end: Any) -> dict[str, Any]:
-    """The end of a solution, or that of C, [quaternion, position, velocity], as pose and velocity."""
+    """The end of a solution, or of C as [quaternion, position, velocity], as pose and velocity."""
     if isinstance(end, np.ndarray):
         q, p, V = np.split(end, (4, 7))
         return {"g": se3.transform(quaternions.to_rotation(jnp.asarray(q)), jnp.asarray(p)), "V": V}

@@ -46,7 +46,7 @@ def simulated(dynamics: tx.Dynamics, x0: Mapping[str, Any], **options: Any) -> t
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """What is asked for."""
+    """What is asked of a number, or of an error in its place."""
 
     text: str  # for tables; empty where nothing is
     met: Callable[[Outcome], bool]  # whether a number, or what was raised, is it; NaN never is
@@ -83,7 +83,7 @@ def refused(error: type[tx.TwistaxError], words: str) -> Expected:
 
 
 def either(first: Expected, second: Expected) -> Expected:
-    """One of two, where processors differ."""
+    """One of two expectations, where processors differ."""
     return Expected(f"{first.text}, or {second.text}", lambda came: first.met(came) or second.met(came))
 
 

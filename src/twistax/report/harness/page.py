@@ -59,13 +59,13 @@ def _inline(text: str) -> str:
 
 
 def _listed(words: Iterable[str]) -> str:
-    """a, b and c."""
+    """Words as a list in a sentence: a, b and c."""
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
 
 
 def _span(values: Iterable[float]) -> str:
-    """The least to the largest."""
+    """The range of numbers: 0.50 to 1.20."""
     ends = sorted(values)
     low, high = f"{ends[0]:.2f}", f"{ends[-1]:.2f}"
     return low if low == high else f"{low} to {high}"

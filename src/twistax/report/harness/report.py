@@ -18,7 +18,7 @@ from .timing import Tell
 
 
 class Report(ABC):
-    """Measures part by part, and says what came of it."""
+    """What is measured part by part, and the page of it."""
 
     name: str  # of its files
     template: ClassVar[str]  # of its page
@@ -64,7 +64,7 @@ _FLOOR = 1e-17
 
 
 class SectionReport(Report):
-    """Runs all measurements of sections, or the fast ones."""
+    """A report of sections: runs all of their measurements, or the quick ones."""
 
     template = "checks"
 

@@ -66,7 +66,7 @@ class Row:
 
 
 def now() -> str:
-    """To the second."""
+    """The present time in ISO format, to the second."""
     return datetime.now().isoformat(timespec="seconds")
 
 
@@ -76,14 +76,14 @@ def first_line(error: Any) -> str:
 
 
 def number(value: float) -> str:
-    """Two or three digits, whole numbers and thousands to the unit, and 1e-6 rather than 1e-06."""
+    """A measured number: two or three digits, whole numbers and thousands to the unit, 1e-6 rather than 1e-06."""
     if ((value == int(value) and abs(value) >= 1.0) or abs(value) >= 1e3) and abs(value) < 1e7:
         return f"{value:,.0f}"
     return _short(f"{value:.2g}" if abs(value) < 1e-3 else f"{value:.3g}")
 
 
 def plain(value: float) -> str:
-    """A round number: 1e5 rather than 1e+05, and 0.05 as it is."""
+    """A round number as a person writes it: 1e5 rather than 1e+05, and 0.05 as it is."""
     return _short(f"{value:.0e}" if value and not 1e-3 <= abs(value) < 1e4 else f"{value:g}")
 
 
@@ -92,7 +92,7 @@ def _short(text: str) -> str:
 
 
 def duration(seconds: float) -> str:
-    """Three digits with a unit."""
+    """Seconds with three digits and a unit: 1.5 ms."""
     if not math.isfinite(seconds):
         return "-"
     unit, size = ("s", 1.0) if seconds >= 1.0 else ("ms", 1e-3) if seconds >= 1e-3 else ("us", 1e-6)

@@ -26,7 +26,7 @@ _VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy", KERNELS
 
 @dataclasses.dataclass(frozen=True)
 class Origin:
-    """Rows of different origins do not belong together."""
+    """Where rows come from. Rows of different origins are not compared."""
 
     versions: Mapping[str, str]  # of the packages in use
     code: str  # digest of the package's code; the demo, and what only writes pages, left out
@@ -35,7 +35,7 @@ class Origin:
 
     @classmethod
     def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
-        """Of rows measured now; versions are of other packages in use."""
+        """The origin of rows that are measured now; `versions` are of further packages."""
         root = Path(twistax.__file__).parent
         left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
         files = [path for path in sorted({*root.rglob("*")} - left_out) if path.suffix in (".py", ".c", ".json", ".ll")]

@@ -26,7 +26,7 @@ quiet: Tell = lambda what, share: None  # noqa: E731
 
 
 def within(tell: Tell, place: int, count: int, before: str = "") -> Tell:
-    """The same for one of some equal parts, with words before its message."""
+    """A progress callback for one of several equal parts, with words before its message."""
     return lambda what, share: tell(f"{before}{what}", (place + share) / count)
 
 
@@ -62,7 +62,7 @@ class Timed:
     samples: list[float] = dataclasses.field(default_factory=list)  # of a call, s
 
     def result(self) -> Any:
-        """Of a call; of a second one unless that takes long, as the first call of a program takes some ms more."""
+        """The result of a call; of a second one unless it takes long, as a program's first call takes some ms more."""
         for _ in range(2):
             begin = time.perf_counter()
             result = jax.block_until_ready(self.call())
@@ -73,7 +73,7 @@ class Timed:
 
     @property
     def seconds(self) -> float:
-        """The median."""
+        """The median time of an evaluation."""
         return median(self.samples) / self.evaluations
 
     @property
@@ -85,7 +85,7 @@ class Timed:
 
 
 def compiled(function: Callable[..., Any], *arguments: Any, evaluations: int = 1, calls: int = 1) -> Timed:
-    """A traceable function compiled for its arguments: so many evaluations in a call, and calls timed together."""
+    """Compile a traceable function for its arguments; `evaluations` happen in a call, `calls` are timed together."""
     begin = time.perf_counter()
     run = jax.jit(function)
     program = run.lower(*arguments).compile()
@@ -142,7 +142,7 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
 
 
 def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:
-    """Time those that are done in turn, but for what has samples already, and put all rows into the store."""
+    """Time programs of rows in turn, but for those with samples already, and put all rows into the store."""
     timed = [(row, it if row.done else None) for row, it in pairs]
     in_turn([it for _, it in timed if it and not it.samples], repeats, tell)
     store.add(
@@ -152,14 +152,14 @@ def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Sto
 
 
 def seconds_of(call: Callable[[], Any]) -> float:
-    """Of one call, its results waited for."""
+    """Seconds of one call, its results waited for."""
     begin = time.perf_counter()
     jax.block_until_ready(call())
     return time.perf_counter() - begin
 
 
 def empty_call_seconds() -> float:
-    """What calling a compiled function costs that does nothing: part of every time."""
+    """Seconds of calling a compiled function that does nothing: part of every time."""
     call = jax.jit(lambda x, setting: (x, setting))
     x, setting = {"R": jnp.eye(3), "w": jnp.ones(3)}, jnp.asarray(1.0)
     jax.block_until_ready(call(x, setting))
@@ -207,7 +207,7 @@ class Race:
 
     @functools.cached_property
     def programs(self) -> dict[str, Timed]:
-        """Timed. Raises RuntimeError where results disagree."""
+        """The programs, timed in turn. Raises RuntimeError where results disagree."""
         programs = self._make()
         reference, *results = (self.read(it.result()) for it in programs.values())
         for result in results:

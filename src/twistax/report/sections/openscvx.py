@@ -36,7 +36,7 @@ _LONGEST = 600.0
 
 @dataclasses.dataclass(frozen=True)
 class PeerSolve:
-    """A solve by either: its objective, whether it says that it is solved, its path, its steps and its seconds."""
+    """A solve by one of both: its objective, whether it claims success, its path, steps and seconds."""
 
     value: float
     says_solved: bool
@@ -71,7 +71,7 @@ class PeerProblem:
 
     @functools.cached_property
     def _answers(self) -> list[Any] | Exception:
-        """What came there of both settings, or what the program ended with."""
+        """The results of OpenSCvx for both settings, or the error that its program ended with."""
         weights = dict(zip(("lam_cost", "lam_vc"), self.weights, strict=True))
         settings = [_DEFAULTS, {**_SAME_TRANSCRIPTION, "algorithm": weights}]
         request = {"name": self.name, "nodes": self.nodes, "settings": settings}
@@ -89,20 +89,20 @@ class PeerProblem:
         return dict(self._answers[same_transcription])
 
     def ours(self) -> PeerSolve:
-        """From the naive guess; timed once more, as there all is compiled, and run, by `initialize`."""
+        """Our solve from the naive guess; a second solve is timed, as `initialize` of OpenSCvx compiles and runs everything."""
         it = self.known.plain
         again = self.known.problem.solve().solve_seconds
         return PeerSolve(it.cost, it.solved, it, it.iterations, it.compile_seconds, again)
 
     def theirs(self, same_transcription: bool) -> PeerSolve:
-        """The same there. Raises Absent where OpenSCvx is not installed, and what its program ended with."""
+        """The solve of OpenSCvx. Raises Absent where it is not installed, and the error that its program ended with."""
         answer = self._answer(same_transcription)
         path = self.trajectory(answer["nodes"], zero_order_hold=same_transcription)
         seconds = (answer[name] for name in ("iterations", "initialize", "solve"))
         return PeerSolve(answer["value"], answer["converged"], path, *seconds)
 
     def _numbers(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Our states as `Ambient` has them, of theirs; leading axis the points."""
+        """OpenSCvx's states as our states in `Ambient` numbers; the leading axis is points."""
         arrays = {}
         for state in self.known.problem.dynamics.system.states:
             parts = self.parts.get(state.name)
@@ -119,7 +119,7 @@ class PeerProblem:
         return {n: np.asarray(a) for n, a in jax.jit(jax.vmap(read))(self._numbers(values)).items()}
 
     def trajectory(self, nodes: Mapping[str, Any], zero_order_hold: bool) -> Trajectory:
-        """In our problem with these node times, of controls that are held or linear between nodes."""
+        """A trajectory of our problem with these node times, its controls held or linear between nodes."""
         ts = np.ravel(nodes["time"]) - nodes["time"][0][0]  # its solver leaves 1e-12 there
         # Held controls are on equal intervals.
         problem = self.known.problem if zero_order_hold else self.make(nodes=Mesh(ts / ts[-1]), controls=Linear())

@@ -1,4 +1,4 @@
-"""How near SOLVED comes to known optima, on given meshes and on refined ones, and the same by IPOPT and Fatrop."""
+"""Distances of solved problems from known optima, on fixed and refined meshes; solves by IPOPT and Fatrop."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ _REPEATS, _STARTS, _SAME = 5, 8, 1e-4
 
 
 def _beyond(result: TrajectoryResult) -> float:
-    """The largest violation between nodes over the size of what is limited."""
+    """The largest violation of a limit between nodes, relative to the size of what is limited."""
     return max(result.between_nodes.values(), default=0.0)
 
 
@@ -76,7 +76,7 @@ PROBLEMS = {name: Known(*fields, {"guesses": _STARTS}) for name, fields in _HELD
 
 
 def _reached(it: Known) -> float:
-    """How many starts are SOLVED at the best cost."""
+    """The number of starts that are SOLVED at the best cost."""
     best = it.result
     same = [abs(cost / best.cost - 1.0) <= _SAME for status, cost, *_ in best.tries if status is best.status]
     return float(sum(same)) if best.solved else 0.0
@@ -150,7 +150,7 @@ def _tried(name: str, by: str) -> TrajectoryResult:
 
 
 def _timed(name: str, by: str) -> TrajectoryResult:
-    """Raises Absent unless SOLVED."""
+    """The solve of a problem by a solver. Raises Absent unless it is SOLVED."""
     if _SOLVERS[by] is not None:
         needed("casadi")
     result = _tried(name, by)
@@ -222,7 +222,7 @@ def _integrators() -> tuple[Problem, str, Any]:
 
 
 def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
-    """Seconds of a case by `solve_many` over those of one alone: a problem, a state, and where it starts."""
+    """The time of a case in `solve_many` over that of a single solve."""
     problem, state, starts = made()
     some = starts[:: len(starts) // _ALONE]
     problem.solve_many(initial={state: starts})  # as many rows as these compile, and what is rare
@@ -248,7 +248,7 @@ def _first_solve(problem: str, cached: bool) -> float:
 
 
 def _nothing_there(problem: str) -> float:
-    """The same of a process that finds no kernels on the disk."""
+    """Seconds of processor time of the first solve of a process that finds no kernels on the disk."""
     with tempfile.TemporaryDirectory() as folder:
         return printed(_FIRST_SOLVE.format(problem), TWISTAX_CACHE=folder)
 

@@ -18,7 +18,7 @@ from ...trajectory import Linear, Problem
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """A problem, maybe of phases, its optimum, how near to it is asked for, and options of its one solve."""
+    """A problem with its known optimum, the largest relative error allowed, and options of its solve."""
 
     make: Callable[..., Any]
     optimum: float
@@ -27,17 +27,17 @@ class Known:
 
     @cached_property
     def problem(self) -> Any:
-        """Compiled."""
+        """The problem, compiled when first used."""
         return self.make()
 
     @cached_property
     def plain(self) -> Any:
-        """From the guess of the problem alone."""
+        """The result from the guess of the problem, without options."""
         return self.problem.solve()
 
     @cached_property
     def result(self) -> Any:
-        """With the options."""
+        """The result with the options."""
         return self.problem.solve(**self.options)
 
     def error(self) -> float:
@@ -46,7 +46,7 @@ class Known:
 
 
 def stated(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
-    """The problem of a system that has these rates and constraints."""
+    """A problem of a system with these rates and constraints."""
     system = tx.System(rates=dict(rates), constraints=list(constraints))
     return Problem(tx.compile(system), objective, **options)
 

@@ -1,4 +1,4 @@
-"""What is timed, a quantity of a case in one of its uses, and who takes part: this package, plain JAX, and peers."""
+"""Contenders: this package, plain JAX and peers, each with tasks that are timed in several uses."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ Task = Any
 
 @dataclasses.dataclass(frozen=True)
 class Use:
-    """What a task is asked for."""
+    """How a task is called: once, in a loop or as a batch."""
 
     name: str
     of: Callable[[Task], Timed]
@@ -104,7 +104,7 @@ class Use:
 
 
 def batch(count: int) -> Use:
-    """For many points at once."""
+    """The use of a task for many points at once."""
     return Use(f"batch of {count:,}", lambda task: task.batch(count), count)
 
 
@@ -155,7 +155,7 @@ class JaxTask:
         return self._compiled(jax.vmap, count, evaluations=count)
 
     def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
-        """For one point, or for a batch of them."""
+        """The compiled function of one point, or of a batch."""
         arguments = [jnp.asarray(a if points else a[0]) for a in self._case.points(points or 1)]
         begin = time.perf_counter()
         function = self._around(use(self._make()))
@@ -169,7 +169,7 @@ class JaxTask:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Contender:
-    """A way to have dynamics evaluated. What is done, a sentence for the page, stands in `sections.toml`."""
+    """A package, or a backend of ours, that evaluates dynamics. Its sentence on the page stands in `sections.toml`."""
 
     name: str  # in tables
     colour: str  # in figures
@@ -255,7 +255,7 @@ OPENSCVX = Contender("OpenSCvx", "C2", _openscvx, package="openscvx")
 
 
 class _Called:
-    """What is called point by point, and a loop and a batch that write into an array: as `loop.c` has them."""
+    """A task that is no JAX function: a call for one point, and a loop and a batch that write into an array."""
 
     def __init__(
         self, case: EvaluatedFunction, quantity: DerivativeKind, seconds: float, *how: Any, wrap: Any = np.asarray
@@ -359,7 +359,7 @@ def _as_numpy(ca: Any) -> Any:
 
 
 def _casadi(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
-    """Written and compiled once for all uses. Raises Lacks where gcc takes too long."""
+    """C code of CasADi, written and compiled once for all uses. Raises Lacks where gcc takes too long."""
     import casadi as ca
 
     shape, arguments = quantity.shape(case), [ca.SX.sym(name, n) for name, n in zip("abc", case.sizes, strict=True)]

@@ -107,7 +107,7 @@ def _first_call(
     effort: Effort,
     smaller: Sequence[Row | None],
 ) -> tuple[Timed, Any]:
-    """What a use is timed by, and its result. Raises Lacks where there is none, or it would take too long."""
+    """The program of a use, and its result. Raises Lacks where there is none, or where a call would take too long."""
     wait = max((row.value * use.count for row in smaller if row is not None and row.done), default=0.0)
     if wait > effort.longest:
         raise Lacks(f"a call would take {wait:.0f} s")
@@ -205,7 +205,7 @@ class Speed(Report):
 
 
 def _quantity(rows: Sequence[Row], quantity: DerivativeKind, contenders: Sequence[Contender]) -> dict[str, Any]:
-    """Its tables: ratios, times and seconds to compile; and why some are missing."""
+    """The tables of a quantity: ratios, times, seconds to compile; and why some are missing."""
     cells = {(row.group, row.setting, row.by): row for row in rows if row.what == quantity.name}
     done = {row.by for row in cells.values() if row.done}
     names = [it.name for it in contenders if it.name in done]
@@ -241,7 +241,7 @@ def _digits(value: float, digits: int) -> str:
 
 
 def _ns(seconds: float) -> str:
-    """Three digits, as the unit stays the same in a table: 1,230 ns."""
+    """A time in ns with three digits, as the unit stays the same in a table: 1,230 ns."""
     value = 1e9 * seconds
     return f"{_digits(value, max(0, 2 - math.floor(math.log10(value))))} ns" if value < 1e6 else duration(seconds)
 

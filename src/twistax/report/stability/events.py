@@ -20,7 +20,7 @@ _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK
 
 @functools.cache
 def _clock() -> tuple[tx.Dynamics, dict[str, tx.Event]]:
-    """x' = 1 from 0, so that x is the time, and events: x reaches `at`; passes 0.51 and 0.53; touches 0.55; .."""
+    """x' = 1 from 0, so that x is the time; and events by name."""
     x, at = tx.State("x"), tx.Parameter("at", value=0.5)
     conditions = {"reaching": x - at, "product": (x - 0.51) * (x - 0.53), "touching": (x - 0.55) ** 2}
     conditions |= {"late": x - 0.56, "early": x - 0.53}
@@ -39,7 +39,7 @@ def _end(name: str, at: float = 0.5) -> float:
 
 
 def _miss(wanted: float, *names: str, which: int = 0, **how: float) -> float:
-    """How far from a time it ended, s; NaN if it was not that event that ended it."""
+    """The distance of the end from a time, s; NaN if another event ended the integration."""
     sol = _ended(*names, **how)
     ended = sol.result is tx.Result.EVENT and sol.event == which
     return abs(float(sol.ts[-1]) - wanted) if ended else float("nan")
@@ -121,7 +121,7 @@ def _thrown_together() -> float:
 
 
 def _impact(depth: float) -> float:
-    """By how many s an impact on a sphere, shortly before a perigee under it, is missed: by Kepler's equation."""
+    """The error of the time of an impact on a sphere, shortly before a perigee below it, by Kepler's equation, s."""
     mu, radius, apogee = 3.986004418e14, 6.371e6, 4.2e7
     r, w = tx.State("r", shape=(2,)), tx.State("w", shape=(2,))
     orbit = tx.compile(tx.System(rates={r: w, w: -mu * r / tx.linalg.Norm(r) ** 3}))
@@ -134,7 +134,7 @@ def _impact(depth: float) -> float:
 
 
 def _begun(at_start: tx.AtStart | None) -> float:
-    """When a ball that falls from the level that ends its fall is stopped, s."""
+    """When the fall of a ball ends that begins at the level of the event, s."""
     return float(_thrown(tx.Event(_H, direction=False, at_start=at_start), speed=0.0).ts[-1])
 
 
@@ -202,7 +202,7 @@ _END = 2.0
 
 @functools.cache
 def _poses() -> tuple[float, int]:
-    """The largest error of a pose that follows the twist, and the steps taken back: a product of exponentials."""
+    """The largest error of a pose under the twists, whose truth is a product of exponentials; and rejected steps."""
     g, F = tx.State("g", group=tx.SE3), tx.Control("F", shape=(6,))
     table, method = tx.ZeroOrderHold(ts=_TIMES, values=_TWISTS), tx.RKMK(tx.tableaus.DOP853)
     driven = tx.compile(tx.System(rates={g: F}))

@@ -39,7 +39,7 @@ _spoiled = lambda t: {"F": jnp.where(t < 0.7, 1.0, jnp.nan)}  # noqa: E731
 def _case(
     what: str, by: str, name: str, expected: Expected, t1: float = 2.0, raised: bool = False, **how: Any
 ) -> Measurement:
-    """From 1; the lag from 0. What `tx.integrate` itself raises counts if that is asked for."""
+    """An integration from 1, of the lag from 0. With `raised` the error of `tx.integrate` is what counts."""
     start = {"R": np.eye(3), "w": 1.0} if name == "spinning up" else {"x": 0.0 if name == "driven" else 1.0}
     run = tx.integrate if raised else simulated
     return quick(what, by, expected, lambda: run(_system(name), start, t1=t1, method=_METHODS[by], **how))
@@ -92,7 +92,7 @@ FAILURES: Section = [
 
 
 @functools.cache
-def _thing() -> tx.Dynamics:
+def _pushed_body() -> tx.Dynamics:
     """A pose pushed by a control, with a mass."""
     g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,))
     F, m = tx.Control("F", shape=(6,)), tx.Parameter("m")
@@ -102,10 +102,10 @@ def _thing() -> tx.Dynamics:
 def _refused(
     what: str, words: str, g: Any = None, V: float = 1.0, F: float = 0.0, m: float = 1.0, **how: Any
 ) -> Measurement:
-    """Of a pose at rest that nothing pushes, but for what is given."""
+    """An integration of a pose with one wrong input, which is refused with these words."""
     start = {"g": np.eye(4) if g is None else g, "V": np.full(6, V)}
     how = {"t1": 1.0, "u": {"F": np.full(6, F)}, "params": {"m": m}} | (how if "rtol" in how else {"dt": 0.1} | how)
-    return quick(what, "tx.integrate", refused(tx.InputError, words), lambda: simulated(_thing(), start, **how))
+    return quick(what, "tx.integrate", refused(tx.InputError, words), lambda: simulated(_pushed_body(), start, **how))
 
 
 _REFLECTION, _SHEARED = np.diag([1.0, 1.0, -1.0]), np.eye(3) + 1e-3 * np.eye(3, k=1)

@@ -22,7 +22,7 @@ _BASE = '<link name="base"/>'
 
 
 def _robot(*parts: str, **options: Any) -> Mechanism:
-    """What `load` makes of a file of these lines."""
+    """The mechanism that `load` reads from a file of these lines."""
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "robot.urdf"
         path.write_text("\n".join(("<robot name='r'>", *parts, "</robot>")))

@@ -28,7 +28,7 @@ _SPIN = np.array([0.3, -0.2, 0.5, 0.4, 0.9, -0.6])
 
 
 def _momentum(body: SpatialInertia, rates: dict[Any, Any], start: dict[str, Any]) -> float:
-    """How much of [p; L] about the base a free body loses in 3 s, in parts of it."""
+    """The relative change of a free body's momentum [p; L] about the base in 3 s."""
     known = body.with_rates(rates)
     craft = Mechanism([Link(joints.Free("craft"), known, np.eye(4))], gravity=(0.0, 0.0, 0.0))
     dynamics = tx.compile(craft.system(controls=[], rates=rates, outputs={"momentum": spatial_momentum(craft)}))
@@ -51,7 +51,7 @@ def _by_states() -> float:
 
 
 def _sprung() -> float:
-    """How much energy, springs and all, a ball joint and a hinge on springs lose in 3 s, in parts of the largest."""
+    """The change of energy, springs included, of a ball joint and a hinge on springs in 3 s, over the largest part."""
     body = SpatialInertia(mass=1.2, center_of_mass=(0.2, 0.1, -0.1), inertia=np.diag([0.05, 0.06, 0.07]))
     place, y = tx.pose(position=[0.4, 0.0, 0.1]), (0.0, 1.0, 0.0)
     links = [

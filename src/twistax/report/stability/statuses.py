@@ -20,12 +20,12 @@ _OFF = 1e-3
 
 
 def _claimed(result: TrajectoryResult, least: float) -> float:
-    """How far a cost is from the least while the status is SOLVED; 0 where SOLVED is not said."""
+    """The relative distance of a cost from the least if the status is SOLVED, else 0."""
     return abs(result.cost / least - 1.0) if result.status is Status.SOLVED else 0.0
 
 
 def _to_rest(nodes: int, by_place: bool = False) -> float:
-    """One unit ahead and to rest in least time, 2 s, the end stated by a square."""
+    """Least time to a point at rest, 2 s, with the end stated by a square: the cost while SOLVED."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
     final: Any = [(p - 1.0) ** 2 <= 0.0, v == 0.0] if by_place else [p == 1.0, v**2 <= 0.0]
     options: dict[str, Any] = {"nodes": nodes, "initial": {p: 0.0, v: 0.0}, "final": final}
@@ -33,7 +33,7 @@ def _to_rest(nodes: int, by_place: bool = False) -> float:
 
 
 def _lagging(**options: Any) -> Problem:
-    """To rest behind a lag of 50 1/s, in 20 intervals of 0.1 s; the least cost is 0.36266."""
+    """A control behind a lag of 50 1/s, in 20 intervals of 0.1 s; the least cost is 0.36266."""
     x, z, u = tx.State("x"), tx.State("z"), tx.Control("u", min=-1.0, max=1.0)
     options |= {"nodes": 21, "final_time": 2.0, "initial": {x: 1.0, z: 0.0}}
     return stated({x: z, z: -50.0 * (z - u)}, tx.Minimize(running=x**2 + 0.01 * u**2), **options)
@@ -56,20 +56,20 @@ def _behind_a_lag() -> float:
 
 
 def _warm() -> float:
-    """Iterations from its own result."""
+    """Iterations of a solve that starts from its result."""
     problem, result = _solved()
     again = problem.solve(warm=result)
     return float(again.iterations) if abs(again.cost / result.cost - 1.0) <= 1e-12 else float("nan")
 
 
 def _sensitive() -> float:
-    """On free nodes that move to where the error of the mesh pays; the least cost is 1.330807."""
+    """The hypersensitive problem on free nodes, which move where mesh errors lower the cost; the least is 1.330807."""
     problem = problems.hypersensitive(nodes=Mesh(20, free=True))
     return _claimed(problem.solve(), 1.330807)
 
 
 def _chain(substeps: int) -> float:
-    """Eight links and as many motors, 16 states: from hanging to a zigzag in 1 s on 21 nodes, at the cost 0.17097."""
+    """A chain of eight links and motors from hanging to a zigzag in 1 s on 21 nodes; the least cost is 0.17097."""
     mechanics = tx.mechanics
     bar = mechanics.SpatialInertia(mass=1.0, center_of_mass=(0, 0, -0.1), inertia=np.diag([0.004, 0.004, 0.0005]))
     drive, links = mechanics.Drive(damping=0.05, armature=0.02), []
@@ -93,7 +93,7 @@ def _chain(substeps: int) -> float:
 
 
 def _above() -> float:
-    """How far what is said to be exceeded between nodes is from the top of the highest parabola, relative."""
+    """The relative error of the violation between nodes that the result reports, against the top of its parabolas."""
     x, v, u = tx.State("x"), tx.State("v"), tx.Control("u")
     ends: dict[str, Any] = {"initial": {x: 0.0, v: 1.0}, "final": {x: 0.0, v: -1.0}}
     system = tx.System(rates={x: v, v: u}, constraints={"ceiling": x <= 1.0 / 9.0})

@@ -1,4 +1,4 @@
-"""Long steps: far longer than the fastest time of a system, and of more than a full turn."""
+"""Steps far longer than the fastest time constant of a system, and rotations of more than a full turn in a step."""
 
 from __future__ import annotations
 

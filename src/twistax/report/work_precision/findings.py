@@ -51,7 +51,7 @@ class Doubt:
 
 
 def doubts(rows: Iterable[Row]) -> list[Doubt]:
-    """Methods whose errors do not get small."""
+    """The methods whose errors do not become small on a scene."""
     runs: dict[tuple[str, str], list[Row]] = {}
     for row in rows:
         runs.setdefault((row.group, row.by), []).append(row)
@@ -149,7 +149,7 @@ class Findings:
         return sorted((pair for pair in times if math.isfinite(pair[0])), key=lambda pair: pair[0])
 
     def best(self, scene: str, error: float, provider: Provider) -> tuple[float, Integrator] | None:
-        """The fastest line of a provider."""
+        """Seconds and line of a provider's fastest."""
         return next(iter(self.ranking(scene, error, [line for line in self.lines if line.provider == provider])), None)
 
     def drawn(self, scene: str) -> list[Integrator]:
@@ -178,7 +178,7 @@ class Findings:
         return sorted(firsts.items(), key=lambda item: -len(item[1]))
 
     def digits(self) -> list[tuple[str, float]]:
-        """By what one more digit multiplies the time."""
+        """The factor by which one more digit multiplies the time, by line."""
         costs = {}
         for line in (line for line in self.lines if line.provider == OURS and line.drawn):
             ratios = [self.time(s, line, TARGETS[1]) / self.time(s, line, TARGETS[0]) for s in self.scenes]
@@ -187,7 +187,7 @@ class Findings:
         return sorted(costs.items(), key=lambda item: -item[1])
 
     def ended_with(self, name: str, setting: float) -> list[float]:
-        """The errors of a method with one tolerance."""
+        """The errors that a method ended with at one tolerance."""
         rows = [row for row in self.rows if row.by == name and row.numbers["setting"] == setting and row.done]
         return [_error(row) for row in rows]
 

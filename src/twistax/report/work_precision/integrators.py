@@ -1,4 +1,4 @@
-"""The methods of the report: each with its settings and its run of a scene as a program; runs timed in turn."""
+"""The integrators of the report: each builds a program of a scene; programs of a scene are timed in turn."""
 
 from __future__ import annotations
 
@@ -26,13 +26,13 @@ from ..harness.timing import Repeats, Tell, Timed, keep, quiet, seconds_of
 
 
 def tolerances(coarsest: int, finest: int, per_decade: int) -> tuple[float, ...]:
-    """Evenly spaced in decades; the ends are exponents of ten."""
+    """Tolerances evenly spaced in decades; the ends are exponents of ten."""
     # Three digits, so that a setting reads the same in every table.
     return tuple(float(f"{t:.2e}") for t in np.logspace(coarsest, finest, (coarsest - finest) * per_decade + 1))
 
 
 def equal_steps(first: int, factor: float, most: int = 2**21) -> tuple[float, ...]:
-    """Each number of steps is `factor` times the one before."""
+    """Numbers of steps, each `factor` times the one before."""
     settings = [float(first)]
     while (more := float(round(settings[-1] * factor))) <= most:
         settings.append(more)
@@ -91,7 +91,7 @@ SHIPPED = Provider("diffrax as shipped", "`diffeqsolve` on the quaternions with 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Integrator:
-    """A method. A new one is one more in `INTEGRATORS`. Those of one title share a line: its best points count."""
+    """A method of the report. Those of one title share a line in figures, whose best points count."""
 
     name: str  # on the command line
     build: Callable[[Scene], SceneProgram]  # its run of a scene. Raises TwistaxError where it cannot do it
@@ -180,10 +180,10 @@ _PI = (0.4, 0.3)
 
 def _all() -> list[Integrator]:
     integrators = []
-    for look in _OURS:
+    for choice in _OURS:
         # What the page shows is what is run.
-        method, style = eval(look["code"], {"tx": tx}), tuple(f"tab:{look['style']}".split())
-        integrators.append(ours(method=method, equal="equal steps" in look["title"], **look | {"style": style}))
+        method, style = eval(choice["code"], {"tx": tx}), tuple(f"tab:{choice['style']}".split())
+        integrators.append(ours(method=method, equal="equal steps" in choice["title"], **choice | {"style": style}))
     looks = {"Tsit5": ("tab:orange", "o"), "Dopri5": ("goldenrod", "<"), "Dopri8": ("tab:red", "D")}
     # Two controllers on one line: diffrax's default, and proportional-integral control, which rejects fewer steps on
     # some scenes.

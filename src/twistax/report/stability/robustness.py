@@ -1,4 +1,4 @@
-"""Failures that must not lie or kill: their derivatives, their errors; and noise and drift of rounding."""
+"""Failed integrations in batches, derivatives and processes; rates with rounding noise; drift in single precision."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ _METHODS: dict[str, Any] = {
 
 @functools.cache
 def _ending() -> tx.Dynamics:
-    """A rate that is no number from k on."""
+    """x' = sqrt(k - t) - x, which is not finite from t = k on."""
     x, k, t = tx.State("x"), tx.Parameter("k", value=0.5), tx.Time()
     return tx.compile(tx.System(rates={x: tx.Sqrt(k - t) - x}))
 
 
 def _numbers_among_slopes(by: str, **how: Any) -> float:
-    """How many derivatives of an integration that fails are numbers: forward and in reverse, by start and parameter.
+    """How many derivatives of a failed integration are finite: forward and reverse mode, by start and parameter.
 
-    NaN where those of its neighbour in the batch, which does not fail, are none.
+    NaN where derivatives of the other member of the batch, which does not fail, are not finite.
     """
 
     def end(x: Any, k: Any) -> Any:
@@ -65,7 +65,7 @@ for start in ({{"x": 0.1, "v": 0.0}}, {{"x": 1.0, "v": 0.0}}):
 
 
 def _died(x64: bool) -> float:
-    """1 if a process in which integrations fail ends before they are done, else 0; NaN if none fails."""
+    """1 if a process dies of failing integrations, 0 if it ends well; NaN if no integration fails."""
     command = [sys.executable, "-c", _DYING.format(x64=x64)]
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode:
@@ -85,7 +85,7 @@ def _noisy(**how: Any) -> float:
 
 @functools.cache
 def _drifted(by: str) -> tuple[float, float, float]:
-    """After a million steps of float32: the error of a clock, of a position, and of a rotation, rad, of their way."""
+    """After a million steps in float32: errors of a clock, a position and a rotation, relative to how far they went."""
     y, g, rate = tx.State("y"), tx.State("g", group=tx.SE3), np.array([1.0, 0.0, 0.0, 0.0, 0.0, 0.01])
     system = tx.compile(tx.System(rates={y: 1.0 + 0.0 * y, g: rate}))
     start = {"y": np.float32(0.0), "g": np.eye(4, dtype=np.float32)}

@@ -1,4 +1,4 @@
-"""What a true motion keeps, how far methods let it go, and bodies with inertias, masses and places far from one."""
+"""Drift of energy, momentum and orthonormality; and bodies with extreme inertias, masses and positions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class MovingBody:
     bodies: Any = None  # its free motion, for splittings
 
     def invariants(self, xs: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
-        """What a true motion keeps of states with a leading axis, (n, ...), and its size (n,), by name.
+        """The invariants of states with a leading axis, (n, ...), and their sizes (n,), by name.
 
         Under a weight that is the energy and the vertical momentum; else also the linear momentum, and both, about the
         first position. Their size is that of what they are the sum of: the arm, which grows with the way, times the
@@ -65,7 +65,7 @@ class MovingBody:
 
 
 class Change(NamedTuple):
-    """Of what is kept, since the start, after each number of steps: as it is, and over its size then."""
+    """How far an invariant is from its start after each number of steps: absolute, and relative to its size then."""
 
     absolute: Array
     relative: Array
@@ -73,7 +73,7 @@ class Change(NamedTuple):
 
 @functools.cache
 def changes(motion: MovingBody, method: Method, dt: float, counts: tuple[int, ...]) -> dict[str, Change]:
-    """By what is kept. Vectors and matrices by their norms. Needs JAX's x64 switch."""
+    """The changes of each invariant by its name; of vectors and matrices their norms. Needs JAX's x64 switch."""
     times = np.array([0, *counts]) * dt
     options: dict[str, Any] = {"t1": float(times[-1]), "steps": max(counts), "method": method, "save_at": times}
     sol = simulated(motion.dynamics, motion.start, **options)
@@ -118,13 +118,13 @@ def free_body() -> MovingBody:
 
 @functools.cache
 def constant_twist() -> MovingBody:
-    """The same round-off at every step: the worst for matrices that nothing puts back."""
+    """A pose under a constant twist, whose round-off is the same at every step: the worst case for drift."""
     g, xi = tx.State("g", group=tx.SE3), tx.Parameter("xi", shape=(6,), value=_TWIST)
     return MovingBody(tx.compile(tx.System(rates={g: xi})), {"g": np.eye(4)})
 
 
 class _LeftAlone(GroupCoordinates):
-    """A matrix, moved by products, and never put back."""
+    """A rotation matrix that is multiplied and never orthonormalised."""
 
     def settle(self, moved: Block) -> Block:
         return moved
@@ -142,7 +142,7 @@ class Matrices(Chart):
 
 
 def _absolute(name: str, motion: Any, method: Method, dt: float, counts: tuple[int, ...], at: Any = ...) -> float:
-    """The largest change after the numbers of steps, or after one of them."""
+    """The largest change of an invariant after the numbers of steps, or after one of them."""
     return float(np.max(changes(motion(), method, dt, counts)[name].absolute[at]))
 
 
@@ -203,7 +203,7 @@ _BY = {_RK4: "RK4", _DOP853: "DOP853", _SPLITTING: "Kahan-Li 8 splitting"}
 def _runs(
     motion: Any, name: str, method: Method, dt: float, *bars: float, unit: str = "", slow: bool = True
 ) -> Section:
-    """Changes after each number of steps; the bars are for up to 1e4 and up to 1e6 of them."""
+    """Measurements after each number of steps; the bars are for up to 1e4 and up to 1e6 steps."""
     what, by = f"{name}, {motion.__name__.replace('_', ' ').replace('top', 'heavy top')}", _BY[method]
     return [
         quick(

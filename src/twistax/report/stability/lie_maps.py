@@ -95,7 +95,7 @@ def twists(count: int, largest: float, dtype: Any, below: bool = False) -> Array
 
 @dataclass(frozen=True, eq=False)
 class LieMap:
-    """A map of twists, and how far it is asked for."""
+    """A map of SE(3), the blocks of its result, and the largest angle at which it is checked."""
 
     name: str
     function: Callable[..., jax.Array]
@@ -124,7 +124,7 @@ MAPS = (
 
 
 def worst_units(mapping: LieMap, xis: Array) -> dict[str, float]:
-    """By block the largest error of a map over twists (n, 6), in units in the last place."""
+    """The largest error of a map over twists (n, 6), in units in the last place, by block."""
     with mpmath().workdps(60):
         wanted = [exact(mapping.sign * xi) for xi in xis]
         arguments = np.stack([_pose(it, xis.dtype) for it in wanted]) if mapping.of_poses else xis
@@ -252,7 +252,7 @@ def _top(duration: float, **options: Any) -> dict[str, Any]:
 
 
 def _error(**steps: float) -> float:
-    """After 2 s, in units of the precision."""
+    """The error after 2 s, in units of the precision."""
     return _TOP.error(_top(2.0, method=_DOP853, **steps), t=2.0) / _EPS
 
 
