@@ -89,7 +89,7 @@ class PeerProblem:
         return dict(self._answers[same_transcription])
 
     def ours(self) -> PeerSolve:
-        """Our solve from the naive guess; a second solve is timed, as `initialize` of OpenSCvx compiles and runs everything."""
+        """Our solve from the naive guess; a second one is timed, as `initialize` of OpenSCvx compiles and runs all."""
         it = self.known.plain
         again = self.known.problem.solve().solve_seconds
         return PeerSolve(it.cost, it.solved, it, it.iterations, it.compile_seconds, again)
