@@ -22,7 +22,7 @@ from twistax.__main__ import main
 from twistax.report import command
 from twistax.report.command import run_report
 from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, either, ends, refused, simulated
-from twistax.report.harness.measurement import Measurement
+from twistax.report.harness.measurement import Measurement, quick, table
 from twistax.report.harness.page import PageFigure, render, renew, table_of
 from twistax.report.harness.report import SectionReport, draw
 from twistax.report.harness.rows import Row, duration, number, plain
@@ -283,6 +283,18 @@ def test_a_wide_table_has_a_column_for_each_contender_and_bars_they_share_in_its
     head, table, _ = table_of(rows, wide=True)
     assert head == ["", "float64 (at most 8 ulp)", "float32"]
     assert table == [["exp", "2 ulp", ""], ["log", "**9 ulp MISSED**", "3 ulp"]]
+
+
+def test_a_table_measures_each_column_of_each_row() -> None:
+    columns = {"double": (at_most(5.0), lambda x: 2.0 * x), "off": (lambda x: at_most(x - 2.0), lambda x: abs(x))}
+    rows = [it.run("g") for it in table({"two": 2.0, "three": 3.0}, columns, quick)]
+    assert [(row.what, row.by, row.came, row.bar, row.verdict) for row in rows] == [
+        ("two", "double", "4", "at most 5", "holds"),
+        ("two", "off", "2", "at most 0", "MISSED"),
+        ("three", "double", "6", "at most 5", "MISSED"),
+        ("three", "off", "3", "at most 1", "MISSED"),
+    ]
+    assert all(it.slow for it in table({"two": 2.0}, columns))
 
 
 # ---- pages -----------------------------------------------------------------------------------------------------------

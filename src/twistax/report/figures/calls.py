@@ -12,7 +12,7 @@ import twistax as tx
 
 from ...mechanics import chain_models, forward_dynamics
 from ..harness.expected import at_most, between
-from ..harness.measurement import Measurement, Section, slow
+from ..harness.measurement import Section, table
 from ..harness.timing import Race, Repeats, Timed
 
 _SAVED = 301
@@ -58,17 +58,19 @@ def called(make: Callable[[], Any]) -> dict[str, Timed]:
     return programs | {name: jitted(more) for name, more in in_jit.items()}
 
 
-def _of(name: str, make: Callable[[], Any]) -> list[Measurement]:
-    race = Race(
+def _race(make: Callable[[], Any]) -> Race:
+    return Race(
         lambda: called(make), 1e-6, Repeats(15, 7), lambda xs: {name: values[-1] for name, values in xs.items()}
     )
-    return [
-        slow(name, f"a call, {_IN_JIT}", between(unit="ms"), race.seconds, _IN_JIT, 1e-3),
-        slow(name, "a call over the same in jit", between(), race.ratio, _END, _IN_JIT),
-        slow(name, "a call of a simulator over the same in jit", at_most(1.3), race.ratio, _MADE, _IN_JIT),
-        slow(name, f"{_SAVED} {_STEPS} over none, in jit", between(), race.ratio, _STEPS, _IN_JIT),
-        slow(name, f"{_SAVED} {_POLYNOMIALS} over none, in jit", at_most(1.2), race.ratio, _POLYNOMIALS, _IN_JIT),
-    ]
 
 
-CALLS: Section = [*_of("a body in a wind table", _body), *_of("a Panda", _panda)]
+CALLS: Section = table(
+    {"a body in a wind table": _race(_body), "a Panda": _race(_panda)},
+    {
+        f"a call, {_IN_JIT}": (between(unit="ms"), lambda race: race.seconds(_IN_JIT, 1e-3)),
+        "a call over the same in jit": (between(), lambda race: race.ratio(_END, _IN_JIT)),
+        "a call of a simulator over the same in jit": (at_most(1.3), lambda race: race.ratio(_MADE, _IN_JIT)),
+        f"{_SAVED} {_STEPS} over none, in jit": (between(), lambda race: race.ratio(_STEPS, _IN_JIT)),
+        f"{_SAVED} {_POLYNOMIALS} over none, in jit": (at_most(1.2), lambda race: race.ratio(_POLYNOMIALS, _IN_JIT)),
+    },
+)

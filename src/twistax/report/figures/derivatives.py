@@ -19,7 +19,7 @@ from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ...trajectory.declared import declared
 from ..harness.expected import at_most, between
-from ..harness.measurement import Section, quick, slow
+from ..harness.measurement import Section, quick, table
 from ..harness.timing import Repeats, Timed, agree, compiled, in_turn
 
 _REPEATS, _RK4 = Repeats(5, 5), tx.RKMK(tx.tableaus.RK4)
@@ -141,9 +141,8 @@ _COLUMNS = {
     "solution": between(unit="ms"),
     "memory": between(unit="MB"),
 }
+_column = lambda name: lambda steps: _gradient(steps)[name]  # noqa: E731
 
-GRADIENTS: Section = [
-    slow(steps, name, expected, lambda steps, name: _gradient(steps)[name], steps, name)
-    for steps in _STEPS
-    for name, expected in _COLUMNS.items()
-]
+GRADIENTS: Section = table(
+    {steps: steps for steps in _STEPS}, {name: (expected, _column(name)) for name, expected in _COLUMNS.items()}
+)

@@ -25,7 +25,7 @@ from ...integrators.charts import Chart
 from ...lowering.backends import Backend
 from ...lowering.small_call import small_call
 from ..harness.expected import Absent, at_most, between
-from ..harness.measurement import Measurement, Section, slow
+from ..harness.measurement import Section, slow, table
 from ..harness.timing import Race, Timed, compiled
 
 
@@ -56,27 +56,23 @@ def looped(method: tx.RKMK, steps: int = 20_000) -> dict[str, Timed]:
     return {name: compiled(form, _START, jnp.asarray(steps), evaluations=steps) for name, form in forms.items()}
 
 
-def _of_loops(tableau: Any, chart: Chart) -> list[Measurement]:
-    race = Race(lambda: looped(tx.RKMK(tableau, chart)), 1e-12)
-    what = f"{tableau.name}, {chart!r}"
-    return [
-        slow(what, "a step", between(unit="us"), race.seconds, "small", 1e-6),
-        slow(what, "a step of the default loop", between(unit="us"), race.seconds, "default", 1e-6),
-        slow(what, "compiling", at_most(2.0, "s"), race.compile_seconds, "small"),
-    ]
-
-
 def _charts(commutators: int) -> list[Chart]:
     c = tx.charts
     return [c.Exponential(commutators), c.Exponential(), c.SplitExponential(commutators), c.Ambient()]
 
 
-STEPS: Section = [
-    row
-    for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
-    for chart in _charts(tableau.order - 2)
-    for row in _of_loops(tableau, chart)
-]
+STEPS: Section = table(
+    {
+        f"{tableau.name}, {chart!r}": Race(functools.partial(looped, tx.RKMK(tableau, chart)), 1e-12)
+        for tableau in (tx.tableaus.RK4, tx.tableaus.TSIT5, tx.tableaus.DOP853)
+        for chart in _charts(tableau.order - 2)
+    },
+    {
+        "a step": (between(unit="us"), lambda race: race.seconds("small", 1e-6)),
+        "a step of the default loop": (between(unit="us"), lambda race: race.seconds("default", 1e-6)),
+        "compiling": (at_most(2.0, "s"), lambda race: race.compile_seconds("small")),
+    },
+)
 
 _ADAPTIVE = "adaptive"
 

@@ -5,11 +5,15 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Iterator
-from typing import Any
+from collections.abc import Callable, Iterator, Mapping
+from typing import Any, TypeVar
 
 from .expected import Absent, EarlyEnd, Expected, Outcome, judged
 from .rows import DONE, Row, first_line, now
+
+T = TypeVar("T")
+#: What is asked of the numbers of a column, maybe by row; and what gives the number of a row.
+Column = tuple[Expected | Callable[[T], Expected], Callable[[T], Any]]
 
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 
@@ -71,3 +75,12 @@ def explained(section: Section) -> Iterator[tuple[str, Measurement]]:
             why = item
         else:
             yield why, item
+
+
+def table(rows: Mapping[str, T], columns: Mapping[str, Column[T]], kind: Callable[..., Measurement] = slow) -> Section:
+    """A measurement for each row and column, each of which has a name; they are `quick` or `slow`."""
+    return [
+        kind(what, by, expected if isinstance(expected, Expected) else expected(row), measure, row)
+        for what, row in rows.items()
+        for by, (expected, measure) in columns.items()
+    ]

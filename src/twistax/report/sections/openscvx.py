@@ -23,7 +23,7 @@ from ...trajectory import Linear, Mesh, Problem
 from ...trajectory.conditions import split
 from ...trajectory.result import Trajectory
 from ..harness.expected import at_most, between, needed
-from ..harness.measurement import Section, slow
+from ..harness.measurement import Section, slow, table
 from . import flights, problems
 from .problems import Known
 
@@ -191,13 +191,15 @@ def _missed(solve: PeerSolve) -> float:
     return max(miss for of_state in solve.trajectory.dense.misses.values() for miss in of_state.values())
 
 
-def _rows(name: str, it: PeerProblem) -> Iterator[Any]:
+def _rows(name: str, it: PeerProblem) -> Section:
     solves: dict[str, Callable[[], PeerSolve]] = {
-        "twistax": functools.cache(it.ours),
-        "OpenSCvx as it comes": functools.cache(_of(it.theirs, same_transcription=False)),
-        "OpenSCvx, held controls and weights of its own": functools.cache(_of(it.theirs, same_transcription=True)),
+        f"{name}, twistax": functools.cache(it.ours),
+        f"{name}, OpenSCvx as it comes": functools.cache(_of(it.theirs, same_transcription=False)),
+        f"{name}, OpenSCvx, held controls and weights of its own": functools.cache(
+            _of(it.theirs, same_transcription=True)
+        ),
     }
-    measures: dict[str, Callable[[PeerSolve], float]] = {
+    columns: dict[str, Callable[[PeerSolve], float]] = {
         "apart": lambda solve: abs(solve.value / it.optimum - 1.0),
         "says that it is solved": lambda solve: float(solve.says_solved),
         "a rollout misses the end by": _missed,
@@ -206,10 +208,9 @@ def _rows(name: str, it: PeerProblem) -> Iterator[Any]:
         "compile, s": lambda solve: solve.compile_seconds,
         "solve, ms": lambda solve: 1e3 * solve.solve_seconds,
     }
-    yield slow(f"{name}, both", "statements differ by", at_most(1e-10), it.difference)
-    for who, solve in solves.items():
-        for by, measure in measures.items():
-            yield slow(f"{name}, {who}", by, between(), lambda solve=solve, measure=measure: measure(solve()))
+    measured = lambda column: lambda solve: column(solve())  # noqa: E731
+    both = slow(f"{name}, both", "statements differ by", at_most(1e-10), it.difference)
+    return [both, *table(solves, {by: (between(), measured(column)) for by, column in columns.items()})]
 
 
 OPENSCVX: Section = [row for name, it in PROBLEMS.items() for row in _rows(name, it)]

@@ -15,7 +15,7 @@ import twistax as tx
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
 from ..harness.expected import Absent, at_most, between, needed
-from ..harness.measurement import Measurement, Section, slow
+from ..harness.measurement import Section, slow, table
 from ..harness.timing import printed
 from . import cops, flights, problems
 from .problems import FIVE_SWITCHES, Known
@@ -82,16 +82,15 @@ def _reached(it: Known) -> float:
     return float(sum(same)) if best.solved else 0.0
 
 
-def _published(name: str, it: Known) -> list[Measurement]:
-    return [
-        slow(name, "apart", at_most(it.bar), it.error),
-        slow(name, "starts that reach it, of 8", between(), _reached, it),
-        slow(name, "beyond limits between nodes", between(), lambda: _beyond(it.plain)),
-        slow(name, "compile, s", between(), lambda: it.result.compile_seconds),
-    ]
-
-
-PUBLISHED: Section = [check for name, it in PROBLEMS.items() for check in _published(name, it)]
+PUBLISHED: Section = table(
+    PROBLEMS,
+    {
+        "apart": (lambda it: at_most(it.bar), Known.error),
+        "starts that reach it, of 8": (between(), _reached),
+        "beyond limits between nodes": (between(), lambda it: _beyond(it.plain)),
+        "compile, s": (between(), lambda it: it.result.compile_seconds),
+    },
+)
 
 # ---- on refined meshes -----------------------------------------------------------------------------------------------
 
@@ -117,18 +116,19 @@ KNOWN: dict[str, Known] = {
 }
 
 
-def _on_meshes(name: str, it: Known) -> list[Measurement]:
-    error = lambda: float(np.max(it.result.meshes[-1].error))  # noqa: E731
-    return [
-        slow(name, "apart", at_most(it.bar), it.error),
-        slow(name, "meshes", between(), lambda: len(it.result.meshes)),
-        slow(name, "nodes of the last", between(), lambda: it.result.meshes[-1].nodes),
-        slow(name, "largest error of an interval", at_most(it.options["refine"]), error),
-        slow(name, "beyond limits between nodes", between(), lambda: _beyond(it.result)),
-    ]
-
-
-REFINED: Section = [check for name, it in KNOWN.items() for check in _on_meshes(name, it)]
+REFINED: Section = table(
+    KNOWN,
+    {
+        "apart": (lambda it: at_most(it.bar), Known.error),
+        "meshes": (between(), lambda it: len(it.result.meshes)),
+        "nodes of the last": (between(), lambda it: it.result.meshes[-1].nodes),
+        "largest error of an interval": (
+            lambda it: at_most(it.options["refine"]),
+            lambda it: np.max(it.result.meshes[-1].error),
+        ),
+        "beyond limits between nodes": (between(), lambda it: _beyond(it.result)),
+    },
+)
 
 # ---- beside other solvers --------------------------------------------------------------------------------------------
 
@@ -159,14 +159,8 @@ def _timed(name: str, by: str) -> TrajectoryResult:
     return result
 
 
-def _iterations(name: str, by: str) -> float:
-    return float(_timed(name, by).iterations)
-
-
-def _milliseconds(name: str, by: str) -> float:
-    return 1e3 * _timed(name, by).solve_seconds
-
-
+_iterations = lambda name, by: _timed(name, by).iterations  # noqa: E731
+_milliseconds = lambda name, by: 1e3 * _timed(name, by).solve_seconds  # noqa: E731
 SOLVERS: Section = [
     slow(name, f"{by}, {unit}", between(), measure, name, by, place=(by, float(row)) if unit == "ms" else None)
     for row, name in enumerate(PROBLEMS, 1)
@@ -238,27 +232,24 @@ def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
     return share
 
 
-def _first_solve(problem: str, cached: bool) -> float:
-    """Seconds of processor time of the first solve of a process, the median of three that are not the first one."""
-    code = _FIRST_SOLVE.format(problem)
-    with tempfile.TemporaryDirectory() as folder:
-        environment = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
-        printed(code, **environment)
-        return statistics.median(printed(code, **environment) for _ in range(3))
+def _first_solve(problem: str, cache: str = "", processes: int = 4) -> float:
+    """Seconds of processor time of the first solve of a process, the median of some processes after the first one.
 
-
-def _nothing_there(problem: str) -> float:
-    """Seconds of processor time of the first solve of a process that finds no kernels on the disk."""
+    The variable `cache` of the environment names an empty folder.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        return printed(_FIRST_SOLVE.format(problem), TWISTAX_CACHE=folder)
+        environment = {cache: folder} if cache else {}
+        seconds = [printed(_FIRST_SOLVE.format(problem), **environment) for _ in range(processes)]
+        return statistics.median(seconds[1:] or seconds)
 
 
 _FIRST, _CHAIN = (f"first solve of a process, {it}" for it in ("quadrotor of 25 nodes", "ten masses, 63 states"))
+_QUADROTOR, _MASSES, _XLA_CACHE = "quadrotor(25)", "chain_of_masses()", "JAX_COMPILATION_CACHE_DIR"
 TIMES: Section = [
     slow("64 quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once, _quadrotors),
     slow("1,024 double integrators by solve_many", "a case over one alone", at_most(0.3), _at_once, _integrators),
-    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", False),
-    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", True),
-    slow(_CHAIN, "processor time, nothing on the disk, s", at_most(15.0), _nothing_there, "chain_of_masses()"),
-    slow(_CHAIN, "processor time, kernels on the disk, s", at_most(15.0), _first_solve, "chain_of_masses()", False),
+    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, _QUADROTOR),
+    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, _QUADROTOR, _XLA_CACHE),
+    slow(_CHAIN, "processor time, nothing on the disk, s", at_most(15.0), _first_solve, _MASSES, "TWISTAX_CACHE", 1),
+    slow(_CHAIN, "processor time, kernels on the disk, s", at_most(15.0), _first_solve, _MASSES),
 ]
