@@ -25,7 +25,7 @@ from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, 
 from twistax.report.harness.measurement import Measurement, quick, table
 from twistax.report.harness.page import PageFigure, render, renew, table_of
 from twistax.report.harness.report import SectionReport, draw
-from twistax.report.harness.rows import Row, duration, number, plain
+from twistax.report.harness.rows import ReportRow, duration, number, plain
 from twistax.report.harness.store import Origin, Store, save_csv
 from twistax.report.harness.timing import Race, Repeats, Timed, agree, compiled, in_turn
 
@@ -49,7 +49,7 @@ def test_measured_numbers_have_two_or_three_digits() -> None:
 
 def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
-    row = Row("scene", "one call", "RK4", "steps 8", math.nan, "s", numbers={"error": 1e-3, "fastest": math.nan})
+    row = ReportRow("scene", "one call", "RK4", "steps 8", math.nan, "s", numbers={"error": 1e-3, "fastest": math.nan})
     Store(path, ORIGIN).add([row])
     again = Store(path, ORIGIN)
     assert (len(again), again.dropped) == (1, 0)
@@ -66,7 +66,8 @@ def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Pat
 
 def test_a_table_has_each_column_once(tmp_path: Path) -> None:
     save_csv(
-        tmp_path / "rows.csv", [Row("scene", "one call", "RK4", "steps 8", 1.0, numbers={"setting": 8.0, "error": 2.0})]
+        tmp_path / "rows.csv",
+        [ReportRow("scene", "one call", "RK4", "steps 8", 1.0, numbers={"setting": 8.0, "error": 2.0})],
     )
     head, row = (line.split(",") for line in (tmp_path / "rows.csv").read_text().splitlines())
     assert len(set(head)) == len(head)
@@ -276,9 +277,9 @@ def test_the_figure_shows_numbers_and_ends() -> None:
 
 def test_a_wide_table_has_a_column_for_each_contender_and_bars_they_share_in_its_head() -> None:
     rows = [
-        Row("g", "exp", "float64", value=2.0, unit="ulp", bar="at most 8 ulp", holds=True),
-        Row("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
-        Row("g", "log", "float32", value=3.0, unit="ulp"),
+        ReportRow("g", "exp", "float64", value=2.0, unit="ulp", bar="at most 8 ulp", holds=True),
+        ReportRow("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
+        ReportRow("g", "log", "float32", value=3.0, unit="ulp"),
     ]
     head, table, _ = table_of(rows, wide=True)
     assert head == ["", "float64 (at most 8 ulp)", "float32"]
@@ -330,7 +331,7 @@ def test_only_whole_tables_are_put_into_a_document(tmp_path: Path, capsys: pytes
     document.write_text(f"<!-- stability: long -->\n{stale}<!-- figures: a -->\n{stale}<!-- speed: bars -->\n{stale}")
     for name, group, whole in (("figures", "a", True), ("speed", "bars", False)):
         store = Store(tmp_path / f"{name}.json", ORIGIN)
-        store.save([Row(group, "it", "us", value=3.0)], whole)
+        store.save([ReportRow(group, "it", "us", value=3.0)], whole)
     assert run(tmp_path, renew=document, only=["long"]) == 0
     assert "renewed   " in (told := capsys.readouterr().out)
     assert "measured.md: stability: long\n" in told

@@ -15,7 +15,7 @@ import pytest
 
 import twistax as tx
 from twistax.report.command import run_report
-from twistax.report.harness.rows import Row
+from twistax.report.harness.rows import ReportRow
 from twistax.report.harness.store import Origin, Store
 from twistax.report.harness.timing import Repeats, Timed
 from twistax.report.speed import page
@@ -135,8 +135,8 @@ def test_what_was_measured_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_bars_are_ratios_and_seconds_to_compile() -> None:
-    def row(by: str, value: float, use: str = "in a loop") -> Row:
-        return Row("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
+    def row(by: str, value: float, use: str = "in a loop") -> ReportRow:
+        return ReportRow("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
 
     found = {
         (each.by, each.setting): each
@@ -153,7 +153,7 @@ def test_bars_are_ratios_and_seconds_to_compile() -> None:
 
 def measured(
     store: Store, contenders: Sequence[Contender], case: EvaluatedFunction = CASES["free-body"]
-) -> dict[Any, Row]:
+) -> dict[Any, ReportRow]:
     measure(case, VALUE, [SINGLE, LOOP, batch(8)], contenders, SHORT, store)
     return {(row.by, row.setting): row for row in store}
 

@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 
 from twistax.report.harness.page import render
-from twistax.report.harness.rows import Row
+from twistax.report.harness.rows import ReportRow
 from twistax.report.harness.store import Origin
 from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
 from twistax.report.work_precision.integrators import INTEGRATORS, OURS, QUICK, WHAT, equal_steps, tolerances
@@ -45,13 +45,15 @@ def row(
     setting: float = 1e-8,
     unit: str = "tolerance",
     note: str = "done",
-) -> Row:
+) -> ReportRow:
     numbers = {"setting": setting, "error": error, "compile_seconds": 0.5}
     numbers |= {"evaluations": 100.0, "accepted": 10.0, "rejected": 1.0}
-    return Row(scene, WHAT, method, f"{unit} {setting:g}", seconds, "s", note=note, sitting="then", numbers=numbers)
+    return ReportRow(
+        scene, WHAT, method, f"{unit} {setting:g}", seconds, "s", note=note, sitting="then", numbers=numbers
+    )
 
 
-def runs(scene: str, method: str, scale: float, order: int) -> list[Row]:
+def runs(scene: str, method: str, scale: float, order: int) -> list[ReportRow]:
     """Time scale * error^(-1 / order), so that time at 1e-6 is scale * 10^(6 / order)."""
     settings = [10.0**-k for k in range(4, 12)]
     return [row(error, scale * error ** (-1.0 / order), scene, method, error) for error in settings]

@@ -16,7 +16,7 @@ import jax
 from ..progress import Progress
 from .harness.page import PageFigure, Table, render, renew, table_of
 from .harness.report import Report
-from .harness.rows import Row
+from .harness.rows import ReportRow
 from .harness.store import Origin, Store, save_csv
 from .harness.timing import Tell, quiet, within
 
@@ -149,12 +149,12 @@ def _draw(report: Report, folder: Path) -> Mapping[str, PageFigure] | None:
 
 def _tables(folder: Path, name: str, complete: bool) -> dict[str, Table]:
     """The tables of this run's bars by name; after a complete run those of other complete runs in the folder, too."""
-    groups: dict[str, list[Row]] = {}
+    groups: dict[str, list[ReportRow]] = {}
     for report in _REPORTS if complete else [name]:
         path = folder / f"{report}.json"
         document = json.loads(path.read_text()) if path.exists() else {}
         for record in document["bars"] if report == name or document.get("whole") else ():
-            row = Row.of(record)
+            row = ReportRow.of(record)
             groups.setdefault(f"{report}: {row.group}", []).append(row)
     tables = {name: table_of(rows, wide=False) for name, rows in groups.items()}
     return tables | {f"{name}, wide": table_of(rows, wide=True) for name, rows in groups.items()}

@@ -12,7 +12,8 @@ from typing import Any
 from ..harness.expected import at_most, between, judged
 from ..harness.page import texts
 from ..harness.report import Report
-from ..harness.rows import DONE, Row, now, number
+from ..harness.rows import DONE, now, number
+from ..harness.rows import ReportRow as Row
 from ..harness.timing import Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased

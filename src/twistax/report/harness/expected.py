@@ -11,7 +11,7 @@ from typing import Any
 
 import twistax as tx
 
-from .rows import Row, first_line, number
+from .rows import ReportRow, first_line, number
 
 #: What a measurement gives: a number, or what was raised in place of one.
 Outcome = float | Exception
@@ -87,7 +87,7 @@ def either(first: Expected, second: Expected) -> Expected:
     return Expected(f"{first.text}, or {second.text}", lambda came: first.met(came) or second.met(came))
 
 
-def judged(row: Row, expected: Expected, came: Outcome | None = None) -> Row:
+def judged(row: ReportRow, expected: Expected, came: Outcome | None = None) -> ReportRow:
     """The row with its bar and whether that holds, of its value if nothing else came; what is missing is not judged."""
     missing = math.isnan(row.value) if came is None else isinstance(came, (Absent, ImportError))
     met = expected.met(row.value if came is None else came)

@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any, TypeVar
 
 from .expected import Absent, EarlyEnd, Expected, Outcome, judged
-from .rows import DONE, Row, first_line, now
+from .rows import DONE, ReportRow, first_line, now
 
 T = TypeVar("T")
 #: What is asked of the numbers of a column, maybe by row; and what gives the number of a row.
@@ -44,9 +44,9 @@ class Measurement:
         self.what, self.by, self.expected, self.slow, self.place = what, by, expected, slow, place
         self._measure = functools.partial(measure, *arguments, **options)
 
-    def run(self, section: str = "") -> Row:
+    def run(self, section: str = "") -> ReportRow:
         """Measure. What is raised is the outcome, and stands in the note."""
-        row = Row(section, self.what, self.by, sitting=now())
+        row = ReportRow(section, self.what, self.by, sitting=now())
         try:
             came: Outcome = float(self._measure())
         except Exception as failure:

@@ -11,7 +11,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
-from .rows import Row, duration, plain
+from .rows import ReportRow, duration, plain
 
 _TEMPLATES = Path(__file__).with_name("templates")
 
@@ -71,7 +71,7 @@ def _span(values: Iterable[float]) -> str:
     return low if low == high else f"{low} to {high}"
 
 
-def bar_table(rows: Sequence[Row]) -> Table:
+def bar_table(rows: Sequence[ReportRow]) -> Table:
     """One line for each row: what, by whom, with what, and what came of the bar."""
     settings = any(row.setting for row in rows)
     head = ["what", "by", *(["setting"] if settings else []), "measured", "bar", ""]
@@ -79,7 +79,7 @@ def bar_table(rows: Sequence[Row]) -> Table:
     return head, table, len(head)
 
 
-def table_of(rows: Sequence[Row], wide: bool) -> Table:
+def table_of(rows: Sequence[ReportRow], wide: bool) -> Table:
     """As `bar_table`, or with a column for each `by`, whose head has the bar that its rows share."""
     if not wide:
         return bar_table(rows)
@@ -92,7 +92,7 @@ def table_of(rows: Sequence[Row], wide: bool) -> Table:
     return head, [[what, *(cells.get((what, by), "") for by in columns)] for what in names], 1
 
 
-def _cell(row: Row, with_bar: bool) -> str:
+def _cell(row: ReportRow, with_bar: bool) -> str:
     text = f"{row.came} ({row.bar})" if with_bar and row.bar else row.came
     return f"**{text} MISSED**" if row.holds is False else text
 

@@ -12,7 +12,7 @@ from typing import Any, ClassVar
 
 from .measurement import Measurement, Section, explained
 from .page import as_svg, panels, table_of, texts
-from .rows import Row
+from .rows import ReportRow
 from .store import Store
 from .timing import Tell
 
@@ -36,12 +36,12 @@ class Report(ABC):
     def measure(self, part: str, tell: Tell) -> None:
         """Put into the store what is not there yet."""
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[ReportRow]:
         """What this run is about, in order."""
         return [row for part in self.parts for row in self.store if row.group == part]
 
     @abstractmethod
-    def bars(self, part: str) -> list[Row]:
+    def bars(self, part: str) -> list[ReportRow]:
         """The judged rows of a part: printed, and put into documents by groups."""
 
     @abstractmethod
@@ -83,15 +83,15 @@ class SectionReport(Report):
                 tell(f"{it.what}, {it.by}", i / len(measurements))
                 self.store.add([it.run(part)])
 
-    def _measured(self, part: str) -> list[tuple[Row, str, Measurement]]:
+    def _measured(self, part: str) -> list[tuple[ReportRow, str, Measurement]]:
         """The rows there are, each with its sentence and its measurement."""
         rows = [(self.store.get(part, it.what, it.by), why, it) for why, it in self._sections[part]]
         return [(row, why, it) for row, why, it in rows if row]
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[ReportRow]:
         return [row for part in self.parts for row in self.bars(part)]
 
-    def bars(self, part: str) -> list[Row]:
+    def bars(self, part: str) -> list[ReportRow]:
         return [row for row, _, _ in self._measured(part)]
 
     def problems(self) -> list[str]:
@@ -122,7 +122,7 @@ class SectionReport(Report):
         return {**about, **values, "reasons": list(filter(None, dict.fromkeys(whys))) if wide else []}
 
 
-def draw(rows: Sequence[tuple[Row, tuple[str, float] | None]], about: Mapping[str, Any]) -> bytes:
+def draw(rows: Sequence[tuple[ReportRow, tuple[str, float] | None]], about: Mapping[str, Any]) -> bytes:
     """The figure of a section as SVG, of rows with line and x; a cross at the upper edge where it ended early.
 
     Both axes are logarithmic, that of x not where things are counted.

@@ -15,7 +15,7 @@ Key = tuple[str, str, str, str]
 
 
 @dataclasses.dataclass(frozen=True)
-class Row:
+class ReportRow:
     """One measured value, and whether it is what was asked for."""
 
     group: str  # the scene, function or section it belongs to
@@ -59,7 +59,7 @@ class Row:
         return dataclasses.asdict(self) | {"value": value, "numbers": dict(zip(self.numbers, numbers, strict=True))}
 
     @classmethod
-    def of(cls, record: Mapping[str, Any]) -> Row:
+    def of(cls, record: Mapping[str, Any]) -> ReportRow:
         """The row of a record. Raises KeyError or TypeError for what is none."""
         value, *numbers = (math.nan if v is None else float(v) for v in (record["value"], *record["numbers"].values()))
         return cls(**{**record, "value": value, "numbers": dict(zip(record["numbers"], numbers, strict=True))})

@@ -17,7 +17,7 @@ import jax
 
 import twistax
 
-from .rows import Key, Row
+from .rows import Key, ReportRow
 
 #: What native kernels need, and what stands for the version of a package that is not installed.
 KERNELS, ABSENT = "llvmlite", "absent"
@@ -78,11 +78,11 @@ class Store:
 
     def __init__(self, path: Path, origin: Origin) -> None:
         self._path, self.origin = path, origin
-        self._rows: dict[Key, Row] = {}
+        self._rows: dict[Key, ReportRow] = {}
         self.dropped = 0
         try:
             document = json.loads(path.read_text())
-            rows = [Row.of(record) for record in document["rows"]]
+            rows = [ReportRow.of(record) for record in document["rows"]]
             if document["digest"] == origin.digest:
                 self._rows = {row.key: row for row in rows}
             else:
@@ -90,11 +90,11 @@ class Store:
         except (FileNotFoundError, ValueError, KeyError, TypeError):
             pass
 
-    def get(self, group: str, what: str, by: str, setting: str = "") -> Row | None:
+    def get(self, group: str, what: str, by: str, setting: str = "") -> ReportRow | None:
         """The row of that key, or None."""
         return self._rows.get((group, what, by, setting))
 
-    def add(self, rows: Iterable[Row]) -> None:
+    def add(self, rows: Iterable[ReportRow]) -> None:
         """Keep rows, on disk too."""
         self._rows |= {row.key: row for row in rows}
         self.save()
@@ -103,7 +103,7 @@ class Store:
         """Drop the rows of a group."""
         self._rows = {key: row for key, row in self._rows.items() if row.group != group}
 
-    def save(self, bars: Sequence[Row] = (), complete: bool = False) -> None:
+    def save(self, bars: Sequence[ReportRow] = (), complete: bool = False) -> None:
         """Write strict JSON, a row a line, with rows about rows beside them, and whether the run left nothing out."""
         head = dataclasses.asdict(self.origin) | {"digest": self.origin.digest, "whole": complete}
         parts = [f"{json.dumps(name)}: {json.dumps(value)}" for name, value in head.items()]
@@ -115,17 +115,17 @@ class Store:
         draft.write_text("{\n" + ",\n".join(parts) + "\n}\n")
         draft.replace(self._path)
 
-    def __iter__(self) -> Iterator[Row]:
+    def __iter__(self) -> Iterator[ReportRow]:
         return iter(self._rows.values())
 
     def __len__(self) -> int:
         return len(self._rows)
 
 
-def save_csv(path: Path, rows: Iterable[Row]) -> None:
+def save_csv(path: Path, rows: Iterable[ReportRow]) -> None:
     """One row a line; further numbers are columns of their own."""
     records = [row.record() for row in rows]
-    columns = [field.name for field in dataclasses.fields(Row) if field.name != "numbers"]
+    columns = [field.name for field in dataclasses.fields(ReportRow) if field.name != "numbers"]
     numbers = dict.fromkeys(name for record in records for name in record["numbers"] if name not in columns)
     with path.open("w", newline="") as file:
         table = csv.DictWriter(file, [*columns, *numbers], lineterminator="\n")

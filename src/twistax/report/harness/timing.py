@@ -17,7 +17,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .rows import Row
+from .rows import ReportRow
 from .store import Store
 
 #: Called with what is going on, and how much of the present part is done, 0 to 1.
@@ -141,7 +141,7 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
                 it.samples.extend(seconds_of(it.call) for _ in range(_CALLS if short else 1))
 
 
-def keep(pairs: Sequence[tuple[Row, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:
+def keep(pairs: Sequence[tuple[ReportRow, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:
     """Time programs of rows in turn, but for those with samples already, and put all rows into the store."""
     timed = [(row, it if row.done else None) for row, it in pairs]
     in_turn([it for _, it in timed if it and not it.samples], repeats, tell)

@@ -17,7 +17,7 @@ from ...trajectory.many import processors
 from ..harness.expected import at_most, judged
 from ..harness.page import Table, as_svg, panels, texts
 from ..harness.report import Report
-from ..harness.rows import Row, duration, first_line, now
+from ..harness.rows import ReportRow, duration, first_line, now
 from ..harness.store import Store
 from ..harness.timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet, within
 from .cases import CASES, EvaluatedFunction
@@ -75,11 +75,11 @@ def measure(
         if all(store.get(case.name, quantity.name, contender.name, use.name) for contender in contenders):
             continue
         tell_use = within(tell, number, len(uses), f"{quantity.name}, {use.name}: ")
-        pairs: list[tuple[Row, Timed | None]] = []
+        pairs: list[tuple[ReportRow, Timed | None]] = []
         reference, sitting = None, now()
         for i, contender in enumerate(contenders):
             tell_use(f"compiling {contender.name}", 0.5 * i / len(contenders))
-            row = Row(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
+            row = ReportRow(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
             smaller = [store.get(*row.key[:3], it.name) for it in uses if 0 < it.count < use.count]
             try:
                 timed, result = _first_call(case, quantity, use, contender, tasks, effort, smaller)
@@ -105,7 +105,7 @@ def _first_call(
     contender: Contender,
     tasks: dict[str, Task],
     effort: Effort,
-    smaller: Sequence[Row | None],
+    smaller: Sequence[ReportRow | None],
 ) -> tuple[Timed, Any]:
     """The program of a use, and its result. Raises Lacks where there is none, or where a call would take too long."""
     wait = max((row.value * use.count for row in smaller if row is not None and row.done), default=0.0)
@@ -133,7 +133,7 @@ _BASES = (PLAIN.name, CASADI.name)
 _BARS = json.loads(Path(__file__).with_name("bars.json").read_text())
 
 
-def bar_rows(rows: Sequence[Row], case: str) -> list[Row]:
+def bar_rows(rows: Sequence[ReportRow], case: str) -> list[ReportRow]:
     """Every bar of a case that was run with its quantity and use."""
     done = {row.key: row for row in rows if row.done}
     result = []
@@ -145,7 +145,7 @@ def bar_rows(rows: Sequence[Row], case: str) -> list[Row]:
             value, setting, unit = row.numbers["compile_seconds"] if row else math.nan, "compiling", "s"
         else:
             value, setting, unit = row.value / base.value if row and base else math.nan, f"over {against}", ""
-        ratio = Row("bars", f"{CASES[case].title}, {quantity}, {use}", name, setting, value)
+        ratio = ReportRow("bars", f"{CASES[case].title}, {quantity}, {use}", name, setting, value)
         result.append(judged(ratio, at_most(limit, unit)))
     return result
 
@@ -170,21 +170,21 @@ class Speed(Report):
             tell_quantity = within(tell, number, len(quantities))
             measure(CASES[part], quantity, uses, self._contenders, self._effort, self.store, tell_quantity)
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[ReportRow]:
         present = {it.name for it in self._contenders}
         return [row for row in super().rows() if row.by in present]
 
-    def bars(self, part: str) -> list[Row]:
+    def bars(self, part: str) -> list[ReportRow]:
         return bar_rows(self.rows(), part)
 
-    def _wrong(self) -> list[Row]:
+    def _wrong(self) -> list[ReportRow]:
         return [row for row in self.rows() if row.note.startswith("disagrees")]
 
     def problems(self) -> list[str]:
         return [f"{row.by} {row.note}: {row.group} {row.what} {row.setting}" for row in self._wrong()]
 
     def drawings(self) -> dict[str, Callable[[], bytes]]:
-        timed: dict[str, list[Row]] = {}
+        timed: dict[str, list[ReportRow]] = {}
         for row in self.rows():
             if row.done:
                 timed.setdefault(f"speed-{row.what}", []).append(row)
@@ -204,26 +204,26 @@ class Speed(Report):
         }
 
 
-def _quantity(rows: Sequence[Row], quantity: DerivativeKind, contenders: Sequence[Contender]) -> dict[str, Any]:
+def _quantity(rows: Sequence[ReportRow], quantity: DerivativeKind, contenders: Sequence[Contender]) -> dict[str, Any]:
     """The tables of a quantity: ratios, times, seconds to compile; and why some are missing."""
     cells = {(row.group, row.setting, row.by): row for row in rows if row.what == quantity.name}
     done = {row.by for row in cells.values() if row.done}
     names = [it.name for it in contenders if it.name in done]
     compared = [name for name in names if name not in _BASES]
 
-    def table(columns: Sequence[str], text: Callable[[Row], str]) -> Table:
+    def table(columns: Sequence[str], text: Callable[[ReportRow], str]) -> Table:
         lines = [
             [CASES[case].title, use, *(text(row) if (row := cells.get((case, use, name))) else "-" for name in columns)]
             for case, use in dict.fromkeys(key[:2] for key in cells)
         ]
         return ["function", "use", *columns], lines, 2
 
-    def ratios(row: Row) -> str:
+    def ratios(row: ReportRow) -> str:
         bases = [cells.get((row.group, row.setting, name)) for name in _BASES]
         over = [row.value / base.value if base else math.nan for base in bases]
         return " / ".join(_digits(ratio, 2 if ratio >= 0.095 else 3) for ratio in over)
 
-    def spread(row: Row) -> str:
+    def spread(row: ReportRow) -> str:
         return f"{_ns(row.value)} ({_ns(row.numbers['lower'])} to {_ns(row.numbers['upper'])})" if row.done else "-"
 
     return {
@@ -246,7 +246,7 @@ def _ns(seconds: float) -> str:
     return f"{_digits(value, max(0, 2 - math.floor(math.log10(value))))} ns" if value < 1e6 else duration(seconds)
 
 
-def draw(timed: Sequence[Row], contenders: Sequence[Contender]) -> bytes:
+def draw(timed: Sequence[ReportRow], contenders: Sequence[Contender]) -> bytes:
     """The figure of a quantity as SVG; dots at the median, lines between the quartiles."""
     cases = [case for name, case in CASES.items() if any(row.group == name for row in timed)]
     uses = list(dict.fromkeys(row.setting for row in timed))

@@ -15,7 +15,7 @@ import numpy as np
 
 from ...scenes import SCENES
 from ..harness.expected import at_most, judged
-from ..harness.rows import Row, plain
+from ..harness.rows import ReportRow, plain
 from .integrators import INTEGRATORS, OURS, Integrator, Provider
 
 #: Errors at which methods are compared.
@@ -28,7 +28,7 @@ _TOLERANCES = 100.0
 _ROUND_OFF = 1e-16
 
 
-def _error(row: Row) -> float:
+def _error(row: ReportRow) -> float:
     return row.numbers.get("error", math.nan)
 
 
@@ -50,9 +50,9 @@ class Doubt:
         return f"{self.method} on {self.scene}: {best}{self.excuse or 'and does not fall: IT DISAGREES'}"
 
 
-def doubts(rows: Iterable[Row]) -> list[Doubt]:
+def doubts(rows: Iterable[ReportRow]) -> list[Doubt]:
     """The methods whose errors do not become small on a scene."""
-    runs: dict[tuple[str, str], list[Row]] = {}
+    runs: dict[tuple[str, str], list[ReportRow]] = {}
     for row in rows:
         runs.setdefault((row.group, row.by), []).append(row)
     result = []
@@ -66,7 +66,7 @@ def doubts(rows: Iterable[Row]) -> list[Doubt]:
     return result
 
 
-def _excuse(done: list[Row]) -> str:
+def _excuse(done: list[ReportRow]) -> str:
     if not done:
         return "none of its runs reached the end"
     last = done[-1]
@@ -80,20 +80,20 @@ def _excuse(done: list[Row]) -> str:
 # ---- the time at an error -------------------------------------------------------------------------------------------
 
 
-class Curve(tuple[Row, ...]):
+class Curve(tuple[ReportRow, ...]):
     """The best runs of a line, from the fastest to the most accurate: each is slower and better than the one before."""
 
     @classmethod
-    def of(cls, rows: Iterable[Row]) -> Curve:
+    def of(cls, rows: Iterable[ReportRow]) -> Curve:
         """The front of some rows; those without a time or an error are left out."""
         timed = [row for row in rows if row.done and math.isfinite(_error(row)) and math.isfinite(row.value)]
-        front: list[Row] = []
+        front: list[ReportRow] = []
         for row in sorted(timed, key=lambda row: (row.value, _error(row))):
             if not front or _error(row) < _error(front[-1]):
                 front.append(row)
         return cls(front)
 
-    def row_at(self, error: float) -> Row | None:
+    def row_at(self, error: float) -> ReportRow | None:
         """The fastest run that is accurate enough."""
         return next((row for row in self if _error(row) <= error), None)
 
@@ -114,7 +114,7 @@ class Findings:
     The order of the integrators is that of tables.
     """
 
-    def __init__(self, rows: Iterable[Row], integrators: Mapping[str, Integrator] = INTEGRATORS) -> None:
+    def __init__(self, rows: Iterable[ReportRow], integrators: Mapping[str, Integrator] = INTEGRATORS) -> None:
         self.rows = [row for row in rows if row.by in integrators]
         present = {row.by for row in self.rows}
         ran = [it for name, it in integrators.items() if name in present]
@@ -220,7 +220,7 @@ class Findings:
 _BARS = json.loads(Path(__file__).with_name("bars.json").read_text())
 
 
-def bar_rows(findings: Findings, scene: str) -> list[Row]:
+def bar_rows(findings: Findings, scene: str) -> list[ReportRow]:
     """Times over the better of diffrax's Tsit5 and Dopri8, of the methods that were run, at every error."""
     result = []
     for place, method, how, limit in _BARS if scene in findings.scenes else ():
@@ -231,6 +231,6 @@ def bar_rows(findings: Findings, scene: str) -> list[Row]:
             theirs = min((seconds for seconds, _ in findings.ranking(scene, error, rivals)), default=math.nan)
             ratio, what = findings.time(scene, line, error) / theirs, f"{SCENES[scene].title}, error {plain(error)}"
             result.append(
-                judged(Row("bars", what, line.title, f"over {rivals[0].provider.name}", ratio), at_most(limit))
+                judged(ReportRow("bars", what, line.title, f"over {rivals[0].provider.name}", ratio), at_most(limit))
             )
     return result

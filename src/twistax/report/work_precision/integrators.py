@@ -20,7 +20,7 @@ import twistax as tx
 from ...integrators import Method
 from ...lowering.small_call import fits, small_call
 from ...scenes import Scene
-from ..harness.rows import Row, first_line, now
+from ..harness.rows import ReportRow, first_line, now
 from ..harness.store import Store
 from ..harness.timing import Repeats, Tell, Timed, keep, quiet, seconds_of
 
@@ -213,7 +213,7 @@ def measure_scene(
 ) -> dict[str, str]:
     """Run what is not in the store yet, time it in turn, keep the rows; gives the methods that cannot, and why."""
     refused: dict[str, str] = {}
-    runs: list[tuple[Row, Timed | None]] = []
+    runs: list[tuple[ReportRow, Timed | None]] = []
     sitting = now()
     for number, integrator in enumerate(integrators):
         tell(f"compiling {integrator.name}", 0.5 * number / len(integrators))
@@ -221,7 +221,7 @@ def measure_scene(
         first: Any = None
         # From coarse to fine, one run each, except for rows that are there.
         for setting in ladder.steps if integrator.equal else ladder.tolerances:
-            row = Row(scene.name, WHAT, integrator.name, f"{unit} {setting:g}", unit="s", sitting=sitting)
+            row = ReportRow(scene.name, WHAT, integrator.name, f"{unit} {setting:g}", unit="s", sitting=sitting)
             if known := store.get(*row.key):
                 row, seconds = known, known.value
             else:
@@ -239,13 +239,13 @@ def measure_scene(
     return refused
 
 
-def _first_run(scene: Scene, integrator: Integrator) -> Callable[[Row], tuple[Row, Timed | None]]:
+def _first_run(scene: Scene, integrator: Integrator) -> Callable[[ReportRow], tuple[ReportRow, Timed | None]]:
     """What runs a scene for the setting of a row: the row of that run, and what is timed."""
     program = integrator.build(scene)
     run = jax.jit(program.solve, static_argnums=1 if integrator.equal else ())
     compile_seconds = math.nan
 
-    def first(row: Row) -> tuple[Row, Timed | None]:
+    def first(row: ReportRow) -> tuple[ReportRow, Timed | None]:
         nonlocal compile_seconds
         setting = row.numbers["setting"]
         arguments = program.start, setting if integrator.equal else jnp.asarray(setting)

@@ -12,7 +12,7 @@ from typing import Any
 from ...scenes import SCENES
 from ..harness.page import Table, as_svg, panels
 from ..harness.report import Report
-from ..harness.rows import Row, duration, plain
+from ..harness.rows import ReportRow, duration, plain
 from ..harness.store import ABSENT, KERNELS
 from ..harness.timing import Tell, empty_call_seconds
 from .findings import TARGETS, Findings, bar_rows
@@ -62,10 +62,10 @@ class WorkPrecision(Report):
     def _findings(self) -> Findings:
         return Findings(super().rows(), self._integrators)
 
-    def rows(self) -> list[Row]:
+    def rows(self) -> list[ReportRow]:
         return self._findings().rows
 
-    def bars(self, part: str) -> list[Row]:
+    def bars(self, part: str) -> list[ReportRow]:
         return bar_rows(self._findings(), part)
 
     def problems(self) -> list[str]:
