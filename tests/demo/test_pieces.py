@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.demo import landing
+from twistax.demo import derivatives
 from twistax.demo.figure import save_figure, save_table
 from twistax.demo.landing import describe_failure, describe_limits
 from twistax.scenes import powered_descent as scene
@@ -42,7 +42,7 @@ def test_the_derivative_check_passes_what_is_right_and_sees_what_is_wrong(monkey
     rng = np.random.default_rng(1)
     R = np.stack([np.asarray(tx.lie.so3.exp(xi)) for xi in rng.normal(size=(3, 3))])
     xs, us = {"R": R, "w": rng.normal(size=(3, 3))}, {"F": rng.normal(size=(3, 3))}
-    assert landing.check_derivatives(spinning(), xs, us, 0.1).holds
+    assert derivatives.check_derivatives(spinning(), xs, us, 0.1).holds
 
     right = tx.trajectory.discretize
 
@@ -51,8 +51,8 @@ def test_the_derivative_check_passes_what_is_right_and_sees_what_is_wrong(monkey
         return type(found)(found.x1, found.A * (1.0 + 1e-6), found.B, found.h_derivative, found.t_derivative)
 
     monkeypatch.setattr(tx.trajectory, "discretize", wrong)
-    check = landing.check_derivatives(spinning(), xs, us, 0.1)
-    assert check.rates < landing.BAR < check.interval
+    check = derivatives.check_derivatives(spinning(), xs, us, 0.1)
+    assert check.rates < derivatives.BAR < check.interval
     assert not check.holds
 
 

@@ -21,7 +21,6 @@ from twistax.report.harness.timing import Repeats, Timed
 from twistax.report.speed import page
 from twistax.report.speed.cases import CASES, FREE_BODY, EvaluatedFunction
 from twistax.report.speed.contenders import (
-    CASADI,
     JACOBIAN,
     LOOP,
     PLAIN,
@@ -37,6 +36,7 @@ from twistax.report.speed.contenders import (
     values,
 )
 from twistax.report.speed.page import QUICK, measure
+from twistax.report.speed.peers import CASADI
 
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, cases=("free-body",), largest=64, repeats=Repeats(2, 1, 1e-3))

@@ -15,7 +15,8 @@ from ..harness.expected import Absent, at_most, between, needed
 from ..harness.measurement import Section, quick, slow
 from ..harness.timing import Race, Repeats, Timed, batch, repeated
 from ..speed.cases import EvaluatedFunction
-from ..speed.contenders import CASADI, VALUE
+from ..speed.contenders import VALUE
+from ..speed.peers import CASADI
 
 #: Points at once, and batches in a row, so that each program finds in the processor's memory what it wrote itself.
 _BATCH, _ROW = 4096, 4

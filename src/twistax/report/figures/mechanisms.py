@@ -23,7 +23,7 @@ from ...mechanics.derivatives import inverse_dynamics_derivatives
 from ..harness.expected import Absent, at_most, needed
 from ..harness.measurement import Measurement, Section, quick, slow
 from ..harness.timing import Repeats, Timed, agree, batch, in_turn
-from ..speed.contenders import pinocchio_model
+from ..speed.peers import pinocchio_model
 
 _BATCH = 4096
 _DATA = "cmeel.prefix/share/example-robot-data/robots"

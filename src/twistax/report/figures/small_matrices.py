@@ -18,7 +18,8 @@ from ..harness.expected import Absent, at_most, between
 from ..harness.measurement import Section, quick
 from ..harness.timing import Race, Repeats, Timed
 from ..speed.cases import FREE_BODY
-from ..speed.contenders import CASADI, VALUE, JaxTask
+from ..speed.contenders import VALUE, JaxTask
+from ..speed.peers import CASADI
 from .steps import C_ARRAY, FLAGS, c_loop
 
 _STEPS, _REPEATS = 10_000, Repeats(9, 5)

@@ -22,8 +22,6 @@ from ..harness.store import Store
 from ..harness.timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet, within
 from .cases import CASES, EvaluatedFunction
 from .contenders import (
-    ALL,
-    CASADI,
     PLAIN,
     QUANTITIES,
     USES,
@@ -35,6 +33,7 @@ from .contenders import (
     relative_difference,
     values,
 )
+from .peers import ALL, CASADI
 
 #: The largest difference from the reference with which a contender is timed.
 AGREEMENT = 1e-9
