@@ -14,7 +14,6 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Example, Expr
-from twistax.expr.fields import Operand
 from twistax.expr.node import Shape
 from twistax.lowering.backends import Backend
 from twistax.lowering.functions import Kept
@@ -186,7 +185,7 @@ def test_none_is_kept_too() -> None:
 class Squared(Expr):
     """A A of one's own, in the precision that JAX is told to take."""
 
-    A: Operand
+    A: tx.expr.fields.Operand
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         return shapes[0]

@@ -13,7 +13,6 @@ from scipy.linalg import expm
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.fields import Operand
 from twistax.lowering import hessian as hessians
 from twistax.lowering.scalar.graph import TooLarge
 from twistax.report.sections import hessians as of_the_arm
@@ -366,7 +365,7 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
     class Own(Expr):
         """A user's node. Shapes: (3,) -> (3,)."""
 
-        a: Operand
+        a: tx.expr.fields.Operand
         takes, gives = ((3,),), (3,)
 
         def evaluate(self, *values: jax.Array) -> jax.Array:

@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, ShapeError
-from twistax.mechanics import SpatialInertia, flight
-from twistax.mechanics.environment import earth
-from twistax.mechanics.flight import numbers
+from twistax.mechanics import SpatialInertia, environment, flight
 from twistax.units import degrees, feet, knots, seconds
+
+earth, numbers = environment.earth, flight.numbers
 
 PLACE = (48.0 * degrees, -123.0 * degrees, 11_000.0)
 VELOCITY, EULER, RATE = np.array([80.0, -150.0, 12.0]), (0.3, -0.2, 2.5), np.array([0.03, -0.02, 0.05])

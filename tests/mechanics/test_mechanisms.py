@@ -15,7 +15,7 @@ from scipy.linalg import expm
 
 import twistax as tx
 from twistax import mechanics
-from twistax.expr.graph import leaves_of
+from twistax.expr import leaves_of
 from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints, loops
 
 GRAVITY = np.array([0.7, -1.1, -9.6])

@@ -8,6 +8,10 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from twistax.scenes import scene
+
+about, rotation_angle = scene.about, scene.rotation_angle
+
 Array = np.ndarray
 Rates = Callable[[Any, Mapping[str, Array]], dict[str, Array]]
 
