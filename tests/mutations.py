@@ -35,13 +35,13 @@ PACKAGE = Path("src", "twistax")
 #: named after the file come first.
 TESTS = {
     "groups": "groups/test_se3_forms.py groups/test_group_[sai]*.py groups/test_*.py",
-    "expr": "expr/test_node_values.py expr/test_[acefiou]*.py expr/test_numpy*.py expr/test_r*.py expr/test_sp*.py",
+    "expr": "expr/test_node_values.py expr/test_[acefiou]*.py expr/test_[nr]*.py internals/test_sp*.py",
     "expr/lie": "expr/test_lie_*.py expr/test_attitude_nodes.py expr/test_coscrews.py",
     "lowering": "lowering/test_dynamics.py lowering/test_hessian.py lowering/test_lower.py lowering/test_[bcflrs]*.py",
-    "lowering/scalar": "lowering/test_scalar_*.py lowering/test_table.py lowering/test_range.py",
-    "lowering/native": "lowering/native/test_*.py",
+    "lowering/scalar": "internals/scalar/test_*.py lowering/test_range.py",
+    "lowering/native": "internals/native/test_*.py lowering/native/test_*.py",
     "lowering/export": "lowering/export/test_*.py",
-    "integrators": "integrators/test_fixed.py integrators/test_[aceims]*.py",
+    "integrators": "integrators/test_fixed.py integrators/test_[acefims]*.py internals/test_s*.py",
     "integrators/splitting": "integrators/test_split*.py integrators/test_compositions.py",
     "integrators/diffrax_bridge": "integrators/test_lie_solver*.py",
     "mechanics": "mechanics/test_two_bodies.py mechanics/test_serial*.py mechanics/test_[bcjmrst]*.py",

@@ -14,8 +14,6 @@ from scipy.linalg import expm
 import twistax as tx
 from twistax.expr import Expr
 from twistax.lowering import hessian as hessians
-from twistax.lowering.scalar.graph import TooLarge
-from twistax.report.sections import hessians as of_the_arm
 from twistax.scenes import SCENES
 
 mp = pytest.importorskip("mpmath")
@@ -319,14 +317,6 @@ def test_zeros_are_not_computed() -> None:
     assert dynamics.hessian(0.0, *point, None, {}).shape == (4, 4)
 
 
-def test_operations_of_the_arm_beside_casadi() -> None:
-    """Of the weighted forward dynamics of seven links by positions, velocities and torques: fewer than CasADi's."""
-    pytest.importorskip("casadi")
-    own, theirs = of_the_arm.operations()
-    assert own <= 0.75 * theirs
-    assert of_the_arm.in_casadi().nnz_out(0) == of_the_arm.dynamics().hessian_pattern("qd").sum()
-
-
 # ---- what the graph does not hold ----------------------------------------------------------------------------------
 
 
@@ -384,24 +374,6 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
 
     np.testing.assert_allclose(found, jax.hessian(total)(jnp.asarray(at)), rtol=1e-12, atol=1e-13)
     assert np.array_equal(found, found.T)
-
-
-def test_what_is_too_large_is_left_to_jax(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same numbers, under jit and batched; there is no pattern."""
-
-    def refused(*arguments: Any) -> Any:
-        raise TooLarge("the function takes more than 200000 scalars")
-
-    x = {"g": np.asarray(tx.pose(position=[1.0, -0.4, 0.7], euler=[0.4, -0.9, 2.0])), "V": RNG.normal(size=6)}
-    u, weights = {"F": RNG.normal(size=6)}, {"V": RNG.normal(size=6), "reach": RNG.normal(size=3)}
-    expected = FALLING.hessian(0.0, x, u, None, weights, wrt=("u", "x"))
-    monkeypatch.setattr(hessians, "columns_of", refused)
-    plain = falling()
-    found = plain.hessian(0.0, x, u, None, weights, wrt=("u", "x"))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
-    assert np.array_equal(found, found.T)
-    with pytest.raises(tx.ModelError, match="the Hessian has no pattern"):
-        plain.hessian_pattern(weights)
 
 
 # ---- errors --------------------------------------------------------------------------------------------------------
