@@ -34,7 +34,7 @@ PACKAGE = Path("src", "twistax")
 #: Folders of the package, and the files below tests/ that concern them. The longest prefix of a file counts, and tests
 #: named after the file come first.
 TESTS = {
-    "groups": "groups/test_se3_forms.py groups/test_group_[sai]*.py groups/test_*.py",
+    "groups": "groups/test_se3_forms.py groups/test_group_[sai]*.py groups/test_*.py integrators/test_charts.py",
     "expr": "expr/test_node_values.py expr/test_[acefiou]*.py expr/test_[nr]*.py internals/test_sp*.py",
     "expr/lie": "expr/test_lie_*.py expr/test_attitude_nodes.py expr/test_coscrews.py",
     "lowering": "lowering/test_dynamics.py lowering/test_hessian.py lowering/test_lower.py lowering/test_[bcflrs]*.py",
