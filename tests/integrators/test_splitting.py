@@ -8,7 +8,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from derivative_oracles import check_derivatives
-from integrator_bodies import CENTRE, MASS, skew, spatial_inertia, start
+from integrator_bodies import CENTRE, MASS, spatial_inertia, start
 from scipy.linalg import expm
 from splitting_bodies import (
     HUNG_BODY,
@@ -25,6 +25,7 @@ from splitting_bodies import (
 )
 
 import twistax as tx
+from oracles import skew
 from twistax.compositions import ALL, KAHAN_LI6, KAHAN_LI8, STRANG, SUZUKI4
 from twistax.integrators import VectorField
 from twistax.lowering import small_call as module

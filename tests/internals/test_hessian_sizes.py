@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from oracles import skew
 from twistax.lowering import hessian as hessians
 from twistax.lowering.scalar.graph import TooLarge
 from twistax.report.sections import hessians as of_the_arm
@@ -15,18 +16,14 @@ from twistax.report.sections import hessians as of_the_arm
 RNG = np.random.default_rng(0)
 
 
-def hat(w: Any) -> Any:
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
-
-
 #: With an offset centre of mass, kg and kg m2.
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
 
 
-INERTIA[:3, 3:] = -hat([0.2, -0.1, 0.3])
+INERTIA[:3, 3:] = -skew([0.2, -0.1, 0.3])
 
 
-INERTIA[3:, :3] = hat([0.2, -0.1, 0.3])
+INERTIA[3:, :3] = skew([0.2, -0.1, 0.3])
 
 
 g, V, F = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))

@@ -8,10 +8,11 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, hat, pose
+from mechanics_oracles import Cloud, pose
 from test_mechanisms import Tree, body_of, free_tree, mimicking_tree
 
 import twistax as tx
+from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
 from twistax.lowering.native.tile import by_numpy

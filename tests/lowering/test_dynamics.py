@@ -13,6 +13,7 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import hat
 
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
 V, mass = tx.State("V", (6,)), tx.State("mass")
@@ -352,12 +353,6 @@ def test_slices_follow_the_declaration() -> None:
         ("a", slice(17, 20)),
     ]
     assert DYNAMICS.dimension == 20
-
-
-def hat(xi: np.ndarray) -> np.ndarray:
-    x, y, z = xi[3:]
-    skew = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    return np.block([[skew, xi[:3, None]], [np.zeros((1, 4))]])
 
 
 def test_retract_moves_every_state_by_its_own_exponential() -> None:

@@ -12,6 +12,7 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import skew
 from twistax.expr import Expr
 from twistax.lowering import hessian as hessians
 from twistax.scenes import SCENES
@@ -20,10 +21,6 @@ mp = pytest.importorskip("mpmath")
 
 RNG = np.random.default_rng(0)
 BY_JAX = {"xla_backend_optimization_level": 0}
-
-
-def hat(w: Any) -> Any:
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
 
 
 def by_retraction(dynamics: tx.Dynamics, total: Any, x: Any, u: Any) -> jax.Array:
@@ -45,8 +42,8 @@ def by_retraction(dynamics: tx.Dynamics, total: Any, x: Any, u: Any) -> jax.Arra
 
 #: With an offset centre of mass, kg and kg m2.
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
-INERTIA[:3, 3:] = -hat([0.2, -0.1, 0.3])
-INERTIA[3:, :3] = hat([0.2, -0.1, 0.3])
+INERTIA[:3, 3:] = -skew([0.2, -0.1, 0.3])
+INERTIA[3:, :3] = skew([0.2, -0.1, 0.3])
 
 g, V, F = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
 
@@ -94,7 +91,7 @@ def hessian_exactly(total: Any, X: Any, V: Any, F: Any, pairs: list[tuple[int, i
         def at(moves: dict[int, int]) -> Any:
             d = np.array([step * moves.get(k, 0) for k in range(18)])
             twist = np.vectorize(mp.mpf)(np.zeros((4, 4)))
-            twist[:3, :3], twist[:3, 3] = hat(d[3:6]), d[:3]
+            twist[:3, :3], twist[:3, 3] = skew(d[3:6]), d[:3]
             term = series = np.vectorize(mp.mpf)(np.eye(4))
             for k in range(1, 5):
                 term = term.dot(twist) / k
@@ -123,7 +120,7 @@ def hessian_exactly(total: Any, X: Any, V: Any, F: Any, pairs: list[tuple[int, i
 )
 def test_forces_that_depend_on_the_pose_to_forty_digits(turn: Any, request: Any) -> None:
     scale = 1e3 if "large" in request.node.callspec.id else 1.0
-    X = tx.pose(position=[1.0, -0.4, 0.7], rotation=expm(hat(turn)))
+    X = tx.pose(position=[1.0, -0.4, 0.7], rotation=expm(skew(turn)))
     x, u = {"g": np.asarray(X), "V": scale * RNG.normal(size=6)}, {"F": RNG.normal(size=6)}
     weights = {"V": RNG.normal(size=6), "reach": RNG.normal(size=3), "g": RNG.normal(size=6)}
     found = np.asarray(FALLING.hessian(0.0, x, u, None, weights))

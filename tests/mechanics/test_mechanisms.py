@@ -10,10 +10,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, hat, pose
+from mechanics_oracles import Cloud, pose
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
 from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints, loops
