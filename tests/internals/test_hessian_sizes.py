@@ -11,7 +11,7 @@ import twistax as tx
 from oracles import skew
 from twistax.lowering import hessian as hessians
 from twistax.lowering.scalar.graph import TooLarge
-from twistax.report.sections import hessians as of_the_arm
+from twistax.report.figures import hessians as of_the_arm
 
 RNG = np.random.default_rng(0)
 
