@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.native.backend import installed
 from twistax.mechanics import screws
 from twistax.report.figures import identities, scalars, steps
 from twistax.report.harness.expected import Absent

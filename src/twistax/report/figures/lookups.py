@@ -10,7 +10,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...lowering.native.backend import installed
+from ...scalar.targets.llvm.backend import installed
 from ..harness.expected import between
 from ..harness.measurement import Measurement, Section, slow
 from ..harness.timing import Race, Timed, compiled

@@ -17,7 +17,6 @@ import numpy as np
 import twistax as tx
 
 from ... import mechanics
-from ...lowering.scalar.program import scalarize
 from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.derivatives import inverse_dynamics_derivatives
 from ..harness.expected import Absent, at_most, needed

@@ -22,8 +22,8 @@ from ... import diffrax as bridge
 from ...groups import quaternions, se3
 from ...integrators import VectorField
 from ...integrators.charts import Chart
-from ...lowering.backends import Backend
-from ...lowering.small_call import small_call
+from ...scalar.backends import Backend
+from ...scalar.small_call import small_call
 from ..harness.expected import Absent, at_most, between
 from ..harness.measurement import Section, slow, table
 from ..harness.timing import Race, Timed, compiled

@@ -18,8 +18,8 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
-from ...lowering.backends import Backend
-from ...lowering.scalar.graph import TooLarge
+from ...scalar.backends import Backend
+from ...scalar.graph import TooLarge
 from ..harness.timing import Timed, compiled
 from .cases import EvaluatedFunction
 
