@@ -17,6 +17,7 @@ from twistax.report.harness.timing import Race, Repeats
 from twistax.report.registry import FIGURES
 from twistax.report.speed.cases import CASES
 from twistax.report.stability import invariants
+from twistax.scalar.targets.llvm.backend import installed
 from twistax.scenes import SCENES
 
 QUICK = [check for section in FIGURES.values() for _, check in explained(section) if not check.slow]
