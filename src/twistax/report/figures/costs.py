@@ -16,6 +16,7 @@ import jax.numpy as jnp
 import twistax as tx
 
 from ...scenes import SCENES, heavy_top, powered_descent, touchdown
+from ...system.explain import count_equations
 from ..harness.expected import at_most, between
 from ..harness.measurement import Measurement, Section, quick, slow
 from ..harness.rows import plain
