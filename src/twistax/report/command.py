@@ -18,7 +18,7 @@ from .harness.page import PageFigure, Table, render, renew, table_of
 from .harness.report import Report
 from .harness.rows import ReportRow
 from .harness.store import Origin, Store, save_csv
-from .harness.timing import Tell, quiet, within
+from .harness.timing import ProgressCallback, quiet, within
 
 #: Where each report is made of the options, by the name of its files. Loaded where it is run: each brings much of the
 #: package with it.
@@ -96,16 +96,16 @@ def run_report(report: Report, arguments: argparse.Namespace) -> int:
 
 def _measure(report: Report, arguments: argparse.Namespace) -> None:
     """Measure part by part, and print the rows of each."""
-    progress = Progress("report")
+    line = Progress("report")
     shown = sys.stderr.isatty() and not arguments.no_progress
-    tell: Tell = (lambda what, share: progress.done(share, f"all, {what}"[:90])) if shown else quiet
+    progress: ProgressCallback = (lambda what, share: line.done(share, f"all, {what}"[:90])) if shown else quiet
     for number, part in enumerate(report.parts):
         if arguments.again:
             report.store.forget(part)
         lap, before = time.perf_counter(), len(report.store)
-        report.measure(part, within(tell, number, len(report.parts), f"{part}: "))
+        report.measure(part, within(progress, number, len(report.parts), f"{part}: "))
         if shown:
-            progress.close()
+            line.close()
         print(f"{part:<18} {len(report.store) - before:4d} rows in {time.perf_counter() - lap:5.1f} s", flush=True)
         for row in report.bars(part):
             what = f"{row.what}, {row.by} {row.setting}".rstrip()

@@ -14,7 +14,7 @@ from ..harness.page import texts
 from ..harness.report import Report
 from ..harness.rows import DONE, now, number
 from ..harness.rows import ReportRow as Row
-from ..harness.timing import Tell
+from ..harness.timing import ProgressCallback as Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased
 

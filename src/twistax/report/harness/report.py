@@ -14,7 +14,7 @@ from .measurement import Measurement, Section, explained
 from .page import as_svg, panels, table_of, texts
 from .rows import ReportRow
 from .store import Store
-from .timing import Tell
+from .timing import ProgressCallback
 
 
 class Report(ABC):
@@ -33,7 +33,7 @@ class Report(ABC):
     store: Store  # of its rows, once it runs
 
     @abstractmethod
-    def measure(self, part: str, tell: Tell) -> None:
+    def measure(self, part: str, progress: ProgressCallback) -> None:
         """Put into the store what is not there yet."""
 
     def rows(self) -> list[ReportRow]:
@@ -74,13 +74,13 @@ class SectionReport(Report):
         self.parts = [part for part in sections if part in (arguments.only or sections)]
         self._sections = {part: list(explained(sections[part])) for part in self.parts}
 
-    def measure(self, part: str, tell: Tell) -> None:
+    def measure(self, part: str, progress: ProgressCallback) -> None:
         measurements = [it for _, it in self._sections[part] if not (self._quick and it.slow)]
         for i, it in enumerate(measurements):
             row = self.store.get(part, it.what, it.by)
             # What was not run for want of something is tried again.
             if row is None or (row.holds is None and not row.done):
-                tell(f"{it.what}, {it.by}", i / len(measurements))
+                progress(f"{it.what}, {it.by}", i / len(measurements))
                 self.store.add([it.run(part)])
 
     def _measured(self, part: str) -> list[tuple[ReportRow, str, Measurement]]:

@@ -21,13 +21,13 @@ from .rows import ReportRow
 from .store import Store
 
 #: Called with what is going on, and how much of the present part is done, 0 to 1.
-Tell = Callable[[str, float], None]
-quiet: Tell = lambda what, share: None  # noqa: E731
+ProgressCallback = Callable[[str, float], None]
+quiet: ProgressCallback = lambda what, share: None  # noqa: E731
 
 
-def within(tell: Tell, place: int, count: int, before: str = "") -> Tell:
+def within(progress: ProgressCallback, place: int, count: int, before: str = "") -> ProgressCallback:
     """A progress callback for one of several equal parts, with words before its message."""
-    return lambda what, share: tell(f"{before}{what}", (place + share) / count)
+    return lambda what, share: progress(f"{before}{what}", (place + share) / count)
 
 
 #: Timed calls in a row on each visit, after one that is not timed; what is longer (s) is called once.
@@ -122,7 +122,7 @@ def repeated(count: int, call: Callable[..., Any], *arguments: Any) -> Any:
     return result
 
 
-def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> None:
+def in_turn(timed: Sequence[Timed], repeats: Repeats, progress: ProgressCallback = quiet) -> None:
     """Take samples in rounds over all, so that whatever else the machine does falls on all alike.
 
     What takes long takes part in some of the rounds, evenly spread.
@@ -132,7 +132,7 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
             it.result()
     visits = [repeats.visits(it.rough) for it in timed]
     for turn in range(repeats.rounds):
-        tell("timing", 0.5 + 0.5 * turn / repeats.rounds)
+        progress("timing", 0.5 + 0.5 * turn / repeats.rounds)
         for it, wanted in zip(timed, visits, strict=True):
             if (turn + 1) * wanted // repeats.rounds > turn * wanted // repeats.rounds:
                 short = it.rough < _SHORT
@@ -141,10 +141,12 @@ def in_turn(timed: Sequence[Timed], repeats: Repeats, tell: Tell = quiet) -> Non
                 it.samples.extend(seconds_of(it.call) for _ in range(_CALLS if short else 1))
 
 
-def keep(pairs: Sequence[tuple[ReportRow, Timed | None]], repeats: Repeats, store: Store, tell: Tell = quiet) -> None:
+def keep(
+    pairs: Sequence[tuple[ReportRow, Timed | None]], repeats: Repeats, store: Store, progress: ProgressCallback = quiet
+) -> None:
     """Time programs of rows in turn, but for those with samples already, and put all rows into the store."""
     timed = [(row, it if row.done else None) for row, it in pairs]
-    in_turn([it for _, it in timed if it and not it.samples], repeats, tell)
+    in_turn([it for _, it in timed if it and not it.samples], repeats, progress)
     store.add(
         dataclasses.replace(row, value=it.seconds, numbers={**row.numbers, **it.numbers}) if it else row
         for row, it in timed

@@ -19,7 +19,7 @@ from ..harness.page import Table, as_svg, panels, texts
 from ..harness.report import Report
 from ..harness.rows import ReportRow, duration, first_line, now
 from ..harness.store import Store
-from ..harness.timing import Repeats, Tell, Timed, empty_call_seconds, keep, quiet, within
+from ..harness.timing import ProgressCallback, Repeats, Timed, empty_call_seconds, keep, quiet, within
 from .cases import CASES, EvaluatedFunction
 from .contenders import (
     PLAIN,
@@ -63,7 +63,7 @@ def measure(
     contenders: Sequence[Contender],
     effort: Effort,
     store: Store,
-    tell: Tell = quiet,
+    progress: ProgressCallback = quiet,
 ) -> None:
     """Rows of all uses, kept use by use; those that are there already are not measured again.
 
@@ -73,11 +73,11 @@ def measure(
     for number, use in enumerate(uses):
         if all(store.get(case.name, quantity.name, contender.name, use.name) for contender in contenders):
             continue
-        tell_use = within(tell, number, len(uses), f"{quantity.name}, {use.name}: ")
+        use_progress = within(progress, number, len(uses), f"{quantity.name}, {use.name}: ")
         pairs: list[tuple[ReportRow, Timed | None]] = []
         reference, sitting = None, now()
         for i, contender in enumerate(contenders):
-            tell_use(f"compiling {contender.name}", 0.5 * i / len(contenders))
+            use_progress(f"compiling {contender.name}", 0.5 * i / len(contenders))
             row = ReportRow(case.name, quantity.name, contender.name, use.name, unit="s", sitting=sitting)
             smaller = [store.get(*row.key[:3], it.name) for it in uses if 0 < it.count < use.count]
             try:
@@ -94,7 +94,7 @@ def measure(
             numbers = {"evaluations": float(timed.evaluations), "compile_seconds": timed.compile_seconds}
             note = row.note if off <= AGREEMENT else f"disagrees by {off:.0e}"
             pairs.append((dataclasses.replace(row, note=note, numbers={"difference": off, **numbers}), timed))
-        keep(pairs, effort.repeats, store, tell_use)
+        keep(pairs, effort.repeats, store, use_progress)
 
 
 def _first_call(
@@ -162,12 +162,12 @@ class Speed(Report):
         self.versions = {it.package: metadata.version(it.package) for it in self._contenders if it.package}
         self.parts = [name for name in CASES if name in (arguments.case or self._effort.cases or CASES)]
 
-    def measure(self, part: str, tell: Tell) -> None:
+    def measure(self, part: str, progress: ProgressCallback) -> None:
         quantities = [it for it in QUANTITIES if it.name in (self._effort.quantities or (it.name,))]
         uses = [use for use in USES if use.count <= self._effort.largest]
         for number, quantity in enumerate(quantities):
-            tell_quantity = within(tell, number, len(quantities))
-            measure(CASES[part], quantity, uses, self._contenders, self._effort, self.store, tell_quantity)
+            quantity_progress = within(progress, number, len(quantities))
+            measure(CASES[part], quantity, uses, self._contenders, self._effort, self.store, quantity_progress)
 
     def rows(self) -> list[ReportRow]:
         present = {it.name for it in self._contenders}

@@ -22,7 +22,7 @@ from ...scalar.small_call import fits, small_call
 from ...scenes import Scene
 from ..harness.rows import ReportRow, first_line, now
 from ..harness.store import Store
-from ..harness.timing import Repeats, Tell, Timed, keep, quiet, seconds_of
+from ..harness.timing import ProgressCallback, Repeats, Timed, keep, quiet, seconds_of
 
 
 def tolerances(coarsest: int, finest: int, per_decade: int) -> tuple[float, ...]:
@@ -209,14 +209,14 @@ WHAT = "one call"
 
 
 def measure_scene(
-    scene: Scene, integrators: Sequence[Integrator], ladder: Ladder, store: Store, tell: Tell = quiet
+    scene: Scene, integrators: Sequence[Integrator], ladder: Ladder, store: Store, progress: ProgressCallback = quiet
 ) -> dict[str, str]:
     """Run what is not in the store yet, time it in turn, keep the rows; gives the methods that cannot, and why."""
     refused: dict[str, str] = {}
     runs: list[tuple[ReportRow, Timed | None]] = []
     sitting = now()
     for number, integrator in enumerate(integrators):
-        tell(f"compiling {integrator.name}", 0.5 * number / len(integrators))
+        progress(f"compiling {integrator.name}", 0.5 * number / len(integrators))
         unit, enough = ("steps", ladder.enough) if integrator.equal else ("tolerance", 0.0)
         first: Any = None
         # From coarse to fine, one run each, except for rows that are there.
@@ -235,7 +235,7 @@ def measure_scene(
                 seconds = timed.rough if timed else 0.0
             if seconds > ladder.longest or row.numbers.get("error", math.nan) < enough:
                 break
-    keep(runs, ladder.repeats, store, tell)
+    keep(runs, ladder.repeats, store, progress)
     return refused
 
 

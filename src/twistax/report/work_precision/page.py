@@ -14,7 +14,7 @@ from ..harness.page import Table, as_svg, panels
 from ..harness.report import Report
 from ..harness.rows import ReportRow, duration, plain
 from ..harness.store import ABSENT, KERNELS
-from ..harness.timing import Tell, empty_call_seconds
+from ..harness.timing import ProgressCallback, empty_call_seconds
 from .findings import TARGETS, Findings, bar_rows
 from .integrators import FULL, INTEGRATORS, ONE_CALL, OURS, QUICK, SHIPPED, measure_scene
 
@@ -54,9 +54,9 @@ class WorkPrecision(Report):
         #: The scenes that a method cannot run, by method and reason.
         self._refused: dict[tuple[str, str], list[str]] = {}
 
-    def measure(self, part: str, tell: Tell) -> None:
+    def measure(self, part: str, progress: ProgressCallback) -> None:
         chosen = [self._integrators[name] for name in self._asked or suited(self._integrators, part)]
-        for refusal in measure_scene(SCENES[part], chosen, self._effort, self.store, tell).items():
+        for refusal in measure_scene(SCENES[part], chosen, self._effort, self.store, progress).items():
             self._refused.setdefault(refusal, []).append(part)
 
     def _findings(self) -> Findings:
