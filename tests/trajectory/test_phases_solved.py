@@ -14,7 +14,7 @@ from trajectory_systems import HEUN
 import twistax as tx
 from twistax.errors import InputError, ModelError, TrajectoryError
 from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem, refine
-from twistax.trajectory.evaluated import Evaluated
+from twistax.trajectory.transcription.evaluation import Evaluated
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)

@@ -15,14 +15,14 @@ import numpy as np
 from numpy import ndarray as Array
 
 from .found import found_params
-from .outcome import Outcome
 from .replay import times_along
 from .result import Trajectory, trajectory_at
-from .rollout import Rollout
-from .staged import Staged
-from .transcribed import Given, Point
-from .warm import WarmStart
-from .watch import Status
+from .strategy.outcome import Outcome
+from .strategy.status import Status
+from .strategy.warm import WarmStart
+from .transcription.points import Given, Point
+from .transcription.rollout import Rollout
+from .transcription.staged import Staged
 
 if TYPE_CHECKING:
     from .problem import Problem

@@ -17,8 +17,8 @@ from ..system import name_of
 from .found import Optimality, Tried, found_params
 from .phased_result import PhasedResult
 from .result import TrajectoryResult
-from .transcribed import Given, Point
-from .watch import Status
+from .strategy.status import Status
+from .transcription.points import Given, Point
 
 if TYPE_CHECKING:
     from .phases import PhasedProblem

@@ -12,15 +12,15 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import IntegrationError, TrajectoryError
-from .accuracy import Accuracy
-from .border import Border
-from .outcome import Outcome
 from .singular import singular
 from .statement import largest_by_name
-from .transcribed import Transcribed
-from .undetermined import Undetermined
-from .warm import WarmStart
-from .watch import AT_OPTIMUM, Status
+from .strategy.accuracy import Accuracy
+from .strategy.outcome import Outcome
+from .strategy.status import AT_OPTIMUM, Status
+from .strategy.undetermined import Undetermined
+from .strategy.warm import WarmStart
+from .transcription.border import Border
+from .transcription.shooting import Transcribed
 
 #: A scaled multiplier above this is one of an active constraint.
 _ACTIVE = 1e-5

@@ -9,9 +9,9 @@ from typing import Any
 from ..expr import Expr, leaves_of
 from ..expr.soft import parts_of
 from ..lowering import Dynamics
-from .border import boxes_of
 from .conditions import split
 from .reduction import functionals_of
+from .transcription.border import boxes_of
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

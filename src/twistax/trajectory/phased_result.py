@@ -12,11 +12,12 @@ from numpy import ndarray as Array
 
 from ..precision import in_double
 from .found import Found, Tried, found_params
-from .outcome import Outcome
 from .pictures import animated, drawn
 from .replay import Replay
 from .result import Trajectory, multipliers_of, trajectory_at, violations_of
-from .transcribed import Segment, Values
+from .strategy.outcome import Outcome
+from .transcription.points import Values
+from .transcription.shooting import Segment
 
 if TYPE_CHECKING:
     from ..view import Scene

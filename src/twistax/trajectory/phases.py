@@ -15,23 +15,23 @@ from ..errors import InputError, ModelError, ShapeError, in_phase
 from ..expr import Expr, Parameter, State, leaves_of, to_expr
 from ..lowering.dynamics import need_compiled
 from ..system import free_name, name_of
-from .border import Border, boxes_of
 from .by_node import only_once
 from .cases import PhasedResults, phased_results
 from .conditions import Ends
 from .found import Tried
 from .functionals import Initial
 from .guess import resample
-from .joined import Join, Joined, told_before
-from .mesh import Remeshed
 from .phase import Phase, as_dict, asked, names_read
 from .phased_result import PhasedResult, best_of_phases
 from .problem import Problem
 from .reduction import InPhase, functionals_of
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves
-from .transcribed import Given, PhaseEnds, Point
-from .warm import other_problem
+from .strategy.warm import other_problem
+from .transcription.border import Border, boxes_of
+from .transcription.joined import Join, Joined, told_before
+from .transcription.mesh import Remeshed
+from .transcription.points import Given, PhaseEnds, Point
 
 
 class PhasedProblem(Solvable[PhasedResult, PhasedResults]):

@@ -6,7 +6,6 @@ import inspect
 from collections.abc import Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -16,7 +15,6 @@ from ..expr import Control, Parameter, State, leaves_of
 from ..lowering.dynamics import need_compiled
 from ..precision import in_double
 from ..system import entry_names, name_of
-from .border import Border, boxes_of, times_of
 from .by_node import ByNode
 from .cases import TrajectoryResults, trajectory_results
 from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split
@@ -24,18 +22,19 @@ from .cones import above, bounds_along, norm_controls
 from .controls import continuous_controls
 from .found import Tried
 from .guess import control_guess, state_guess, user_guess
-from .hessians import checked_hessian
-from .mesh import Remeshed, mesh_of
+from .hessians.options import checked_hessian
 from .reduction import InPhase, Reduction
 from .restated import Restated
 from .result import TrajectoryResult, best_result
-from .shooting import Shooting
 from .slacks import NodeSlacks, slack_controls
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
-from .transcribed import Given, Point
-from .transcription import transcription_of
-from .warm import other_problem
+from .strategy.warm import other_problem
+from .transcription.border import Border, boxes_of, times_of
+from .transcription.mesh import Remeshed, mesh_of
+from .transcription.methods import transcription_of
+from .transcription.points import Given, Point
+from .transcription.shooting import Shooting
 
 #: A control of less than this share of its size says nothing of it.
 _NOTHING = 1e-4
@@ -278,7 +277,6 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
         self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
         self.built()
-        self.advanced = jax.jit(self.shooting.advanced)
 
     def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
         """(points, rows) the path rows as users wrote them, at many points."""
@@ -292,7 +290,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_cores", "_implicit")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "squares", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state

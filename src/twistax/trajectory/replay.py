@@ -16,9 +16,9 @@ from ..groups import Group
 from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from .cones import bounds_along
-from .rollout import Rollout
 from .statement import largest_by_name, violations
-from .transcribed import Point
+from .transcription.points import Point
+from .transcription.rollout import Rollout
 
 if TYPE_CHECKING:
     from .result import Trajectory

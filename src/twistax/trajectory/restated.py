@@ -21,8 +21,8 @@ from ..lowering import Dynamics, compile
 from ..system import System
 from .cones import continuous_bound, is_mixed, norm_controls
 from .controls import Linear, Spline, continuous_controls, rates_among
-from .mesh import Mesh
 from .statement import Objective
+from .transcription.mesh import Mesh
 
 #: Names of what free node times add.
 _CLOCK, _PACE = "time of the node", "pace of the interval"

@@ -15,11 +15,11 @@ from ..errors import TrajectoryError
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ..precision import in_double
 from .found import Found, Tried, found_params
-from .outcome import Outcome
 from .pictures import animated, drawn
 from .replay import Replay, replayed
 from .statement import largest_by_name, violations
-from .transcribed import Point
+from .strategy.outcome import Outcome
+from .transcription.points import Point
 
 if TYPE_CHECKING:
     from ..view import Scene

@@ -17,27 +17,29 @@ from ..checks import callable_with, number, short, whole
 from ..errors import TrajectoryError
 from ..precision import in_double
 from ..walk import uncollected
-from .accuracy import MESH
+from .adapters.solvers import SolvedBy
 from .between import held
-from .border import Border
-from .budget import Budget
 from .cases import Cases, prepared
-from .core_solver import CoreSolver
-from .external import SolvedBy
 from .found import Tried
-from .hessians import by_updates
-from .many import solve_all
-from .mesh import Remeshed
-from .outcome import Callback, Outcome
-from .redundant_rows import redundant_rows
+from .hessians.options import by_updates
 from .refine import refined
-from .staged import Staged
-from .stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
-from .strategies import Strategy
-from .transcribed import Given, Point, Transcribed
-from .undetermined import Undetermined, undetermined
-from .warm import WarmStart, warm_start, with_ends
-from .watch import AT_OPTIMUM, Status
+from .strategy.accuracy import MESH
+from .strategy.batch import solve_all
+from .strategy.budget import Budget
+from .strategy.core_solver import CoreSolver
+from .strategy.outcome import Callback, Outcome
+from .strategy.random_starts import perturbed
+from .strategy.redundant_rows import redundant_rows
+from .strategy.status import AT_OPTIMUM, Status
+from .strategy.stiffness import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
+from .strategy.strategies import Strategy, solved
+from .strategy.undetermined import Undetermined, undetermined
+from .strategy.warm import WarmStart, warm_start, with_ends
+from .transcription.border import Border
+from .transcription.mesh import Remeshed
+from .transcription.points import Given, Point
+from .transcription.shooting import Transcribed
+from .transcription.staged import Staged
 
 #: The solver's tolerance over that of a refinement.
 CLOSER = 0.1
@@ -275,7 +277,7 @@ class Solvable(ABC, Generic[One, Many]):
                 try:
                     if solver is None:
                         budget.used = 0
-                        return core.run(start, given, budget, strategies)
+                        return solved(core, start, given, budget, strategies)
                     found: Outcome = solver.run(core, start, given, max_iterations, report)
                     return found
                 finally:
@@ -287,7 +289,7 @@ class Solvable(ABC, Generic[One, Many]):
                 start = first
                 if seed is not None or attempt > 0:
                     rng = np.random.default_rng([seed or 0, attempt])
-                    start = core.perturbed(plain, given, rng)
+                    start = perturbed(core, plain, given, rng)
                 found = run(start, given)
                 if between is not None and refine is None and found.status is Status.SOLVED:
                     found = held(self, found, given, own, run, between, core.staged)

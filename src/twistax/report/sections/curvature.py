@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...precision import in_double
-from ...trajectory.program import Program
+from ...trajectory.adapters.program import Program
 
 #: A scaled multiplier above this binds if it is larger than its slack; a curvature below this counts as zero.
 _BINDS, _FLAT = 1e-6, 1e-6
