@@ -2249,7 +2249,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/strategy/fixed_durations.py",
+        "trajectory/strategy/other_starts.py",
         (
             "durations that are fixed where they began",
             "_FACTORS, _NEAR = (3.0, 9.0, 1.0)",

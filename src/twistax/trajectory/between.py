@@ -17,11 +17,11 @@ from numpy import ndarray as Array
 from .found import found_params
 from .replay import times_along
 from .result import Trajectory, trajectory_at
+from .strategy.integration import Rollout
 from .strategy.outcome import Outcome
 from .strategy.status import Status
 from .strategy.warm import WarmStart
 from .transcription.points import Given, Point
-from .transcription.rollout import Rollout
 from .transcription.staged import Staged
 
 if TYPE_CHECKING:

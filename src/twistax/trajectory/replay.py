@@ -17,8 +17,8 @@ from ..integrators import Method, ZeroOrderHold, integrate
 from ..integrators.ambient import Ambient
 from .cones import bounds_along
 from .statement import largest_by_name, violations
+from .strategy.integration import Rollout
 from .transcription.points import Point
-from .transcription.rollout import Rollout
 
 if TYPE_CHECKING:
     from .result import Trajectory

@@ -27,8 +27,8 @@ from .strategy.accuracy import MESH
 from .strategy.batch import solve_all
 from .strategy.budget import Budget
 from .strategy.core_solver import CoreSolver
+from .strategy.other_starts import perturbed
 from .strategy.outcome import Callback, Outcome
-from .strategy.random_starts import perturbed
 from .strategy.redundant_rows import redundant_rows
 from .strategy.status import AT_OPTIMUM, Status
 from .strategy.stiffness import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness

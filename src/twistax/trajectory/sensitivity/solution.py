@@ -226,14 +226,14 @@ class _SolutionFor:
         self._stated.need_compiled()
         with jax.enable_x64(True):
             inputs = self._inputs(theta)
-            result = call.solves.split(call.solves(jnp.concatenate(inputs)))
-            data, z = (jax.lax.convert_element_type(a, precision) for a in (inputs.data, result["z"]))
+            traced = call.solves.split(call.solves(jnp.concatenate(inputs)))
+            data, z = (jax.lax.convert_element_type(a, precision) for a in (inputs.data, traced["z"]))
         # Kernels of a program have its precision.
         least = _ROUNDING * float(jnp.finfo(precision).eps)
         holds = self._conditions.violation(data, z) <= max(self._stated.core.tolerance, least)
         holds &= self._is_meant(theta)
         with jax.enable_x64(True):
-            return self._conditions.optimum(inputs, result, call.is_solved(result) & holds, precision)
+            return self._conditions.optimum(inputs, traced, call.is_solved(traced) & holds, precision)
 
     def _is_meant(self, theta: _Theta) -> Any:
         """Whether all values are numbers, and the time goes on; free entries of ends do not count."""

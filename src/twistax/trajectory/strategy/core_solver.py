@@ -20,7 +20,7 @@ from ..transcription.evaluation import Evaluated, moved
 from ..transcription.points import Given, Point, Step
 from ..transcription.staged import Staged
 from .budget import Budget
-from .close_integration import CloseIntegration
+from .integration import CloseIntegration
 from .judge import Judge
 from .measure import COST, Measure
 from .outcome import Outcome
@@ -111,7 +111,6 @@ class CoreSolver:
             as_stated: whether everything counts in the units of the statement.
             rescaling: whether units are measured anew within a run.
         """
-        is_warm = isinstance(start, WarmStart)
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         if isinstance(start, WarmStart) and start.units is not None and not as_stated:
             self.staged.set_given(given)
@@ -128,7 +127,7 @@ class CoreSolver:
             status = Status.INFEASIBLE if np.isfinite(violated) else Status.NON_FINITE
             return self.measure.outcome(call({**options, "iterations": 0}), units, given, status)
         watch = _Watch(budget or Budget(max_iterations))
-        if not is_warm:
+        if not isinstance(start, WarmStart):
             fitted = _FITTED_AT if rescaling and not as_stated else ()
             return self._from_point(point, given, units, options, watch, fitted)
         warm, violated = self._warm(point, start.dynamics, start.rows, units)

@@ -25,7 +25,7 @@ from ..sizes import largest_values
 from ..transcription.points import Given
 from ..transcription.staged import Staged
 from .accuracy import Accuracy, Exceeded, FlatRow
-from .close_integration import CloseIntegration, Closely
+from .integration import CloseIntegration, Closely
 from .outcome import Outcome
 from .status import AT_OPTIMUM, Status
 from .stiffness import amplification

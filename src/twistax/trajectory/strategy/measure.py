@@ -11,7 +11,7 @@ from ..start_units import StartUnits
 from ..transcription.evaluation import Evaluated
 from ..transcription.points import Given, Point, Values
 from ..transcription.staged import Staged
-from .close_integration import CloseIntegration
+from .integration import CloseIntegration
 from .outcome import Errors, Outcome, Scales
 from .status import Status
 

@@ -13,11 +13,10 @@ import numpy as np
 
 from ..start_units import StartUnits
 from ..transcription.points import Given, Point
-from . import fixed_durations
+from . import other_starts
 from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome, Scales
-from .random_starts import beside
 from .status import AT_OPTIMUM, Status
 from .warm import WarmStart
 
@@ -88,7 +87,7 @@ class _Search:
         for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
             if not self._may_repeat(result, Strategy.PERTURBED_STARTS):
                 break
-            other = self._near(beside(self._solver, start, result.scales, _ASIDE, seed), given)
+            other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), given)
             if other.status in AT_OPTIMUM:
                 result = other
         if self._may_repeat(result, Strategy.FIXED_DURATIONS):
@@ -127,7 +126,7 @@ class _Search:
 
         Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
         """
-        for point, fixed in fixed_durations.fixed(self._solver.staged.border, start, given):
+        for point, fixed in other_starts.with_fixed_durations(self._solver.staged.border, start, given):
             if self._budget.is_spent:
                 break
             result = self._near(point, fixed)
@@ -197,7 +196,7 @@ def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: 
     while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None
         for size in _AWAY:
-            other = solve(beside(solver, result.point, result.scales, size, seed, controls_alone=True))
+            other = solve(other_starts.beside(solver, result.point, result.scales, size, seed, controls_alone=True))
             seed += 1
             lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
             if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):

@@ -13,8 +13,8 @@ from ...checks import short, whole
 from ...errors import TrajectoryError
 from ...precision import in_double
 from ..start_units import StartUnits
+from ..strategy.integration import Rollout
 from ..transcription.points import Given, Point
-from ..transcription.rollout import Rollout
 from .outcome import Scales
 
 

@@ -130,7 +130,7 @@ class Joined(Transcribed):
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
         for field in ("equality", "exists", "decided", "pinned", "own"):
-            setattr(self, field, self._rows(lambda p, field=field: getattr(p.shooting, field), False))
+            setattr(self, field, self._rows(lambda p: getattr(p.shooting, field), False))  # noqa: B023
 
     @property
     def phase_places(self) -> list[str]:

@@ -154,8 +154,8 @@ class Shooting(Transcribed):
         self._interpolates = bool(by_node.leaves)
         self.alike: dict[str, str] = {}
         self.phase, self.is_last = phase, phase == border.phases - 1
-        leaves = (*dynamics.states, *dynamics.controls, *norms.controls)
-        self.leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in leaves}
+        leaves: list[State | Control] = [*dynamics.states, *dynamics.controls, *norms.controls]
+        self.leaves = {leaf.name: leaf for leaf in leaves}
         self.slacks = frozenset(slack.name for slack in getattr(norms, "slacks", {}).values())
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension

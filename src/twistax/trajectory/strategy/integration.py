@@ -1,4 +1,4 @@
-"""Every interval integrated closely again from its planned start, all rows looked at on the way."""
+"""Integrations by the solver's core: each interval closely from its planned start, and rollouts of a whole phase."""
 
 from __future__ import annotations
 
@@ -9,10 +9,13 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.transcription import INEQUALITY, Phase, Transcription
+from ...solver.kernels import Argument
+from ...solver.transcription import INEQUALITY, NONE, Phase, Transcription
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given
+from ..transcription.methods import Collocation, MultipleShooting
+from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
+from ..transcription.staged_phase import StagedPhase
 
 #: How many moves of all unknowns there are: in one of them changes may cancel.
 _MOVES = 4
@@ -116,3 +119,58 @@ class CloseIntegration:
             rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
             cost = max(cost, abs(float(there.cost[0] - before.cost[0])))
         return Changes(rows, cost)
+
+
+class Rollout:
+    """Rolls the controls of a phase out.
+
+    Args:
+        part: the phase.
+        transcription: what integrates an interval; its substeps are the samples.
+        parameters: entries of the border.
+        data: the numbers of a solve.
+    """
+
+    def __init__(
+        self, part: StagedPhase, transcription: MultipleShooting | Collocation, parameters: int, data: Array
+    ) -> None:
+        self._part, self._samples, self._data = part, int(transcription.substeps), data
+        self._start, self._width = np.zeros(1), np.ones(1)
+        phase, (_, end) = part.phase, part.phase.kernels.nodes[-1]
+        alone = dataclasses.replace(
+            phase,
+            method=transcription.scheme,
+            kernels=dataclasses.replace(phase.kernels, nodes=[(1, end)]),
+            starts=self._start,
+            widths=self._width,
+            path=np.full((1, self._samples + 1, phase.path.shape[2]), NONE),
+            conditions=[np.full(len(phase.conditions[-1]), NONE)],
+            join=None,
+        )
+        self._transcription = Transcription([alone], parameters, data)
+
+    def states(self, point: Point) -> dict[str, Array]:
+        """All states where samples lie, (intervals * samples + 1, ...), from the first node of a point of the phase."""
+        base, *planned = self._part.point.joined(point.xs, 1)
+        samples = [base[None]]
+        for k, (u, end) in enumerate(zip(np.asarray(point.us), planned)):
+            samples.append(self.interval(k, base, u, end, np.ravel(point.border)))
+            base = samples[-1][-1]
+        xs: dict[str, Any] = self._part.point.split(np.concatenate(samples))
+        return xs
+
+    def interval(self, number: int, base: Array, u: Array, end: Array, border: Array) -> Array:
+        """(samples, ...) the states along an interval that starts at a node.
+
+        Args:
+            end: a node near the end, about which no logarithm jumps.
+        """
+        shooting = self._part.shooting
+        self._start[0], self._width[0] = shooting.mesh.shares[number], shooting.mesh.widths[number]
+        self._transcription.set_data(self._data)  # what was integrated is for another interval
+        Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border]))
+        eta = np.stack([self._transcription.states(0, k)[0] for k in range(1, self._samples + 1)])
+        retract = self._part.phase.kernels.retract
+        if retract is None:
+            return base + eta
+        return retract(len(eta), len(base), {Argument.Z: eta, Argument.BASE: base[None]})
