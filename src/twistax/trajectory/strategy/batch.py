@@ -24,12 +24,14 @@ def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_
     of_thread = threading.local()
 
     def outcome(case: int) -> Outcome:
-        point, given = jax.tree.map(operator.itemgetter(case), (points, givens))
+        point, instance = jax.tree.map(operator.itemgetter(case), (points, givens))
         if not hasattr(of_thread, "solver"):
-            of_thread.solver = solver.alone(given)
+            of_thread.solver = solver.alone(instance)
         core: CoreSolver = of_thread.solver
         with in_double():
-            return core.judge.judged(solved(core, point, given, Budget(most)), given, mesh_tolerance, core.tolerance)
+            return core.judge.judged(
+                solved(core, point, instance, Budget(most)), instance, mesh_tolerance, core.tolerance
+            )
 
     with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(outcome, range(len(points.us))))
