@@ -1496,15 +1496,6 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "solver/kernels.py",
-        (
-            "numbers of the first problem",
-            "given[self._place] = numbers[None]",
-            'given[self._place] = self.__dict__.setdefault("_first", numbers[None])',
-            "trajectory/test_numbers.py",
-        ),
-    ),
-    *_at(
         "expr/without_numbers.py",
         (
             "exponents as numbers",
@@ -2196,12 +2187,6 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "trajectory/transcription/border.py",
-        (
-            "other limits of free parameters that are not those of the solve",
-            "            found[own] = other",
-            "            pass",
-            "trajectory/test_free_parameters.py",
-        ),
         (
             "upper limits that hold from below",
             "(limits[i, 0] - b[i], b[i] - limits[i, 1])[side]",

@@ -107,7 +107,8 @@ def _of_phase(problem: PhasedProblem, best: Outcome, segment: Segment) -> Outcom
     """What a phase has of an outcome."""
     joined, n, stages = problem.shooting, segment.shooting.n, segment.stages
     defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)
-    return best._replace(
+    return dataclasses.replace(
+        best,
         point=segment.of(best.point),
         values=Values(best.values.cost, defects, joined.rows_of(segment, rows)),
         dynamics=best.dynamics[stages, :n],

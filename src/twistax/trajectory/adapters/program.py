@@ -146,8 +146,8 @@ class NonlinearProgram:
             for k, (n, m) in enumerate(zip(stages.states, stages.controls))
         ]
         for places, counts in zip(self._row_places, (stages.after, stages.inequalities, stages.equalities)):
-            each = np.split(places, np.cumsum(counts)[:-1])
-            jacobian += [np.broadcast_arrays(r[None, :], c[:, None]) for r, c in zip(each, columns)]
+            by_stage = np.split(places, np.cumsum(counts)[:-1])
+            jacobian += [np.broadcast_arrays(r[None, :], c[:, None]) for r, c in zip(by_stage, columns)]
         copies = self._copy_rows
         jacobian += [(self._row_places[0], self._staged.after(self._places))]
         jacobian += [(copies, self._copies[1:]), (copies, self._copies[:-1])]

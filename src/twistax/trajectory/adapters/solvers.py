@@ -132,7 +132,7 @@ class _Casadi:
             count += outcome.iterations
             return outcome
 
-        return strategies.at_a_minimum(core, search, search(start))._replace(iterations=count)
+        return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
 
     def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
         """Passes of the solver: again from where it ended while nodes turn, and in fitting units where it failed.
@@ -153,12 +153,14 @@ class _Casadi:
                 raise TrajectoryError(str(error)) from None
             count += result.iterations
             if not np.isfinite(result.x).all():
-                return core.run_once(here, instance, 0)._replace(status=Status.NON_FINITE, iterations=count)
+                outcome = core.run_once(here, instance, 0)
+                return dataclasses.replace(outcome, status=Status.NON_FINITE, iterations=count)
             reached = made.program.reached(result.x, result.of_bounds, result.of_rows)
-            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)._replace(iterations=count)
+            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)
+            outcome = dataclasses.replace(outcome, iterations=count)
             status = run.ended(outcome, result.word)
             if status is not None:
-                return outcome._replace(status=status)
+                return dataclasses.replace(outcome, status=status)
             turned = reached.turn > _SMALL_TURN
             if units is not None and not (result.success and turned):
                 break
@@ -208,12 +210,12 @@ class _Run:
         if outcome.status is Status.SOLVED:
             return outcome
         if max(outcome.violation, *outcome.errors) <= _ACCEPTABLE * tolerance:
-            return outcome._replace(status=Status.ACCEPTABLE)
+            return dataclasses.replace(outcome, status=Status.ACCEPTABLE)
         if outcome.violation > tolerance:
             other = self.core.run_once(outcome.point, self.instance, self.left - outcome.iterations)
             if other.status is Status.INFEASIBLE:
-                return other._replace(iterations=outcome.iterations + other.iterations)
-        return outcome._replace(status=Status.STALLED)
+                return dataclasses.replace(other, iterations=outcome.iterations + other.iterations)
+        return dataclasses.replace(outcome, status=Status.STALLED)
 
 
 def _counted(callback: Callback | None, before: int) -> Callback | None:

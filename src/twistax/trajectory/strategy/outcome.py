@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -35,7 +36,8 @@ class Errors(NamedTuple):
     gap: Any  # sum of s w and of |multiplier times violation|: what they can cost
 
 
-class Outcome(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Outcome:
     """Where a run of the solver ended."""
 
     point: Point
