@@ -362,7 +362,6 @@ def _checked(name: str, a: Any, count: int) -> Array:
 
 
 def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:
-    """The arrays that a solve works in."""
     sizes = {
         "z": stages.points,
         "v": stages.variables,

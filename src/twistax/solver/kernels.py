@@ -279,7 +279,6 @@ def _is_zero(program: ScalarProgram) -> bool:
 
 
 def _rows(address: int, stride: int, shape: tuple[int, ...], first: int, end: int) -> Array:
-    """Rows of numbers in memory."""
     pointer = ctypes.cast(address + 8 * first * stride, ctypes.POINTER(ctypes.c_double))
     size = math.prod(shape)
     count = max((end - first - 1) * stride + size, 0)

@@ -298,13 +298,11 @@ class Transcription:
                 kernel.check()
 
     def _array(self, array: Array) -> int:
-        """The address of an array that lives as long as this."""
         array = np.ascontiguousarray(array)
         self._memory.append(array)
         return int(array.ctypes.data)
 
     def _placed(self, counts: list[Array]) -> dict[str, Array]:
-        """Where the blocks of all stages stand."""
         stages = self.stages
         columns, after = np.array(stages.columns), np.array(stages.after)
         blocks = {"h": counts[0], "e": counts[1], "c": after, "F": after * columns, "H": columns**2}
@@ -381,5 +379,4 @@ class Transcription:
 
 
 def _codes(inequality: Array, equality: Array) -> Array:
-    """Numbers among inequalities and among equalities as the core reads them."""
     return np.where(inequality >= 0, inequality, np.where(equality >= 0, -2 - equality, DROPPED)).astype(np.int32)

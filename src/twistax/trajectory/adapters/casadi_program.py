@@ -237,7 +237,6 @@ class _Function(casadi.Callback):
 
 
 def _read(memory: Any) -> Array:
-    """Numbers in memory of CasADi's."""
     return np.frombuffer(memory, float) if memory is not None and len(memory) else np.zeros(0)
 
 

@@ -133,7 +133,6 @@ class NonlinearProgram:
         return [np.concatenate(parts) for parts in zip(*rows)], copies, counts
 
     def _take(self, count: int) -> Array:
-        """The next constraints."""
         self.count += count
         return np.arange(self.count - count, self.count)
 

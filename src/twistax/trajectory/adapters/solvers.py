@@ -100,7 +100,6 @@ class _Casadi:
         return kind(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: options})
 
     def _settings(self, tolerance: float) -> dict[str, Any]:
-        """Options for a tolerance."""
         raise NotImplementedError
 
     def _structure(self, program: NonlinearProgram) -> dict[str, Any]:
@@ -173,7 +172,6 @@ class _Casadi:
         return run.at_rest(outcome)
 
     def _prepared(self, core: CoreSolver, instance: Given) -> Any:
-        """The solver for the problem, made once."""
         key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
         if key not in core.made:
             if self.copies not in core.made:
@@ -219,7 +217,6 @@ class _Run:
 
 
 def _counted(callback: Callback | None, before: int) -> Callback | None:
-    """A callback that counts on."""
     return None if callback is None else lambda k, *rest: callback(before + k, *rest)
 
 

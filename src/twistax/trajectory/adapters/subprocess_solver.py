@@ -90,7 +90,6 @@ class SubprocessSolver:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> None:
-    """A process that is no longer there."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):

@@ -161,5 +161,4 @@ def _update(block: Array, step: Array, change: Array) -> None:
 
 
 def _numbers(pointer: Any, count: int) -> Array:
-    """Those at an address."""
     return np.ctypeslib.as_array(pointer, (count,)) if count else np.zeros(0)

@@ -191,7 +191,6 @@ class OptimalityConditions:
         return jnp.concatenate([body[:, :width], last[None]]), body[:, width:], border, numbers
 
     def _joined(self, nodes: Any, us: Any, *shared: Any) -> Any:
-        """The other way."""
         body = jnp.concatenate([nodes[:-1], us], axis=1)
         return jnp.concatenate([body.reshape(-1), nodes[-1], *shared])
 
@@ -303,7 +302,6 @@ class OptimalityConditions:
 
 @jax.custom_jvp
 def _no_slope(z: Any) -> Any:
-    """One."""
     return jnp.ones_like(z)
 
 

@@ -305,7 +305,6 @@ class _SolutionFor:
 
 
 def _by_name(what: str, values: Any) -> dict[str, jax.Array]:
-    """Values by name."""
     if values is not None and not isinstance(values, Mapping):
         raise InputError(f"solution: {what} expects a dict from leaves to values, got {short(values)}")
     return {name_of(key): _numbers(f"solution: {what}[{name_of(key)!r}]", a) for key, a in (values or {}).items()}

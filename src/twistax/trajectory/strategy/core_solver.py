@@ -249,7 +249,6 @@ class _Watch:
 
 
 def _arrays(tree: Any) -> Any:
-    """Points as NumPy arrays."""
     if isinstance(tree, Point):
         return Point(*(_arrays(a) for a in tree))
     if isinstance(tree, tuple):

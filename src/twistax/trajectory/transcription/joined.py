@@ -184,6 +184,5 @@ def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
 
 
 def _keys(path: PathRows) -> list[Any]:
-    """What makes rows the same."""
     keys: list[Any] = [(row.key(), entry) for row in path.residuals for entry in range(prod(row.shape))]
     return keys + [(bound.leaf, bound.entry, bound.sign, bound.limit) for bound in path.bounds]

@@ -202,7 +202,6 @@ class PhaseFunctions:
     # ---- what is traced ---------------------------------------------------------------------------------------------
 
     def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
-        """The phase with other expressions."""
         return self._shooting.made_of(self._shooting.local.expressions._replace(**exprs))
 
     def _base(self, known: Known) -> dict[str, jax.Array]:
