@@ -9,7 +9,6 @@ from expr_cases import value_of
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.fields import Operand
 from twistax.expr.without_numbers import Structure
 
 x, v = tx.State("x", shape=(2,)), tx.State("v")
@@ -19,8 +18,8 @@ VALUES: dict[str, Any] = {"x": np.array([0.3, -0.7]), "v": 0.4}
 class Scaled(Expr):
     """A node of a user's, which may read the numbers of its operands where it is evaluated."""
 
-    a: Operand
-    by: Operand
+    a: tx.expr.fields.Operand
+    by: tx.expr.fields.Operand
     takes = ((), ())
     gives = ()
 
@@ -95,7 +94,7 @@ def test_leaves_count_as_what_stands_for_them() -> None:
 def test_a_class_that_is_made_anew_is_another() -> None:
     def made(factor: float) -> Any:
         class Times(Expr):
-            a: Operand
+            a: tx.expr.fields.Operand
             takes = ((),)
             gives = ()
 

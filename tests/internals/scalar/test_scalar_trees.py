@@ -2,22 +2,18 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
 from random import Random
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+from expr_cases import function_of
 from scalar_cases import Case, compare, oracles
+from test_random_trees import LEAVES, SHAPES, Forest, by_numpy
 
 from twistax import expr as tx
 from twistax.lowering.scalar.program import emitted_form
-
-sys.path.append(str(Path(__file__).parents[1] / "expr"))
-from expr_cases import function_of
-from test_random_trees import LEAVES, SHAPES, Forest, by_numpy
 
 NAMES = [leaf.name for leaves in LEAVES.values() for leaf in leaves]
 
