@@ -113,9 +113,9 @@ def solve_qp(
     C: Any = None,
     row_lower: Any = None,
     row_upper: Any = None,
+    *,
     lower: Any = None,
     upper: Any = None,
-    *,
     warm: QPSolution | None = None,
     options: QPOptions | None = None,
 ) -> QPSolution:

@@ -97,22 +97,24 @@ class Transcribed(ABC):
     def defect(self, stage: int, column: int) -> str:
         """What an entry of the defects is called, and where it is."""
 
+    # Those of one phase; of several see `Joined`.
+
     @property
-    @abstractmethod
     def phase_places(self) -> list[str]:
         """What follows the place of an interval in messages, of each phase."""
+        return [""]
 
-    @abstractmethod
     def named(self, part: Segment, name: str) -> str:
         """The name of a row of a phase among those of all."""
+        return name
 
-    @abstractmethod
     def whole_rows(self, parts: Sequence[Array]) -> Array:
         """Numbers for the rows of each phase as numbers for all rows."""
+        return parts[0]
 
-    @abstractmethod
     def rows_of(self, part: Segment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
+        return rows
 
 
 class Shooting(Transcribed):
@@ -208,19 +210,6 @@ class Shooting(Transcribed):
 
     def defect(self, stage: int, column: int) -> str:
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
-
-    @property
-    def phase_places(self) -> list[str]:
-        return [""]
-
-    def named(self, part: Segment, name: str) -> str:
-        return name
-
-    def whole_rows(self, parts: Sequence[Array]) -> Array:
-        return parts[0]
-
-    def rows_of(self, part: Segment, rows: Any) -> Any:
-        return rows
 
     def spread_over_points(self, of_rows: Array) -> Array:
         """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
