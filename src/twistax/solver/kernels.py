@@ -192,7 +192,7 @@ class SmoothKernels:
         arguments: how many entries each has; the first one is what derivatives are by.
         order: of the derivatives that are needed, 0 to 2.
         key: equal for functions that differ in their numbers alone; None: this one is like no other.
-        numbers: its numbers; other kernels of the key have others.
+        numbers: values of the numbers in its expressions; kernels of the same key differ in these.
     """
 
     def __init__(

@@ -245,7 +245,7 @@ class Transcription:
     def set_data(self, data: Array) -> None:
         """Other numbers for the kernels."""
         self._data[:] = data
-        for structure in self._structures:  # what was integrated is for other numbers
+        for structure in self._structures:  # integrated states are out of date
             ctypes.c_double.from_address(structure.work).value = 0.0
 
     def set_margins(self, phase: int, path: Array, nodes: Sequence[Array]) -> None:
@@ -268,7 +268,7 @@ class Transcription:
         for structure, memory, values in zip(self._structures, self.steps, steps):
             if not np.array_equal(memory, values):
                 memory[...] = values
-                ctypes.c_double.from_address(structure.work).value = 0.0  # what was integrated is for others
+                ctypes.c_double.from_address(structure.work).value = 0.0  # integrated states are out of date
 
     def states(self, phase: int, substep: int) -> Array:
         """(intervals, n) eta where a substep ends, of the point that was evaluated last."""

@@ -1,9 +1,9 @@
-"""Solvers of others, on the same discrete problem: IPOPT and Fatrop, both inside CasADi's wheel.
+"""IPOPT and Fatrop, both inside CasADi's wheel, on the same discrete problem.
 
-They get the functions that this package's solver has, in the units of the statement. States on groups are steps in the
+They call the same functions as this package's solver, in the units of the statement. States on groups are steps in the
 tangent spaces at nodes that stay while a solver runs; the nodes then move to where it ended, and it starts again from
-there, until nothing turns. What comes out is measured as everything else is: by the first-order conditions, in this
-package's scales.
+there, until no node turns. A result is measured like all results: by the first-order conditions, in this package's
+scales.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from ..strategy.warm import WarmStart
 from ..transcription.points import Given, Point
 from .program import NonlinearProgram
 
-#: How often nodes may move to where a solver ended; the first barrier parameter and distance from limits then; no turn,
+#: Passes of a solver; the first barrier parameter and distance from limits of a warm pass; a turn that counts as none,
 #: rad.
 _PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
-#: Their tolerance over that of a solve: IPOPT's default for that of `solve`. A result is acceptable within so many of
-#: the latter.
+#: The solver's tolerance over that of `solve`; a result is acceptable within so many tolerances of `solve`.
 _CLOSER, _ACCEPTABLE = 1e-2, 100.0
-#: Words of theirs for an end that another start does not mend, and whether the constraints hold there.
+#: Return statuses that end the search, with whether the constraints hold.
 _OVER = {
     ("Infeasible_Problem_Detected", False): Status.INFEASIBLE,
     ("Diverging_Iterates", True): Status.UNBOUNDED,
@@ -42,7 +41,7 @@ _OVER = {
 
 @runtime_checkable
 class SolvedBy(Protocol):
-    """A solver of others: what `Problem.solve(solver=...)` takes."""
+    """What `Problem.solve(solver=...)` takes."""
 
     def run(
         self,
@@ -52,7 +51,7 @@ class SolvedBy(Protocol):
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
-        """Solve from a start; `core` has the functions, and measures what comes out."""
+        """Solve from a start; `core` has the functions, and measures the result."""
         ...
 
 
@@ -243,9 +242,9 @@ class IPOPT(_Casadi):
 
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
-        max_seconds: after which a try ends as OUT_OF_TIME where it had come to, by the clock on the wall, with what
-            compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints
-            to standard error. None: in this process, without a limit, and faster.
+        max_seconds: wall time after which a try ends as OUT_OF_TIME, at its last iterate; compiling counts. IPOPT then
+            runs in a process of its own, which can be ended whatever it does, and prints to standard error. None: in
+            this process, without a limit, and faster.
 
     Raises:
         TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.

@@ -43,7 +43,7 @@ class Solution(NamedTuple):
 
 
 class _Theta(NamedTuple):
-    """What was asked for; entries that were not are missing."""
+    """The arguments of a call; entries that are left out are missing."""
 
     params: dict[str, Any]
     initial: dict[str, Any]
@@ -70,7 +70,7 @@ def solution(
     The first call solves the problem as it was stated, with `problem.solve`. Every call then is one call of the
     solver's core, which starts at that optimum, in its units, and computes in double precision whatever
     `jax_enable_x64` says. In programs of `jit` and `vmap` it is one operation, and threads of XLA share the members of
-    a batch. Outside of these the result is looked at as in `problem.solve`, and where the core alone finds no optimum
+    a batch. Outside of these the mesh is checked as in `problem.solve`, and where the core alone finds no optimum
     `problem.solve` searches.
 
     The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
@@ -79,7 +79,7 @@ def solution(
     Args:
         guess, warm: for the problem as it was stated, as in `problem.solve`.
         max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as it was
-            stated, which is looked at once.
+            stated, which is checked once.
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
@@ -96,7 +96,7 @@ def solution(
 
 
 class _Reference(NamedTuple):
-    """The problem as it was stated: where it starts, or is solved, and the call that solves it from there."""
+    """The problem as stated, and the call of the core that starts at its solution."""
 
     core: CoreSolver
     instance: Given
@@ -166,7 +166,7 @@ class _SolutionFor:
         return self._shown(self._differentiable(theta))
 
     def _check(self, theta: _Theta) -> None:
-        """Raise InputError, or what `problem.solve` does, where what is asked for does not fit the problem."""
+        """Raise InputError, or what `problem.solve` does, where an argument does not fit the problem."""
         problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
         shapes = {name: np.shape(value) for name, value in problem.params.items()}
         of_states = {name: state.shape for name, state in states.items()}
@@ -275,9 +275,9 @@ class _SolutionFor:
         return optimum, tangent(theta, tangents, optimum)._replace(exact=none)
 
     def _tangent(self, theta: _Theta, tangents: _Theta, optimum: Optimum) -> Optimum:
-        """How the optimum moves along a change of what was asked for."""
+        """How the optimum moves along a change of the arguments."""
         conditions, known = self._conditions, jnp.where(optimum.solved > 0.0, 1.0, jnp.nan)
-        tangents = jax.tree.map(lambda a: known * a, tangents)  # also where what was asked for is NaN
+        tangents = jax.tree.map(lambda a: known * a, tangents)  # also where an argument is NaN
 
         def fixed(theta: _Theta) -> Any:
             times = theta.final_time.get("final_time")

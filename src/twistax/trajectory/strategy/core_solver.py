@@ -32,7 +32,7 @@ from .warm import WarmStart
 _CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
-#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
+#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
 #: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
@@ -57,7 +57,7 @@ class CoreSolver:
         busy: whether it is in a solve.
         measure, judge: measure results, and look at their meshes.
         largest_step: how far a step may move each unknown, as `solver.core.solve` has it.
-        made: what solvers of others made of the problem, by solver.
+        made: IPOPT's and Fatrop's form of the problem, by solver.
     """
 
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:

@@ -68,7 +68,7 @@ class CloseIntegration:
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
     def decided_rows(self, z: Array, instance: Given) -> Array:
-        """(rows,) of those at nodes, which ends or other rows decide; of others what stands there means nothing."""
+        """(rows,) values of the rows at nodes that ends or other rows decide; other entries mean nothing."""
         transcription, rows = self._transcription, []
         transcription.set_data(self._staged.numbers.vector(instance))
         h = Evaluated(transcription, z).h

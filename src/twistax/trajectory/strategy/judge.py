@@ -1,4 +1,4 @@
-"""What is looked at once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
+"""Checks of a result once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
 
 Every interval is integrated closely again from its planned start, with the planned controls. It ends a tangent g_k away
 from the planned end. With y_k the multipliers of the dynamics, the objective J of a mesh that follows the equations is,

@@ -1,4 +1,4 @@
-"""What the solver's core came to in the terms of this package: rows, multipliers, errors, a status."""
+"""Results of the solver's core in the terms of this package: rows, multipliers, errors, a status."""
 
 from __future__ import annotations
 

@@ -51,7 +51,7 @@ class Outcome:
     scales: Scales
     status: Status
     iterations: int
-    accuracy: Accuracy | None = None  # of the mesh; None before it is looked at, and of points that are not finite
+    accuracy: Accuracy | None = None  # of the mesh; None before its check, and of points that are not finite
     units: StartUnits | None = None  # of the solver
     flat: FlatRow | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better

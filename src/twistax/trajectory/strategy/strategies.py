@@ -125,7 +125,7 @@ class _Search:
         return self._at_minimum(self._fitting(start, instance), instance)
 
     def _with_fixed_durations(self, rested: Outcome, start: Point, instance: Given) -> Outcome:
-        """What runs come to that begin with fixed durations; the earlier outcome if no such run succeeds.
+        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds.
 
         Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
         """
@@ -184,7 +184,7 @@ def warm_at(result: Outcome, instance: Given) -> WarmStart:
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
-    """Whether units of states or controls are nothing beside those at a result, or far above."""
+    """Whether units of states or controls differ from those at a result by a large factor."""
     known = solver.measure.scales(fresh)
     ratios = [np.ravel(known.d / used.d)]
     for part, sizes in zip(solver.transcribed.segments, fresh.parts):
@@ -194,7 +194,7 @@ def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
 
 
 def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
-    """A result, or where the objective falls to second order from it what is found beside it, if that is better."""
+    """The result; from a saddle point, a better one that searches from random steps away find."""
     seed = 0
     while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None

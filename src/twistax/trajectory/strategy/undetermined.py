@@ -22,7 +22,7 @@ _LITTLE = 1e-6
 _SHARE = 0.3
 #: Singular values of rows below this share of the largest are rounding.
 _ROUNDING = 1e-9
-#: Moves of more unknowns are not looked at.
+#: Problems with more free unknowns than this are skipped.
 _MOST = 1000
 #: The proposed weight adds this share to the objective where a control is at its size all along.
 _PRICE = 1e-3

@@ -175,7 +175,7 @@ class Joined(Transcribed):
 
 
 def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
-    """Take rows out of the start of a phase that are asked, of the same states, at the end of the one before."""
+    """Take rows out of the start of a phase that exist, of the same states, at the end of the one before."""
     at_end = {key for key, is_there in zip(_keys(before.path), before.path.at_nodes()) if is_there}
     for place, row in after.start_rows():
         same = after.path.states[row] <= unchanged and _keys(after.path)[row] in at_end

@@ -26,7 +26,7 @@ from .point_values import PointValues
 
 
 class Expressions(NamedTuple):
-    """What a system and what is asked of it are made of: canonical expressions."""
+    """The canonical expressions of a system, its constraints and its objective."""
 
     rates: tuple[Expr, ...]  # of the states in their order
     rows: tuple[Expr, ...]  # of the path, without boxes

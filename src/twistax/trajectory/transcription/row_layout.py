@@ -20,7 +20,7 @@ class RowLayout:
 
     Attributes:
         names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
-        asked: of the path rows at all points of an interval one after the other, those that some interval has.
+        asked: places among the path rows of all points of an interval, in order, that some interval has.
         per_interval: rows of an interval.
         path_rows: path rows at a point, 1 where the path has no rows.
         end_states: path rows that the last node has.
@@ -47,13 +47,13 @@ class RowLayout:
         return self.per_interval - len(self.asked)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
         inner = np.zeros((len(of_rows), self.per_interval))
         inner[:, : len(self.asked)] = of_rows[:, self.asked % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])
 
     def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
-        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where it is not asked."""
+        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where there is none."""
         least = np.full((intervals, rows), np.inf)
         sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
         np.minimum.at(least.T, self.asked % self.path_rows, sizes.T)

@@ -61,13 +61,13 @@ class Transcribed(ABC):
         nodes, intervals, rows_per_interval: how many.
         border: the unknowns that all stages share.
         names, places: of every row.
-        equality, exists: (rows,) which rows are equalities; which are asked at all.
+        equality, exists: (rows,) which rows are equalities; which ones the problem has.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         pinned: (rows,) those of them that other rows decide.
         own: (rows,) those of single nodes.
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
-            decides are looked at where a search starts.
+            decides are evaluated at the start of a search.
         segments, joins: the phases, and what is between them.
     """
 
@@ -212,11 +212,11 @@ class Shooting(Transcribed):
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
     def spread_over_points(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
         return self.layout.spread(of_rows)
 
     def row_scales(self, rows: Array) -> Array:
-        """(intervals, path rows) the least scale of every path row, of those of all; infinite where none asks it."""
+        """(intervals, path rows) the least scale of every path row, of those of all; infinite where there is none."""
         return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, len(self.path.names))
 
     # ---- functions of q = [eta, u, b], and of a node's step z = [d, db] -------------------------------------------

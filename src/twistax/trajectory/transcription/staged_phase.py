@@ -56,7 +56,7 @@ class StagedPhase:
         self.describe()
 
     def describe(self) -> None:
-        """Say again which rows there are."""
+        """Describe the rows that exist now."""
         shooting = self.shooting
         self.bounds = _bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
