@@ -13,7 +13,7 @@ from trajectory_systems import quick_jit
 import twistax as tx
 from twistax.integrators import VectorField
 from twistax.scalar.graph import TooLarge
-from twistax.system.system import hessian
+from twistax.system import hessian
 from twistax.trajectory import discretize
 
 RNG = np.random.default_rng(0)
