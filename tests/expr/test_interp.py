@@ -16,8 +16,8 @@ from scipy import interpolate
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.table_load import Table, load
-from twistax.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
+from twistax.expr.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
+from twistax.scalar.primitives.table_load import Table, load
 
 RNG = np.random.default_rng(3)
 x = tx.State("x", (3,))

@@ -12,7 +12,7 @@ from windy_body import START, U, windy_body
 
 import twistax as tx
 from compiled_steps import kernels_of_equal_steps
-from twistax.lowering import Dynamics
+from twistax.system.dynamics import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

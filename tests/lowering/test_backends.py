@@ -14,8 +14,8 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Example, Expr
-from twistax.lowering import Backend
 from twistax.mechanics import Chain, chain_models, forward_dynamics
+from twistax.scalar.backends import Backend
 
 RNG = np.random.default_rng(0)
 #: Methods of few stages compile quickly; what runs their rates is the same for all.
@@ -212,7 +212,7 @@ def test_long_functions_are_kernels_in_loops(monkeypatch: pytest.MonkeyPatch) ->
     """With the numbers, and the derivatives, of the loops that XLA compiles."""
     system, x, u = case("arm")
     plain = tx.compile(system, backend=tx.XLA())
-    monkeypatch.setattr("twistax.lowering.native.backend._LONG", 100)
+    monkeypatch.setattr("twistax.scalar.targets.llvm.backend._LONG", 100)
     kernels = tx.compile(system, backend=tx.Native())
 
     def end(dynamics: tx.Dynamics, rate: Any) -> Any:

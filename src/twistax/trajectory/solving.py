@@ -15,8 +15,8 @@ from numpy import ndarray as Array
 
 from ..checks import callable_with, number, short, whole
 from ..errors import TrajectoryError
-from ..precision import in_double
-from ..walk import uncollected
+from ..jax_inside import in_double
+from ..scalar.walk import uncollected
 from .adapters.solvers import SolvedBy
 from .between import held
 from .cases import Cases, prepared

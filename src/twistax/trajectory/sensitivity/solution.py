@@ -12,8 +12,7 @@ import numpy as np
 
 from ...checks import listed, real_array, reals, short
 from ...errors import InputError, ShapeError, TrajectoryError
-from ...jax_inside import is_traced, quick_compile
-from ...precision import in_double
+from ...jax_inside import in_double, is_traced, quick_compile
 from ...system import name_of
 from ..hessians.options import by_updates
 from ..problem import Problem

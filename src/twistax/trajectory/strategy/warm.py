@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from ...checks import short, whole
 from ...errors import TrajectoryError
-from ...precision import in_double
+from ...jax_inside import in_double
 from ..start_units import StartUnits
 from ..strategy.integration import Rollout
 from ..transcription.points import Given, Point

@@ -14,12 +14,11 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...lowering import XLA
-from ...lowering.backends import chosen
-from ...lowering.dynamics import Arrays
-from ...lowering.fast import fast
-from ...lowering.native.backend import Auto, Native, installed
+from ...scalar.backends import XLA, chosen
+from ...scalar.fast import fast
+from ...scalar.targets.llvm.backend import Auto, Native, installed
 from ...solver.transcription import Method
+from ...system.functions import Arrays
 from .points import Given, Point, Values
 from .shooting import Shooting
 

@@ -22,7 +22,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...expr import Expr, Inputs, evaluate_all
-from ...lowering.dynamics import Arrays
+from ...system.functions import Arrays
 from ..statement import PathRows
 from .points import Step
 from .shooting import Segment, Shooting, Transcribed

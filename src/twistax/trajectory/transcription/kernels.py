@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 
 from ...expr import Control, Expr, Leaf, Parameter, State, Time
 from ...expr.fields import freeze
-from ...expr.without_numbers import Structure
+from ...expr.transformations.without_numbers import Structure
 from ...solver.kernels import Argument, SmoothKernels
 from ...solver.transcription import JoinKernels, PhaseKernels
 from ..conditions import Conditions

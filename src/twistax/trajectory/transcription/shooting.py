@@ -22,9 +22,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...expr import Control, Inputs, State
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
 from ...system import entry_names
+from ...system.dynamics import Dynamics
+from ...system.functions import Arrays
 from ..by_node import ByNode
 from ..conditions import Conditions, Ends
 from ..cones import NormControls

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...precision import in_double
+from ...jax_inside import in_double
 from ...solver.transcription import EQUALITY, INEQUALITY, Transcription
 from .kernels import PhaseFunctions, point_of
 from .points import Given, Point
