@@ -71,7 +71,8 @@ def test_errors_are_those_of_an_independent_integration(monkeypatch: pytest.Monk
     monkeypatch.setattr(refine, "_NODES", 6)
     ended = problem.solve(refine=1e-3)
     assert ended.status is Status.COARSE
-    assert "could not be refined" in ended.message
+    assert "could not be refined to 0.001: a finer mesh has more than 6 nodes. On 5 nodes" in ended.message
+    assert "Mesh(n, free=True)" in ended.message
     assert not ended.solved
 
 

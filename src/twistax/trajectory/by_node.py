@@ -47,13 +47,21 @@ class ByNode:
             raise ModelError(f"by_node expects a list of parameters, such as [reference, weight], got {short(given)}")
         return cls({leaf.name: leaf for leaf in listed}, shares, shares)
 
-    def check(self, objective: Iterable[Expr], elsewhere: Iterable[Expr], read: Iterable[str]) -> None:
-        """Raise ModelError unless the objective alone reads them.
+    def check(
+        self, objective: Iterable[Expr], elsewhere: Iterable[Expr], read: Iterable[str], free: Iterable[str]
+    ) -> None:
+        """Raise ModelError unless the objective alone reads them, and none is free.
 
         Args:
             objective, elsewhere: expressions of the objective, and all others.
             read: names of the parameters that the system reads.
+            free: names of the free parameters.
         """
+        for name in self.leaves.keys() & set(free):
+            raise ModelError(
+                f"by_node and free both name {name!r}; a free parameter has one value for all nodes.\n"
+                "  fix: leave it out of one of them; a control is a quantity that the optimiser chooses over time"
+            )
         known = {leaf.name for expr in objective for leaf in leaves_of(expr)}
         others = {leaf.name for expr in elsewhere for leaf in leaves_of(expr)} | set(read)
         for name in self.leaves:

@@ -7,7 +7,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, Generic, TypeVar
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -17,13 +16,13 @@ from ..system import name_of
 from .found import Optimality, Tried, found_params
 from .phased_result import PhasedResult
 from .result import TrajectoryResult
-from .transcribed import Given, Point
+from .transcribed import Point
 from .watch import Status
 
 if TYPE_CHECKING:
     from .phases import PhasedProblem
     from .problem import Problem
-    from .solving import Solvable
+    from .solving import Solvable, Started
 
 One = TypeVar("One")
 #: An argument of one case.
@@ -87,32 +86,27 @@ class Cases:
         return lambda k: value[k]
 
 
-def prepared(
-    problem: Solvable[Any, Any], cases: Cases, sizes: Callable[[Point, Given], Any] | None = None, at: Any = None
-) -> tuple[Point, Given, list[dict[str, Array]]]:
-    """Where the cases start, what they are solved for (arrays with a leading axis), and their parameters.
+def started_cases(
+    problem: Solvable[Any, Any], cases: Cases, sizes: Callable[[int], Any] | None = None
+) -> list[Started | TwistaxError]:
+    """What each case starts from and is for; the error of a case whose arguments do not fit the problem.
 
     Args:
-        sizes: as `Solvable.started` takes them, from where a case starts.
-        at: where the cases start without them.
+        sizes: as `Solvable.started` takes them, by the number of the case.
 
     Raises:
-        TwistaxError: as `solve` does, with the number of the case.
+        TwistaxError: no case fits: that of the first, with its number.
     """
-    found: list[tuple[Point, Given, dict[str, Array]]] = []
+    found: list[Started | TwistaxError] = []
     for k in range(cases.count):
         try:
-            known = None if sizes is None else sizes(*jax.tree.map(lambda a, k=k: a[k], at))
-            found.append(problem.started(**cases.case(k), sizes=known)[:3])
+            found.append(problem.started(**cases.case(k), sizes=None if sizes is None else sizes(k)))
         except TwistaxError as error:
             error.args = (f"case {k}: {error}",)
-            raise
-    points, givens, params = zip(*found)
-    return _stacked(points), _stacked(givens), list(params)
-
-
-def _stacked(trees: Sequence[Any]) -> Any:
-    return jax.tree.map(lambda *own: np.stack([np.asarray(a) for a in own]), *trees)
+            found.append(error)
+    if isinstance(found[0], TwistaxError) and all(isinstance(case, TwistaxError) for case in found):
+        raise found[0]
+    return found
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)

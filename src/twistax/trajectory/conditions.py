@@ -16,9 +16,12 @@ from numpy import ndarray as Array
 from ..checks import listed, short
 from ..errors import ModelError, TrajectoryError
 from ..expr import (
+    Constant,
     Constraint,
+    Control,
     Equality,
     Expr,
+    Index,
     Inputs,
     Parameter,
     State,
@@ -31,6 +34,8 @@ from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ..expr.soft import Asked, hard
 from ..lowering import Dynamics
 from ..system import entry_names, free_name, name_of
+from .cones import linear_terms, sum_of
+from .point_values import PointValues
 from .statement import bounds_of, check_leaves, limited, without_end
 
 #: An end beyond a limit by less than this share of it is at the limit.
@@ -93,6 +98,49 @@ def residual_of(constraint: Constraint) -> Expr:
         log = SO3Log if left.shape == (3, 3) else SE3Log
         return log(Compose(Inverse(right), left))
     return constraint.residual()
+
+
+def stated_values(
+    states: Sequence[State], constraints: Iterable[Constraint], params: Mapping[str, Array]
+) -> dict[str, Array]:
+    """State -> the values that equalities at a node say, NaN elsewhere; states of which none says anything are left.
+
+    An equality says a value where one term of it is a state, or a part of one, and all others read parameters alone.
+    """
+    known, found = {state.name: state for state in states}, dict[str, Array]()
+    for constraint in constraints:
+        stated = _stated_value(constraint) if isinstance(constraint, Equality) else None
+        if stated is None:
+            continue
+        name, index, value = stated
+        state = known[name]
+        values = found.setdefault(name, np.full(state.shape, np.nan))
+        is_number = isinstance(value, Constant)
+        numbers = value.value if is_number else PointValues.of([value])(np.zeros(1), {}, {}, params)
+        values[index] = np.reshape(numbers, value.shape)
+    for name, values in found.items():
+        for part in () if known[name].group.flat else known[name].group.parts:
+            if part.unit == "rad" and np.isnan(values[part.place]).any():
+                values[part.place] = np.nan  # a part of a rotation is none
+    return found
+
+
+def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
+    """The state, the index into it and the value that an equality says; None if it says none."""
+    left, right = constraint.lhs, constraint.rhs
+    moving = (State, Control, Time)
+    if left.is_group_element and right.is_group_element:
+        terms = [(1.0, left), (-1.0, right)]
+    else:
+        terms = linear_terms(constraint.residual().canonicalize())
+    reading = [(factor, part) for factor, part in terms if any(isinstance(e, moving) for e in leaves_of(part))]
+    if len(reading) != 1:
+        return None
+    ((factor, part),) = reading
+    base, index = (part.base, part.index) if isinstance(part, Index) else (part, ...)
+    value = sum_of([(-other / factor, term) for other, term in terms if term is not part]).canonicalize()
+    shape = constraint.residual().check_shape() if not left.is_group_element else left.shape
+    return (base.name, index, value) if isinstance(base, State) and part.shape == value.shape == shape else None
 
 
 def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:

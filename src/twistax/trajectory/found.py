@@ -238,7 +238,8 @@ class Tried:
                 return order.index(outcome.status), outcome.accuracy.error
             if outcome.status in order:
                 return order.index(outcome.status), outcome.cost
-            return len(order) + (outcome.status is Status.NON_FINITE), outcome.violation
+            last = outcome.status in (Status.NON_FINITE, Status.REFUSED)
+            return len(order) + last, outcome.violation
 
         return min(self.outcomes, key=rank)
 
@@ -293,6 +294,8 @@ def _message(
     shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
 ) -> str:
     """The status, and where it is no success what does not hold: the worst constraint, the dynamics, the conditions."""
+    if outcome.status is Status.REFUSED:
+        return f"{outcome.status}. {outcome.refusal}"
     worst, count = [], shooting.intervals * shooting.n
     if outcome.status in AT_OPTIMUM:
         return " ".join([f"{outcome.status}{_SADDLE if outcome.saddle else ''}.", *_looked_at(outcome, tolerance)])

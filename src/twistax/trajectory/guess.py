@@ -41,10 +41,20 @@ def user_guess(
     return found
 
 
-def state_guess(leaf: State, given: Array | None, initial: Array | None, final: Array | None, shares: Array) -> Array:
+def state_guess(
+    leaf: State,
+    given: Array | None,
+    initial: Array | None,
+    final: Array | None,
+    shares: Array,
+    stated: tuple[Array | None, Array | None] = (None, None),
+) -> Array:
     """Values of a state at nodes, given as shares of the final time; fixed ends are put in place.
 
     Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
+
+    Args:
+        stated: what conditions say of the state at both ends, for where neither a guess nor an end does.
     """
     source = given if given is not None else leaf.guess
     if source is None:
@@ -53,7 +63,8 @@ def state_guess(leaf: State, given: Array | None, initial: Array | None, final: 
             rest = _middle(leaf.min, leaf.max, rest)
         else:
             rest = np.asarray(leaf.group.identity(float))
-        first, last = _known(initial, _known(final, rest)), _known(final, _known(initial, rest))
+        begin, end = (with_stated(side, value) for side, value in zip((initial, final), stated, strict=True))
+        first, last = _known(begin, _known(end, rest)), _known(end, _known(begin, rest))
         source = np.stack([first, last])
     elif source.shape == leaf.shape:
         source = source[None]
@@ -102,6 +113,11 @@ def _geodesic(group: Group, share: jax.Array, first: jax.Array, last: jax.Array)
 
 def _known(values: Array | None, otherwise: Any) -> Any:
     return otherwise if values is None else np.where(np.isnan(values), otherwise, values)
+
+
+def with_stated(values: Array | None, others: Array | None) -> Array | None:
+    """Values, and others where these are free."""
+    return values if others is None else _known(values, others)
 
 
 def _middle(low: Array | None, high: Array | None, otherwise: Any) -> Any:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-import operator
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import numpy as np
@@ -14,16 +15,14 @@ from ..processors import processors
 from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome
-from .transcribed import Given, Point
 
 
-def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_tolerance: float) -> list[Outcome]:
-    """The outcomes of all cases, arrays with a leading axis."""
-    points, givens = jax.tree.map(np.asarray, (points, givens))
+def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
+    """The outcomes of all cases, each with the `point` where it starts and what is `given`."""
     of_thread = threading.local()
 
-    def solved(case: int) -> Outcome:
-        point, given = jax.tree.map(operator.itemgetter(case), (points, givens))
+    def solved(case: Any) -> Outcome:
+        point, given = jax.tree.map(np.asarray, (case.point, case.given))
         if not hasattr(of_thread, "solver"):
             of_thread.solver = solver.alone(given)
         own: CoreSolver = of_thread.solver
@@ -31,4 +30,4 @@ def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_
             return own.judge.judged(own.run(point, given, Budget(most)), given, mesh_tolerance, own.tolerance)
 
     with ThreadPoolExecutor(processors()) as pool:
-        return list(pool.map(solved, range(len(points.us))))
+        return list(pool.map(solved, cases))

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import jax
+import numpy as np
 from numpy import ndarray as Array
 
 from .iterate import Errors, Scales
@@ -37,6 +39,13 @@ class Outcome(NamedTuple):
     units: StartUnits | None = None  # of the solver
     flat: Flat | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
+    refusal: str = ""  # why it was not solved
+
+    def refused(self, refusal: str) -> Outcome:
+        """That of a case which was not solved, of the same shapes: all numbers are NaN."""
+        numbers = self._replace(status=None, iterations=None, accuracy=None, units=None, flat=None, refusal=None)
+        nothing: Outcome = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)
+        return nothing._replace(status=Status.REFUSED, iterations=0, saddle=False, refusal=refusal)
 
     @property
     def cost(self) -> float:

@@ -21,7 +21,7 @@ from .cases import PhasedResults, phased_results
 from .conditions import Ends
 from .found import Tried
 from .functionals import Initial
-from .guess import resample
+from .guess import resample, with_stated
 from .joined import Join, Joined, told_before
 from .mesh import Remeshed
 from .phase import Phase, as_dict, asked, names_read
@@ -202,6 +202,9 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
                 raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")
             if not np.isfinite(found[name]).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {short(value)}")
+        for part, name in zip(self.parts, self.names):
+            with in_phase(name):
+                part.check_weights(found)
         return found
 
     def build(self) -> None:
@@ -337,10 +340,11 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         guess = {name: value for own in guesses for name, value in own.items()}
         free = {box.name: guess[box.name] for box in self.border.boxes if box.name in guess}
         us = np.zeros((self.shooting.intervals, self.shooting.m))
+        known = [_with_stated(side, part.stated_values(params)) for side, part in zip(ends, self.parts)]
         xs: list[Any] = []
         for index, part in enumerate(self.parts):
             began = {name: np.asarray(xs[0][name][0]) for name in part.reduced.starts if index}
-            own = self._between(index, ends, durations) | guesses[index] | free | began
+            own = self._between(index, known, durations) | guesses[index] | free | began
             point = part.start(own, ends[index], params, durations, limits, sizes[index])
             found = part.border.params(np.asarray(point.border))
             free |= {box.name: found[box.name] for box in part.bounds}
@@ -380,3 +384,12 @@ class PhasedProblem(Solvable[PhasedResult, PhasedResults]):
         """Whether a state is the same on both sides of a join."""
         source = self.sources[join].get(state.name)
         return isinstance(source, State) and source.key() == state.key()
+
+
+def _with_stated(ends: Ends, stated: tuple[dict[str, Array], dict[str, Array]]) -> Ends:
+    """Ends, with what conditions say where they are free."""
+    initial, final = (
+        {name: with_stated(value, values.get(name)) for name, value in side.items()}
+        for side, values in zip((ends.initial, ends.final), stated)
+    )
+    return dataclasses.replace(ends, initial=initial, final=final)

@@ -10,7 +10,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import listed, reals, short
+from ..checks import known_arguments, listed, reals, short
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
 from ..lowering.dynamics import need_compiled
@@ -19,7 +19,7 @@ from ..system import entry_names, name_of
 from .border import Border, boxes_of, times_of
 from .by_node import ByNode
 from .cases import TrajectoryResults, trajectory_results
-from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split
+from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split, stated_values
 from .cones import above, bounds_along, norm_controls
 from .controls import continuous_controls
 from .found import Tried
@@ -30,7 +30,7 @@ from .reduction import InPhase, Reduction
 from .restated import Restated
 from .result import TrajectoryResult, best_result
 from .shooting import Shooting
-from .slacks import NodeSlacks, slack_controls
+from .slacks import NodeSlacks, check_weights, slack_controls
 from .solving import Solvable, Started
 from .statement import Objective, check_leaves, describe_path
 from .transcribed import Given, Point
@@ -101,6 +101,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             )
         return PhasedProblem(dynamics, *args, **options)
 
+    @known_arguments("Problem", TrajectoryError, {"problem.solve": lambda: Solvable.solve})
     def __init__(
         self,
         dynamics: Any,
@@ -162,6 +163,7 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         plain = {k: restated.plain(reduced.plain(own)) for k, own in zip(inner, inner_rows)}
         self.node_rows = {k: conditions(dynamics, f"node {k}", own) for k, own in plain.items()}
         first_rows = restated.plain(first_rows | reduced.at_start)
+        self._at_ends = first_rows, restated.plain(reduced.plain(last_rows), last=True)
         if first_rows:
             self.node_rows[0] = conditions(dynamics, "initial", first_rows)
         self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
@@ -187,11 +189,11 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         self.by_node = ByNode.of(by_node, self.mesh.shares)
         elsewhere = [*asked, *(row for _, row in self.norms.rows)]
         priced = [e for e in (objective.final, self.norms.running) if e is not None]
-        self.by_node.check(priced, elsewhere, reads["rates"] | reads["constraints"])
         self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
         #: Parameters that stand for extremes, and slacks.
         self.bounds = boxes_of({**reduced.free, **softened.free}, self.readable, ())
         boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
+        self.by_node.check(priced, elsewhere, reads["rates"] | reads["constraints"], [box.name for box in boxes])
         self.border = Border(("final time",), np.array([time_limits]), boxes)
         self.phase = 0
         self.own_guess = self.checked_guess(guess)
@@ -374,7 +376,8 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             other = [name for name in fixed if (fixed[name] != stated[name]).any()]
             if other:
                 raise TrajectoryError(
-                    f"solve: {what}[{other[0]!r}] must fix the entries that the problem fixes.\n"
+                    f"solve: {what}[{other[0]!r}] must fix the entries that the problem fixes, got "
+                    f"{_numbers(getattr(ends, what)[other[0]])}.\n"
                     "  fix: state the problem with a value there, or with NaN in what is free"
                 )
         return ends
@@ -408,10 +411,12 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
         """
         count = self.nodes - 1
-        xs = {
-            s.name: state_guess(s, given.get(s.name), ends.initial[s.name], ends.final[s.name], self.mesh.shares)
-            for s in self.dynamics.states
-        }
+        first, last = self.stated_values(params)
+        xs = {}
+        for s in self.dynamics.states:
+            stated = first.get(s.name), last.get(s.name)
+            sides = ends.initial[s.name], ends.final[s.name]
+            xs[s.name] = state_guess(s, given.get(s.name), *sides, self.mesh.shares, stated)
         us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
         xs |= self.reduced.starts_of(xs)
         whole = _sized(xs | us, sizes)
@@ -430,6 +435,12 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
         slacks = self.norms.start(rows[0], list(self.path.shown), count) if self.norms.slacks else []
         return Point(xs, np.concatenate([*flat, *norms, *slacks], axis=1), border)
+
+    def stated_values(self, params: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
+        """What conditions say of states at both ends."""
+        known = {**params, **self.softened.without}
+        first, last = (stated_values(self.dynamics.states, rows.values(), known) for rows in self._at_ends)
+        return first, last
 
     def _shown_at(
         self, points: Sequence[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], durations: Array
@@ -465,6 +476,10 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         # A free parameter without a value starts in the middle of its box.
         middle = {box.name: control_guess(box, None, 1)[0] for box in self.border.boxes if box.name not in valued}
         given = middle | {name_of(key): value for key, value in (params or {}).items()}
+        known = [leaf.name for leaf in (*self.dynamics.parameters, *self._own.values())]
+        for name in sorted(given.keys() - set(known) - self.baked):
+            stated = [own for own in known if own not in {box.name for box in self.bounds}]
+            raise InputError(f"unknown key {name!r} in params; expected: {listed(stated, name)}")
         own = {name: given.pop(name) for name in self._own if name in given}
         with in_double():
             zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
@@ -486,7 +501,17 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         for name, value in found.items():
             if not np.isfinite(value).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
+        self.check_weights(found)
         return found
+
+    def check_weights(self, params: Mapping[str, Array]) -> None:
+        """Raise InputError where parameters make the weight of a soft constraint negative."""
+        at_nodes = {name: slack.soft for name, slack in self.softened.slacks.items()}
+        check_weights({**self.dynamics.system.soft, **self.norms.soft, **at_nodes}, params)
+
+
+def _numbers(value: Array | None) -> str:
+    return short(None if value is None else value.tolist())
 
 
 def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str, Array]:

@@ -68,18 +68,32 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
         count = sum(part.nodes for part in parts), max(part.transcription.substeps for part in parts)
         meshes.append(Meshed(*count, largest, result.cost, result.status, seconds))
         if result.status not in (Status.SOLVED, Status.COARSE):
-            return dataclasses.replace(result, meshes=tuple(meshes))
+            message = f"{result.message} refine= went no further: it goes on from SOLVED and COARSE alone."
+            return dataclasses.replace(result, message=message, meshes=tuple(meshes))
         size = max(abs(result.cost), 1e-6 * (0.0 if own is None else own.size))
         rests = change <= tolerance * size
         if rests and largest <= tolerance:
             return dataclasses.replace(result, meshes=tuple(meshes))
         finer = _finer(result, own.intervals, tolerance, rests)
         if finer is None or len(meshes) >= _MESHES:
-            message = f"{Status.COARSE}. It could not be refined to {tolerance:g}."
+            message = f"{Status.COARSE}. {_unrefined(result, meshes, tolerance, change / size)}"
             return dataclasses.replace(result, status=Status.COARSE, message=message, meshes=tuple(meshes))
         before = result.cost
         result = solve(*finer)
         change = abs(result.cost - before)
+
+
+def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: float) -> str:
+    """What a refinement that has come to its end has reached, and what else may help."""
+    last, accuracy = meshes[-1], result.accuracy
+    limit = f"at most {_MESHES} meshes" if len(meshes) >= _MESHES else f"a finer mesh has more than {_NODES:,} nodes"
+    moved = f", and the objective still changes by {change:.1g} of itself" if np.isfinite(change) else ""
+    return (
+        f"It could not be refined to {tolerance:g}: {limit}. On {last.nodes} nodes with {last.substeps} substeps the "
+        f"interval {accuracy.place} misses its end by {accuracy.error:.2g} in scales of the states{moved}. "
+        "A control that jumps between nodes needs nodes=tx.trajectory.Mesh(n, free=True), stiff rates "
+        "Collocation(tx.tableaus.RADAU_IIA5); a larger refine= takes fewer nodes."
+    )
 
 
 def _trajectories(result: Any) -> list[Trajectory]:

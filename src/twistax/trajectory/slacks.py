@@ -15,11 +15,14 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ..expr import Constraint, Control, Equality, Expr, Inequality, Parameter, Soft
+from ..checks import listed
+from ..errors import InputError
+from ..expr import Constant, Constraint, Control, Equality, Expr, Inequality, Parameter, Soft, leaves_of
 from ..expr.soft import Asked
 from ..system import entry_names, free_name
 from .conditions import Conditions, residual_of
 from .cones import NormControls
+from .point_values import PointValues
 from .restated import Restated
 from .statement import Objective, check_leaves
 
@@ -193,6 +196,32 @@ def slack_controls(norms: NormControls, restated: Restated, soft: Mapping[str, S
         running = price if running is None else running + price
     running = running if running is None else running.canonicalize()
     return SlackControls(running, (*norms.controls, *slacks.values()), norms.sizes, dict(soft), slacks)
+
+
+def check_weights(soft: Mapping[str, Soft], params: Mapping[str, Array]) -> None:
+    """Raise InputError where the value of a parameter makes a weight negative: more violation would cost less.
+
+    Args:
+        soft: constraints by name.
+        params: values; those of a parameter with a value for each node have one more axis.
+    """
+    for name, constraint in soft.items():
+        for kind, weight in (("l1", constraint.l1), ("l2", constraint.l2)):
+            leaves = [] if weight is None else [e for e in leaves_of(weight) if not isinstance(e, Constant)]
+            if not leaves or not all(isinstance(leaf, Parameter) and leaf.name in params for leaf in leaves):
+                continue
+            long = {e.name for e in leaves if np.ndim(params[e.name]) > len(e.shape)}
+            count = len(params[min(long)]) if long else 1
+            values = PointValues.of([weight.canonicalize()])
+            for k in range(count):
+                here = {e.name: params[e.name][k] if e.name in long else params[e.name] for e in leaves}
+                found = values(np.zeros(1), {}, {}, here)
+                if not (found >= 0.0).all():
+                    names = listed(sorted(here))
+                    raise InputError(
+                        f"params: the weight {kind} of the soft constraint {name!r} must be 0 or more, "
+                        f"got {found.min():g} by {names}"
+                    )
 
 
 def _size(values: Array, is_equality: bool) -> Array:

@@ -9,19 +9,18 @@ from abc import ABC, abstractmethod
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any, Generic, NamedTuple, TypeVar
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..checks import callable_with, number, short, whole
-from ..errors import TrajectoryError
+from ..checks import callable_with, known_arguments, number, short, whole
+from ..errors import TrajectoryError, TwistaxError
 from ..precision import in_double
 from ..walk import uncollected
 from .accuracy import MESH
 from .between import held
 from .border import Border
 from .budget import Budget
-from .cases import Cases, prepared
+from .cases import Cases, started_cases
 from .core_solver import CoreSolver
 from .external import SolvedBy
 from .found import Tried
@@ -47,6 +46,16 @@ _LOOKED_AT = 1e-6
 
 #: Threads that solve one problem make its first solver once: that decides which rows there are.
 _MAKING = threading.RLock()
+
+
+def _problem() -> Any:
+    from .problem import Problem
+
+    return Problem.__init__
+
+
+#: What else has arguments that users give to `solve`.
+_ELSEWHERE = {"tx.trajectory.Problem": _problem}
 
 One = TypeVar("One")
 Many = TypeVar("Many")
@@ -137,6 +146,7 @@ class Solvable(ABC, Generic[One, Many]):
         self._cores: dict[tuple[float, int, int], CoreSolver] = {}
         self._implicit: Any = None
 
+    @known_arguments("solve", TrajectoryError, _ELSEWHERE)
     def solve(
         self,
         guess: Mapping[Any, Any] | None = None,
@@ -320,6 +330,7 @@ class Solvable(ABC, Generic[One, Many]):
         message = finest.message if finest.message.endswith(said) else finest.message + said
         return dataclasses.replace(finest, message=message, **times)
 
+    @known_arguments("solve_many", TrajectoryError, _ELSEWHERE)
     def solve_many(
         self,
         guess: Mapping[Any, Any] | None = None,
@@ -343,7 +354,8 @@ class Solvable(ABC, Generic[One, Many]):
         Raises:
             ShapeError: arguments for different numbers of cases.
             TrajectoryError: no argument has an axis of cases.
-            TwistaxError: as `solve` does, with the number of the case.
+            TwistaxError: as `solve` does, where no case fits the problem. A case that does not fit beside others that
+                do has status REFUSED, and its message begins with its number.
         """
         check_options(max_iterations, tolerance)
         check_mesh_tolerance(mesh_tolerance)
@@ -351,16 +363,30 @@ class Solvable(ABC, Generic[One, Many]):
         cases = Cases(self.axes(), {**given, "free": free})
         with in_double():
             begin = time.perf_counter()
-            points, givens, own = prepared(self, cases)
-            first = jax.tree.map(lambda a: np.asarray(a)[0], (points, givens))
-            core = self._core(float(tolerance), *first)
+            cases_or_errors = started_cases(self, cases)
+            first = next(case for case in cases_or_errors if not isinstance(case, TwistaxError))
+            core = self._core(float(tolerance), first.point, first.given)
             if self._is_bounded:
-                points = prepared(self, cases, lambda *own: self._sizes(core, *own), (points, givens))[0]
+                plain = cases_or_errors
+
+                def sizes(k: int) -> Any:
+                    case = plain[k]
+                    return None if isinstance(case, TwistaxError) else self._sizes(core, case.point, case.given)
+
+                cases_or_errors = started_cases(self, cases, sizes)
+            fitting = [case for case in cases_or_errors if not isinstance(case, TwistaxError)]
             compiled = time.perf_counter()
-            outcomes = solve_all(core, points, givens, max_iterations, mesh_tolerance)
+            solved = solve_all(core, fitting, max_iterations, mesh_tolerance)
             done = time.perf_counter()
         times = (compiled - begin) / cases.count, (done - compiled) / cases.count
-        return self.results([Tried([o], params, float(tolerance), *times) for o, params in zip(outcomes, own)])
+        left, tried = iter(zip(solved, fitting, strict=True)), []
+        for case in cases_or_errors:
+            if isinstance(case, TwistaxError):
+                outcome, params = solved[0].refused(str(case)), _nothing(first.params)
+            else:
+                outcome, (_, _, params, _) = next(left)
+            tried.append(Tried([outcome], params, float(tolerance), *times))
+        return self.results(tried)
 
     @property
     def _is_bounded(self) -> bool:
@@ -422,6 +448,10 @@ class Solvable(ABC, Generic[One, Many]):
             given = self.started().given._replace(params=warm.params)
             core = self._core(_LOOKED_AT, warm.point, given)
             return undetermined(core.staged, warm, given, [part.restated.derivatives for part in self.parts])
+
+
+def _nothing(params: Mapping[str, Array]) -> dict[str, Array]:
+    return {name: np.full(value.shape, np.nan) for name, value in params.items()}
 
 
 def check_mesh_tolerance(size: Any) -> None:
