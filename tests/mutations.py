@@ -871,46 +871,46 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- steady motion -----------------------------------------------------------------------------------------------
     *_at(
-        "trajectory/linearize.py",
+        "linear/linearize.py",
         (
             "outputs by the wrong rates",
             "group.retract(x, s * velocity)",
             "group.retract(x, 0.0 * s * velocity)",
-            "test_trim.py",
+            "trimming/test_trim.py",
         ),
     ),
     *_at(
-        "trajectory/trimming.py",
-        ("bounds that are never reached", "return step if left[1] < left[0] else", "return", "test_trim.py"),
+        "trimming/trim.py",
+        ("bounds that are never reached", "return step if left[1] < left[0] else", "return", "trimming/test_trim.py"),
         (
             "derivatives alone say what a trim lacks",
             "change = np.minimum(change, _changes(seen, unknowns.columns, every))",
             "pass",
-            "test_trim.py",
+            "trimming/test_trim.py",
         ),
     ),
     *_at(
-        "trajectory/trim_unknowns.py",
+        "trimming/unknowns.py",
         (
             "bounds of another unknown",
             "into[places] = numbers",
             "into[places[0] - 1] = numbers",
-            "test_trim.py",
+            "trimming/test_trim.py",
         ),
         (
             "wide bounds that hide what is left",
             "else np.minimum(self._half, size)",
             "else np.where(np.isfinite(self._half), self._half, size)",
-            "test_trim.py",
+            "trimming/test_trim.py",
         ),
     ),
     *_at(
-        "trajectory/modes.py",
+        "linear/modes.py",
         (
             "a mode that grows",
             "return -1.0 / self.eigenvalue.real",
             "return 1.0 / self.eigenvalue.real",
-            "test_trim.py",
+            "trimming/test_trim.py",
         ),
     ),
     # ---- DAVE-ML -----------------------------------------------------------------------------------------------------
@@ -2032,36 +2032,36 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- trajectory and scenes ---------------------------------------------------------------------------------------
     *_at(
-        "trajectory/linearize.py",
+        "linear/linearize.py",
         (
             "transport the other way",
             "slopes[:n, :n] - dynamics.group.ad(value[:n])",
             "slopes[:n, :n] + dynamics.group.ad(value[:n])",
-            "trajectory/test_linearize.py",
+            "linear/test_linearize.py",
         ),
     ),
     *_at(
-        "trajectory/discretize.py",
+        "linear/discretize.py",
         (
             "substeps that all start at once",
             "by_h = (by_length + number * by_time) / substeps",
             "by_h = by_length / substeps",
-            "trajectory/test_discretize.py",
+            "linear/test_discretize.py",
         ),
     ),
     *_at(
-        "trajectory/second_order.py",
+        "linear/second_order.py",
         (
             "Hessian of steps that all start at once",
             "method.step(field, t + number * step, x, step)",
             "method.step(field, t, x, step)",
-            "trajectory/test_second_order.py",
+            "linear/test_second_order.py",
         ),
         (
             "differences from the start in place of the end",
             "return [dynamics.group.difference(held, found), *(found[name] for name in names)]",
             "return [dynamics.group.difference(dict(inputs.x), found), *(found[name] for name in names)]",
-            "trajectory/test_second_order.py",
+            "linear/test_second_order.py",
         ),
     ),
     *_at(
@@ -2147,7 +2147,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/replay.py",
+        "trajectory/result/replay.py",
         (
             "a rollout from what is not finite",
             "    _need_finite(result)\n",
@@ -2156,7 +2156,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/refine.py",
+        "trajectory/result/refine.py",
         (
             "halves of intervals of the first phase for those of another",
             "split[before.stages] = own",
@@ -2174,7 +2174,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/restated.py",
+        "trajectory/problem/bridges/continuous.py",
         (
             "all derivatives of a spline are the last one",
             "[*states[1:], held]",
@@ -2189,7 +2189,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/conditions.py",
+        "trajectory/problem/conditions.py",
         (
             "attitude and position of a half-free pose exchanged",
             "not np.isnan(value[part.place]).any()",
@@ -2216,7 +2216,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/reduction.py",
+        "trajectory/problem/bridges/functionals.py",
         (
             "integrals that begin anywhere",
             "State(name, leaf.shape, initial=np.zeros(leaf.shape))",
@@ -2267,7 +2267,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/statement.py",
+        "trajectory/problem/statement.py",
         (
             "rows of free parameters that the ends decide",
             "& (at_known_time | ~self.timed) & ~self.free",
@@ -2288,7 +2288,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/cones.py",
+        "trajectory/problem/bridges/norms.py",
         (
             "cones of both signs",
             "sides = [] if number is not None and number >= 0.0 else [-bound]",
@@ -2300,8 +2300,8 @@ MUTATIONS: list[Mutation] = [
         "trajectory/many.py",
         (
             "every case with the arguments of the first",
-            "operator.itemgetter(case)",
-            "operator.itemgetter(0)",
+            "pool.map(solved, cases)",
+            "pool.map(solved, [cases[0]] * len(cases))",
             "trajectory/test_many.py",
         ),
     ),
@@ -2315,7 +2315,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem.py",
+        "trajectory/problem/problem.py",
         (
             "bounds on continuous controls without a unit",
             "bounds_along(self.reduced.bounds | self.restated.bounds, whole, params)",
@@ -2330,11 +2330,11 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/cases.py",
+        "trajectory/result/many.py",
         (
             "bounds of norms in no unit, of many cases",
-            "known = None if sizes is None else sizes(",
-            "known = None if True else sizes(",
+            "sizes=None if sizes is None else sizes(k)",
+            "sizes=None if True else sizes(k)",
             "trajectory/test_far_starts.py",
         ),
     ),
@@ -2456,7 +2456,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/between.py",
+        "trajectory/result/between_nodes.py",
         (
             "a limit held where it is asked alone",
             "np.where(over > 0.0, _MORE * over, over)",
@@ -2483,7 +2483,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/by_node.py",
+        "trajectory/problem/by_node.py",
         (
             "rows that are held",
             "here[[*range(1, len(here)), -1]]",

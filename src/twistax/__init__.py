@@ -47,10 +47,12 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.simulator import Simulator, simulator
     from .integrators.solution import Crossings, Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
+    from .linear import Mode
     from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
     from .lowering.fast import fast
     from .monte_carlo import Statistics, Sweep, sweep
-    from .trajectory import Maximize, Minimize, Mode, Trim, trim
+    from .trajectory import Maximize, Minimize
+    from .trimming import Trim, trim
 
 __version__ = "0.2.0.dev0"
 
@@ -89,7 +91,9 @@ _LATER = {
     ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
     ".lowering.fast": ("fast",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
-    ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
+    ".linear": ("Mode",),
+    ".trajectory": ("Maximize", "Minimize"),
+    ".trimming": ("Trim", "trim"),
 }
 # fmt: on
 

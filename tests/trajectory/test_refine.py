@@ -5,10 +5,11 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.integrate
-from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
-from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status, refine
+from trajectory_systems import HEUN, double_integrator
+from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status
+from twistax.trajectory.result import refine
 
 
 def test_a_jump_between_nodes() -> None:

@@ -10,9 +10,9 @@ import numpy as np
 
 import twistax as tx
 
+from ..linear.discretize import Controls, value_and_jacobian
 from ..scenes.powered_descent import Array
 from ..trajectory.declared import declared
-from ..trajectory.discretize import Controls, value_and_jacobian
 
 #: The largest difference allowed.
 BAR = 1e-8

@@ -24,7 +24,7 @@ from .transcribed import Given, Point
 from .watch import Status
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem.problem import Problem
 
 
 class Row(NamedTuple):

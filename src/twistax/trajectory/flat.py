@@ -12,7 +12,7 @@ from numpy import ndarray as Array
 from .transcribed import Given, PhaseEnds
 
 if TYPE_CHECKING:
-    from .by_node import ByNode
+    from .problem.by_node import ByNode
 
 
 class Flat:

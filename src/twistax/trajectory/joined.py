@@ -24,8 +24,8 @@ from numpy import ndarray as Array
 
 from ..expr import Expr, Inputs, evaluate_all
 from ..lowering.dynamics import Arrays
+from .problem.statement import PathRows
 from .shooting import Shooting
-from .statement import PathRows
 from .transcribed import Segment, Step, Transcribed
 
 

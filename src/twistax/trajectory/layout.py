@@ -10,8 +10,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from .border import Border
-from .conditions import Conditions, Ends
-from .statement import PathRows
+from .problem.conditions import Conditions, Ends
+from .problem.statement import PathRows
 
 
 @dataclasses.dataclass(frozen=True)

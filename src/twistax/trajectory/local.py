@@ -16,13 +16,13 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Constant, Expr, Inputs, evaluate_all
+from ..linear.discretize import Controls
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
-from .conditions import Conditions
-from .cones import NormControls
-from .discretize import Controls
 from .point_values import PointValues
-from .statement import Objective, PathRows
+from .problem.bridges.norms import NormControls
+from .problem.conditions import Conditions
+from .problem.statement import Objective, PathRows
 
 
 class Expressions(NamedTuple):

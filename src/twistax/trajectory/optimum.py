@@ -36,7 +36,7 @@ from .start_units import StartUnits
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem.problem import Problem
 
 #: How often the move of a solution on a curved manifold is refined.
 _REFINEMENTS = 6

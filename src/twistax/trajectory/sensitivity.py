@@ -24,7 +24,7 @@ from .transcribed import Given, jitted
 from .watch import Status
 
 if TYPE_CHECKING:
-    from .problem import Problem
+    from .problem.problem import Problem
 
 
 #: Rounding of a row in roundings of its size.

@@ -28,15 +28,15 @@ from ..lowering.dynamics import Arrays
 from ..lowering.native.backend import Auto, Native, installed
 from ..system import entry_names
 from .border import Border
-from .by_node import ByNode
-from .conditions import Conditions, Ends
-from .cones import NormControls
 from .interval import Interval, Slot
 from .layout import laid_out
 from .local import Local
 from .mesh import Mesh
+from .problem.bridges.norms import NormControls
+from .problem.by_node import ByNode
+from .problem.conditions import Conditions, Ends
+from .problem.statement import Objective, PathRows
 from .smooth import Smooth
-from .statement import Objective, PathRows
 from .transcribed import Derivatives, Given, Point, Segment, Step, Transcribed, Values
 from .transcription import Collocation, MultipleShooting
 

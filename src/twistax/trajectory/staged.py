@@ -19,10 +19,10 @@ from ..precision import in_double
 from ..solver.kernels import Argument, SmoothKernels
 from ..solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Method, Phase, PhaseKernels, Transcription
 from .alike import Layout, group_key
-from .conditions import Conditions
 from .flat import Flat, Numbers
 from .interval import simpson
 from .joined import Join
+from .problem.conditions import Conditions
 from .shooting import Shooting
 from .squares import Squares, SquaresBends, Term
 from .transcribed import Given, Point, Segment, Transcribed

@@ -9,7 +9,7 @@ from ..checks import whole
 from ..errors import TrajectoryError
 from ..integrators import RKMK, ImplicitRKMK, Method
 from ..integrators.tableaus import DOP853, RK4, CollocationTableau
-from .discretize import method_of
+from ..linear.discretize import method_of
 from .interval import Collocated, Interval
 
 #: Steps of a close integration of an interval at least, for limits are looked at where they end; an even number.

@@ -16,7 +16,7 @@ from .iterate import Scales
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
-    from .solving import Solvable
+    from .problem.solving import Solvable
     from .start_units import StartUnits
 
 

@@ -11,7 +11,7 @@ import twistax as tx
 
 from ...mechanics import chain_models, inverse_dynamics
 from ...trajectory import Linear, Phase, Problem
-from ...trajectory.phases import PhasedProblem
+from ...trajectory.problem.phases import PhasedProblem
 
 #: Of the Delta III: gravity, radius, spin and air of the Earth, reference area, drag; SI.
 _MU, _RADIUS, _SPIN, _G0 = 3.986012e14, 6378145.0, 7.29211585e-5, 9.80665

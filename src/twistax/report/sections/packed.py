@@ -12,7 +12,7 @@ from ...expr.graph import substitute
 from ...precision import in_double
 from ...system import name_of
 from ...trajectory import Problem
-from ...trajectory.conditions import split
+from ...trajectory.problem.conditions import split
 
 
 def packed(problem: Problem) -> Problem:

@@ -20,8 +20,8 @@ import twistax as tx
 from ...integrators.ambient import Ambient
 from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
-from ...trajectory.conditions import split
-from ...trajectory.result import Trajectory
+from ...trajectory.problem.conditions import split
+from ...trajectory.result.result import Trajectory
 from ..checks import Section, at_most, between, needed, slow
 from . import flights, problems
 from .problems import Known

@@ -18,8 +18,8 @@ import twistax as tx
 from ...expr import Control, State
 from ...expr.graph import substitute
 from ...system import name_of
-from ...trajectory.conditions import split
-from ...trajectory.phases import PhasedProblem
+from ...trajectory.problem.conditions import split
+from ...trajectory.problem.phases import PhasedProblem
 from ..checks import Section, at_most, between, slow
 from . import cops, flights, problems
 from .curvature import is_saddle

@@ -1,0 +1,294 @@
+"""What a problem asks for: its objective, and the rows of its residuals along the path."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+import itertools
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any, ClassVar
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import ModelError, ShapeError
+from ...expr import (
+    Constant,
+    Control,
+    Expr,
+    Leaf,
+    Parameter,
+    State,
+    Time,
+    Where,
+    leaves_of,
+    to_expr,
+)
+from ...lowering import Dynamics
+from ...system import entry_names, need_finite
+from .bridges.norms import NormControls, linear_terms, without_norms
+from .controls import is_rate
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Objective:
+    """$J = phi(T, x(T)) + integral l(t, x, u) dt$, to be minimised or maximised.
+
+    Args:
+        final: phi, a scalar expression of states, parameters and `tx.Time()` (which is the final time there).
+        running: l, a scalar expression of states, controls, parameters and time.
+
+    Raises:
+        ModelError: neither final nor running.
+        ShapeError: an expression that is not a scalar.
+    """
+
+    final: Expr | None
+    running: Expr | None
+
+    #: +1 to minimise, -1 to maximise.
+    sign: ClassVar[float] = 1.0
+
+    def __init__(self, final: Any = None, *, running: Any = None) -> None:
+        kind = type(self).__name__
+        if final is None and running is None:
+            raise ModelError(f"{kind} needs an expression of the final state, or running=..., or both")
+        for name, value in (("final", final), ("running", running)):
+            try:
+                expr = None if value is None else to_expr(value)
+            except ModelError as error:
+                raise ModelError(f"{kind} expects an expression: {error}") from None
+            if expr is not None and expr.boolean:
+                raise ModelError(f"{kind} expects a number to optimise, got the condition {expr!r}")
+            if expr is not None and expr.shape != ():
+                raise ShapeError(
+                    f"{kind} expects a scalar {name} expression, got shape {expr.shape}",
+                    at=repr(expr),
+                    hint="index it, or take tx.linalg.Sum or tx.linalg.Norm of it",
+                )
+            object.__setattr__(self, name, expr)
+
+    def __repr__(self) -> str:
+        parts = [] if self.final is None else [repr(self.final)]
+        return f"{type(self).__name__}({', '.join(parts + [f'running={self.running!r}'] * (self.running is not None))})"
+
+
+class Minimize(Objective):
+    """Minimise phi(T, x(T)) + integral of l(t, x, u) dt. See `Objective` for the arguments."""
+
+
+class Maximize(Objective):
+    """Maximise phi(T, x(T)) + integral of l(t, x, u) dt. See `Objective` for the arguments."""
+
+    sign = -1.0
+
+
+# ---- the path ----------------------------------------------------------------------------------------------------
+
+
+class Reads(enum.Enum):
+    """What a constraint depends on, and so at which points of an interval with held controls it has to be asked."""
+
+    NOTHING = "parameters alone: once, at the end"
+    CONTROL = "controls alone: once an interval"
+    STATE = "states and time: at every point, shared ends once"
+    ENDS = "states that are linear over each interval: at its ends, shared ends once"
+    BOTH = "states and controls: at every point, shared ends from both sides"
+
+
+@dataclasses.dataclass(frozen=True)
+class Bound:
+    """One finite side of a leaf's box: sign * (value[entry] - limit) <= 0."""
+
+    leaf: str
+    entry: int
+    sign: float
+    limit: float
+    place: str
+    reads: Reads
+
+    @property
+    def name(self) -> str:
+        return f"{self.place} {'<=' if self.sign > 0.0 else '>='} {self.limit:g}"
+
+
+@dataclasses.dataclass(frozen=True)
+class PathRows:
+    """The rows along the path: the system's constraints without norms that have no slope, then the leaves' boxes."""
+
+    residuals: tuple[Expr, ...]  # <= 0 or = 0
+    names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
+    cones: frozenset[str]  # names of rows that squares state in place of norms
+    equality: Array  # which rows are equalities
+    reads: tuple[Reads, ...]  # of every row
+    states: tuple[frozenset[str], ...]  # that every row reads
+    timed: Array  # which rows read the time
+    free: Array  # which rows read a free parameter
+    bounds: tuple[Bound, ...]  # the boxes
+    shown: tuple[str, ...]  # the rows as users wrote them: inequalities, equalities, boxes
+    shown_equality: Array
+
+    def asked(self, intervals: int, substeps: int) -> Array:
+        """Where rows are asked: bool (intervals, substeps + 1, rows). States at a node belong to what follows it."""
+        mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
+        mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
+        mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
+        mask[:, -1, [reads is Reads.STATE for reads in self.reads]] = False
+        mask[:, 1:, [reads is Reads.ENDS for reads in self.reads]] = False
+        return mask
+
+    def at_nodes(self) -> Array:
+        """(rows,) those that a node alone decides, controls not."""
+        return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
+
+    def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
+        """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
+        whole = {name for name, mask in fixed.items() if mask.all()}
+        alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
+        rows = [reads in alone and states <= whole for reads, states in zip(self.reads, self.states)]
+        boxes = [b.reads in (Reads.STATE, Reads.ENDS) and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
+        return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
+
+
+def describe_path(
+    dynamics: Dynamics, norms: NormControls, free: Collection[str], straight: Collection[str] = ()
+) -> PathRows:
+    """The rows of a compiled system, of bounds on norms, and the leaves' boxes; and which read free parameters.
+
+    Boxes of states that are linear over each interval hold between its ends.
+    """
+    functions = dynamics._functions
+    residuals: list[Expr] = []
+    names: list[str] = []
+    equality: list[bool] = []
+    reads: list[Reads] = []
+    states: list[frozenset[str]] = []
+    timed: list[bool] = []
+    loose: list[bool] = []
+    cones = {name for name, _ in norms.rows}
+    asked_for = [
+        (name, *each)
+        for kind, own in functions.constraints.items()
+        for name, residual in own.items()
+        for each in norms.asked(name, residual, kind == "equality")
+    ]
+    for name, residual, is_equality in asked_for:
+        asked = limited(name, residual, is_equality)
+        stated = [residual] if is_equality else without_norms(residual) if asked.any() else []
+        if any(row is not residual for row in stated):
+            cones |= set(entry_names(name, residual.shape))
+        for row in stated:
+            entries, leaves = int(asked.sum()), list(leaves_of(row))
+            left = row if asked.all() else row[np.nonzero(asked)]
+            residuals.append(left if is_equality else without_end(left))
+            names += itertools.compress(entry_names(name, row.shape), asked.ravel())
+            equality += [is_equality] * entries
+            reads += [_reads(leaves)] * entries
+            states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
+            timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
+            loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
+    for name, row in norms.rows:
+        residuals.append(without_end(row))
+        names.append(name)
+        equality.append(False)
+        reads.append(Reads.CONTROL)
+        states.append(frozenset())
+        timed.append(False)
+        loose.append(any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves_of(row)))
+    bounds = tuple(
+        dataclasses.replace(b, reads=Reads.ENDS) if b.leaf in straight else b
+        for b in bounds_of((*dynamics.states, *dynamics.controls, *norms.controls))
+    )
+    boxes, named = [b.name for b in bounds], functions.constraint_names
+    shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
+    return PathRows(
+        residuals=tuple(residuals),
+        names=(*names, *boxes),
+        cones=frozenset(cones),
+        equality=np.array([*equality, *[False] * len(boxes)], bool),
+        reads=(*reads, *(b.reads for b in bounds)),
+        states=(*states, *(frozenset([b.leaf]) for b in bounds)),
+        timed=np.array([*timed, *[False] * len(boxes)], bool),
+        free=np.array([*loose, *[False] * len(boxes)], bool),
+        bounds=bounds,
+        shown=(*named["inequality"], *named["equality"], *boxes),
+        shown_equality=np.concatenate(shown),
+    )
+
+
+def limited(place: str, residual: Expr, is_equality: bool) -> Array:
+    """Which entries of a constraint ask for something: those whose limit is not infinitely far.
+
+    Raises:
+        ModelError: no value can meet it.
+    """
+    numbers = [factor * part.value for factor, part in linear_terms(residual) if isinstance(part, Constant)]
+    offset = np.broadcast_to(sum(numbers, np.zeros(())), residual.shape)
+    if (np.isinf(offset) if is_equality else offset == np.inf).any():
+        raise ModelError(f"{place} expects numbers that a value can meet, got an infinite one")
+    return np.asarray(offset != -np.inf)
+
+
+def without_end(residual: Expr) -> Expr:
+    """The residual of an inequality, -1 where a parameter puts its limit infinitely far: nothing is asked there."""
+    numbers = [leaf.value for leaf in leaves_of(residual) if isinstance(leaf, Constant)]
+    if not any(np.isinf(value).any() for value in numbers):
+        return residual
+    return Where(residual <= -np.finfo(float).max, -1.0, residual)
+
+
+def _reads(leaves: Sequence[Leaf]) -> Reads:
+    kinds = [type(leaf) for leaf in leaves]
+    if Control not in kinds:
+        return Reads.STATE if State in kinds or Time in kinds else Reads.NOTHING
+    return Reads.BOTH if State in kinds or Time in kinds else Reads.CONTROL
+
+
+def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
+    """Every finite side of the leaves' boxes."""
+    found = []
+    for leaf in leaves:
+        reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
+        for sign, limits in ((1.0, leaf.max), (-1.0, leaf.min)):
+            places = enumerate(entry_names(leaf.name, leaf.shape))
+            for (entry, place), limit in zip(places, [] if limits is None else limits.ravel()):
+                if np.isfinite(limit):
+                    found.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
+    return found
+
+
+def violations(rows: Array, equality: Array) -> Array:
+    """How far rows are from holding, zero where they do."""
+    return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))
+
+
+def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
+    """The largest size of each name; names may repeat."""
+    found: dict[str, float] = {}
+    for name, size in zip(names, sizes):
+        found[name] = max(found.get(name, 0.0), float(size))
+    return found
+
+
+def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
+    """Raise ModelError if an expression reads something the compiled system cannot give it, or is never finite."""
+    need_finite(place, expr)
+    known: dict[str, Leaf] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
+    baked = {leaf.name for leaf in dynamics.system.parameters} - set(known)
+    for leaf in leaves_of(expr):
+        if isinstance(leaf, Control) and not controls:
+            raise ModelError(
+                f"{place} reads the control {leaf.name!r}, which has no value at a node, the final one neither.\n"
+                "  fix: make it a constraint of the system, or a running cost"
+            )
+        if is_rate(leaf, dynamics.controls):
+            raise ModelError(
+                f"{place} reads the {leaf.name}, which is held.\n  fix: controls= tx.trajectory.Linear() for it"
+            )
+        if isinstance(leaf, (State, Control)) and (leaf.name not in known or known[leaf.name].key() != leaf.key()):
+            raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
+        if isinstance(leaf, Parameter) and leaf.name in baked:
+            raise ModelError(
+                f"{place} reads the parameter {leaf.name!r}, which was baked into the dynamics.\n"
+                "  fix: use its value, or do not bake it"
+            )
