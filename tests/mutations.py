@@ -2315,11 +2315,11 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem/problem.py",
+        "trajectory/problem/stated_phase.py",
         (
             "bounds on continuous controls without a unit",
-            "bounds_along(self.reduced.bounds | self.restated.bounds, whole, params)",
-            "bounds_along(self.reduced.bounds, whole, params)",
+            "bounds_along(self.reduced.bounds | self.restated.bounds, sized, params)",
+            "bounds_along(self.reduced.bounds, sized, params)",
             "trajectory/test_far_starts.py::test_bounds_on_norms_of_linear_controls_have_their_unit",
         ),
         (
@@ -2330,7 +2330,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/result/many.py",
+        "trajectory/problem/cases.py",
         (
             "bounds of norms in no unit, of many cases",
             "sizes=None if sizes is None else sizes(k)",

@@ -7,9 +7,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from program_derivatives import assert_derivatives
-from trajectory_systems import EULER, HEUN, double_integrator
 
 import twistax as tx
+from trajectory_systems import EULER, HEUN, double_integrator
 from twistax.precision import in_double
 from twistax.trajectory.program import Program
 
@@ -46,7 +46,7 @@ def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[Program, np.nd
     guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
     with in_double():
         started = problem.started(guess, final_time_guess=3.0)
-        staged = problem._core(1e-6, started.point, started.given).staged
+        staged = problem.core(1e-6, started.point, started.given).staged
         program = Program(staged, started.given, with_copies=copies)
         start = program.start(started.point, started.given, None)
     return program, start.x + 0.3 * rng.normal(size=program.size)
@@ -167,7 +167,7 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
     assert pushing.solve(solver=solver).solved
     process = made._process
     del made, own
-    pushing.built()
+    pushing.forget()
     gc.collect()
     assert process.poll() is not None
 

@@ -7,9 +7,9 @@ from typing import Any
 import numpy as np
 import pytest
 from program_derivatives import assert_derivatives
-from trajectory_systems import EULER, HEUN
 
 import twistax as tx
+from trajectory_systems import EULER, HEUN
 from twistax.precision import in_double
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
 from twistax.trajectory.program import Program
@@ -222,7 +222,7 @@ def test_all_derivatives_of_joined_phases(seed: int) -> None:
     problem, rng = rich(), np.random.default_rng(seed)
     with in_double():
         started = problem.started()
-        staged = problem._core(1e-6, started.point, started.given).staged
+        staged = problem.core(1e-6, started.point, started.given).staged
         program = Program(staged, started.given, with_copies=False)
         x = program.start(started.point, started.given, None).x
         border = program._copies[0]

@@ -5,9 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
 
 import twistax as tx
+from trajectory_systems import double_integrator
 from twistax.trajectory import Collocation, Linear, Problem, Rate, Spline
 
 #: Exact for all polynomials here.
@@ -88,7 +88,7 @@ def test_rates_of_rates_and_finer_meshes() -> None:
     assert 22.5 < result.cost < 30.0
     # Flown by the system as stated.
     x0 = {name: np.float64(0.0) for name in result.xs}
-    own = tx.integrate(result.problem._stated["dynamics"], x0, t1=2.0, dt=0.01, u=result.controls)
+    own = tx.integrate(result.problem.phases[0].dynamics, x0, t1=2.0, dt=0.01, u=result.controls)
     np.testing.assert_allclose(own.xs["p"][-1], 1.0, atol=1e-4)
 
 

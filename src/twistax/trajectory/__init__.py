@@ -14,10 +14,9 @@ from .problem.statement import Maximize as Maximize  # tx.Maximize and tx.Minimi
 from .problem.statement import Minimize as Minimize
 from .problem.statement import Objective
 from .result.many import PhasedResults, TrajectoryResults
-from .result.phased import PhasedResult
 from .result.quality import Optimality
 from .result.refine import Meshed
-from .result.result import TrajectoryResult
+from .result.result import PhasedResult, TrajectoryResult
 from .sensitivity import Solution, solution
 from .strategies import Strategy
 from .transcription import Collocation, MultipleShooting

@@ -93,7 +93,7 @@ def solution(
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
     if by_updates(problem.parts):  # derivatives need exact ones
-        problem = problem.stated_with(hessian=None)
+        problem = problem.with_phases([{"hessian": None}])
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
 
@@ -143,7 +143,7 @@ class _Differentiable:
         with in_double():
             found = problem.solve(**options, tolerance=self._tolerance)
             started = problem.started(options["guess"])
-            core = problem._core(self._tolerance, started.point, started.given)
+            core = problem.core(self._tolerance, started.point, started.given)
             start = found.warm.point if found.solved else started.point
             call = Called(problem, core, start, started.given, options["max_iterations"])
         return _Stated(core, started.given, call, found.message if found.status is Status.COARSE else "")
@@ -249,7 +249,7 @@ class _Named:
         call, own = self._stated.call, jax.tree.map(np.asarray, theta)
         asked: Any = {name: getattr(own, name) or None for name in ("params", "initial", "final")}
         started, tolerance = self._problem.started(**asked, **own.final_time), self._stated.core.tolerance
-        core = self._problem._core(tolerance, started.point, started.given)  # of this thread
+        core = self._problem.core(tolerance, started.point, started.given)  # of this thread
         row = self._row(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(row)))
         judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])

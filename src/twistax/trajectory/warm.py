@@ -16,7 +16,6 @@ from .iterate import Scales
 from .transcribed import Given, Point
 
 if TYPE_CHECKING:
-    from .problem.solving import Solvable
     from .start_units import StartUnits
 
 
@@ -33,7 +32,7 @@ class WarmStart:
         units: of the solver, where these are known and fit the problem.
     """
 
-    problem: Solvable[Any, Any] | None
+    problem: Any
     point: Point
     dynamics: Array  # (intervals, n)
     rows: Array  # (rows,)
@@ -100,7 +99,7 @@ def warm_start(given: Any) -> WarmStart:
     return found
 
 
-def with_ends(warm: WarmStart, problem: Solvable[Any, Any], ends: Any, given: Given) -> WarmStart:
+def with_ends(warm: WarmStart, problem: Any, ends: Any, given: Given) -> WarmStart:
     """The warm start at other ends, and within the limits of times and free parameters.
 
     Raises:

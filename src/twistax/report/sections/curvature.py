@@ -27,7 +27,7 @@ def reduced_bends(result: Any) -> Array:
     problem, warm = result.problem, result.warm
     with in_double():
         given = problem.started().given
-        core = problem._core(1e-6, warm.point, given)
+        core = problem.core(1e-6, warm.point, given)
         program: Program = core.made.setdefault("second order", Program(core.staged, given, with_copies=False))
         x, lower, upper, of_bounds, of_rows = program.start(warm, given, core.units(warm.point, given))
         _, g = program.values(x)

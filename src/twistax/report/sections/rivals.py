@@ -131,7 +131,7 @@ class Rival:
     def _pairs(self, said: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
-        stated, system = problem._stated, problem.dynamics.system
+        stated, system = problem.stated, problem.dynamics.system
         plain, points = Ambient(problem.dynamics), self._numbers(said["points"])
         rows = [each.residual() for each in system.constraints.values()]
         rows += [cost for cost in (stated["objective"].running,) if cost is not None]

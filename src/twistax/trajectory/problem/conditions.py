@@ -184,10 +184,12 @@ def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
     return found
 
 
-def end_values(states: Sequence[State], what: str, given: Mapping[Any, Any] | None) -> dict[str, Array | None]:
+def end_values(
+    states: Sequence[State], what: str, given: Mapping[Any, Any] | None, declared: bool
+) -> dict[str, Array | None]:
     """The initial or final value of every state, NaN where an entry is free, None where all are."""
     leaves = {state.name: state for state in states}
-    values: dict[str, Array | None] = {name: getattr(state, what) for name, state in leaves.items()}
+    values: dict[str, Array | None] = {name: getattr(e, what) if declared else None for name, e in leaves.items()}
     if given is not None and not isinstance(given, Mapping):
         raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
     for key, value in (given or {}).items():
@@ -231,9 +233,14 @@ class Ends:
         return np.concatenate([*self.final_fixed.values(), np.zeros(0, bool)])
 
 
-def ends_of(states: Sequence[State], initial: Any, final: Any) -> Ends:
-    """Both ends, checked."""
-    first, last = end_values(states, "initial", initial), end_values(states, "final", final)
+def ends_of(states: Sequence[State], initial: Any, final: Any, declared: tuple[bool, bool] = (False, False)) -> Ends:
+    """Both ends, checked.
+
+    Args:
+        declared: whether values that states declare themselves count, at each end.
+    """
+    first = end_values(states, "initial", initial, declared[0])
+    last = end_values(states, "final", final, declared[1])
     fixed = [{s.name: fixed_entries(s, own[s.name]) for s in states} for own in (first, last)]
     return Ends(first, last, *fixed)
 

@@ -1,4 +1,4 @@
-"""One phase of a problem: its statement, and what it reads."""
+"""The statement of a phase."""
 
 from __future__ import annotations
 
@@ -6,12 +6,12 @@ import dataclasses
 from collections.abc import Mapping
 from typing import Any
 
-from ...expr import Expr, leaves_of
+from ...expr import Expr
 from ...expr.soft import parts_of
 from ...lowering import Dynamics
-from ..border import boxes_of
 from .bridges.functionals import functionals_of
 from .conditions import split
+from .functionals import Initial
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -49,28 +49,12 @@ class Phase:
     name: str | None = None
 
 
-def as_dict(free: Any) -> dict[Any, Any]:
-    if isinstance(free, (list, tuple)):
-        return dict.fromkeys(free, (None, None))
-    if free is not None and not isinstance(free, Mapping):
-        boxes_of(free, (), ())  # which refuses it
-    return dict(free or {})
-
-
-def names_read(phase: Phase) -> set[str]:
-    """The names that a phase reads; more than parameters."""
-    reads = phase.dynamics._functions.reads
-    names = set(reads["rates"]) | set(reads["constraints"])
-    exprs = asked(phase)
-    exprs += [leaf.operand for leaf in functionals_of(*exprs)]
-    return names | {leaf.name for e in exprs for leaf in leaves_of(e)}
-
-
-def asked(phase: Phase) -> list[Expr]:
-    """The expressions that a phase states."""
+def initials_of(phase: Phase) -> list[Initial]:
+    """Where states began, for the objective and the conditions of a phase."""
     exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
     at = phase.at.values() if isinstance(phase.at, Mapping) else []
-    for what, given in (("initial", phase.initial), ("final", phase.final), *(("at", own) for own in at)):
-        for constraint in split(what, given)[1].values():
+    for what, conditions in (("initial", phase.initial), ("final", phase.final), *(("at", rows) for rows in at)):
+        for constraint in split(what, conditions)[1].values():
             exprs += parts_of(constraint)
-    return [e for e in exprs if isinstance(e, Expr)]
+    leaves = functionals_of(*(e for e in exprs if isinstance(e, Expr)))
+    return [leaf for leaf in leaves if isinstance(leaf, Initial)]

@@ -1,47 +1,52 @@
-"""An optimal-control problem on a compiled system: stated once, compiled once, solved as often as one likes."""
+"""An optimal-control problem on compiled systems: stated once, compiled once, solved as often as one likes."""
 
 from __future__ import annotations
 
-import inspect
-from collections.abc import Mapping, Sequence
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ...checks import known_arguments, listed, reals, short
-from ...errors import InputError, ModelError, ShapeError, TrajectoryError
-from ...expr import Control, Parameter, State, leaves_of
+from ...checks import known_arguments, listed, short
+from ...errors import ModelError, TrajectoryError, in_phase
+from ...expr import Parameter, leaves_of
 from ...lowering.dynamics import need_compiled
-from ...precision import in_double
-from ...system import entry_names, name_of
-from ..border import Border, boxes_of, times_of
-from ..hessians import checked_hessian
-from ..mesh import Remeshed, mesh_of
-from ..result.many import TrajectoryResults, trajectory_results
-from ..result.quality import Tried
-from ..result.result import TrajectoryResult, best_result
-from ..shooting import Shooting
-from ..transcribed import Given, Point
-from ..transcription import transcription_of
+from ...system import free_name, name_of
+from ...walk import uncollected
+from ..accuracy import MESH
+from ..border import Border, boxes_of
+from ..core_solver import CoreSolver
+from ..mesh import Remeshed
+from ..outcome import Callback
+from ..redundant_rows import redundant_rows
+from ..result.many import TrajectoryResults
+from ..result.result import TrajectoryResult
+from ..staged import Staged
+from ..strategies import Strategy
+from ..transcribed import Given, Point, Transcribed
 from ..warm import other_problem
-from .bridges.continuous import Restated
-from .bridges.functionals import InPhase, Reduction
-from .bridges.norms import above, bounds_along, norm_controls
-from .bridges.soft import NodeSlacks, check_weights, slack_controls
-from .by_node import ByNode
-from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split, stated_values
-from .controls import continuous_controls
-from .guess import control_guess, state_guess, user_guess
-from .solving import Solvable, Started
-from .statement import Objective, check_leaves, describe_path
+from .bridges.functionals import InPhase
+from .by_node import only_once
+from .conditions import Ends
+from .links import joined, links_of
+from .parameters import parameter_values, parameters_of
+from .phase import Phase, initials_of
+from .solve import SolveOptions, solved, solved_many
+from .start import Started, started
+from .stated_phase import StatedPhase
+from .statement import Objective
 
-#: A control of less than this share of its size says nothing of it.
-_NOTHING = 1e-4
+#: Threads that solve one problem make its first solver once: that decides which rows there are.
+_MAKING = threading.RLock()
+#: What else has arguments that users give to `solve`.
+_ELSEWHERE = {"tx.trajectory.Problem": lambda: Problem.__init__}
 
 
-class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
+class Problem:
     """Find controls, states and final time that optimise an objective under a system's constraints.
 
     minimise J subject to $x' = f(t, x, u)$, the system's constraints and the boxes of its leaves along the path,
@@ -51,8 +56,13 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
     The problem is always solved in double precision, whatever the global setting.
 
     Args:
-        dynamics: a compiled system, or a list of `Phase`; then the rest is as for `PhasedProblem`.
+        dynamics: a compiled system; or a list of `Phase` in order, with `links`, `params` and `free` alone beside it.
+            States of the same name and kind then go on unchanged from phase to phase, time goes on, objectives are
+            added, and parameters of the same name are the same in all phases.
         objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
+        links: of phases, for every join, one fewer than phases, a dict from states of the next phase to expressions of
+            the last states of the phase before and of parameters, or None to leave a state free; None for a join
+            without any.
         nodes: number of state nodes, two or more, at equal distances; or where they lie, as an increasing sequence of
             shares of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
         final_time: a number in s, or limits (low, high) to leave it free.
@@ -80,33 +90,21 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
             `tx.trajectory.QuasiNewton()`.
 
     Raises:
-        ModelError: unknown names or values without meaning.
+        ModelError: unknown names or values without meaning; of phases all errors have the phase's name in front.
         ShapeError: a wrong shape.
         TrajectoryError: nodes, times or end values that cannot be.
         InputError: parameters without a value.
     """
 
-    shooting: Shooting
+    shooting: Transcribed
 
-    def __new__(cls, dynamics: Any = None, *args: Any, **options: Any) -> Any:
-        """A problem, or one of several phases where a list of `Phase` is given."""
-        if not isinstance(dynamics, (list, tuple)):
-            return super().__new__(cls)
-        from .phases import PhasedProblem
-
-        if strangers := set(options) - {"links", "params", "free"}:
-            raise ModelError(
-                f"Problem of phases expects links, params and free alone, got {listed(sorted(strangers))}.\n"
-                "  fix: give it to each tx.trajectory.Phase"
-            )
-        return PhasedProblem(dynamics, *args, **options)
-
-    @known_arguments("Problem", TrajectoryError, {"problem.solve": lambda: Solvable.solve})
+    @known_arguments("Problem", TrajectoryError, {"problem.solve": lambda: Problem.solve})
     def __init__(
         self,
         dynamics: Any,
         objective: Any = None,
         *,
+        links: Any = None,
         nodes: Any = 25,
         final_time: Any = None,
         initial: Any = None,
@@ -122,402 +120,310 @@ class Problem(Solvable[TrajectoryResult, TrajectoryResults]):
         method: Any = None,
         substeps: Any = None,
         hessian: Any = None,
-        _within: InPhase = InPhase(),  # noqa: B008  it is frozen
     ) -> None:
-        need_compiled("Problem", dynamics)
-        own = dict(locals())
-        #: What it was stated with.
-        self._stated = {name: own[name] for name in inspect.signature(Problem.__init__).parameters if name != "self"}
-        if not isinstance(objective, Objective):
-            raise ModelError(
-                f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
-            )
-        self.mesh = mesh_of(nodes)
-        self.nodes = self.mesh.nodes
-        time_limits, self.time_guess = times_of(final_time, final_time_guess)
-        (first, asked_first), (last, asked_last) = split("initial", initial), split("final", final)
-        inner, soft = at_nodes(at, self.nodes), dynamics.system.soft
-        places = {"initial": asked_first, "final": asked_last, **{f"node {k}": own for k, own in inner.items()}}
-        #: What soft conditions at nodes became.
-        self.softened = softened = NodeSlacks(objective, places, f"{_within.name}: " if _within.name else "")
-        first_rows, last_rows, *inner_rows = softened.plain.values()
-        smooth = continuous_controls(controls, dynamics.controls)
-        reduced = Reduction(dynamics, softened.objective, first_rows, last_rows, inner_rows, _within, smooth)
-        #: What functionals of the path became.
-        self.reduced = reduced
-        ways = reduced.shapes_of_bounds(controls)
-        restated = Restated(reduced.dynamics, reduced.objective, ways, self.mesh, _within.first, added=reduced.bounds)
-        #: What linear controls and free node times became.
-        self.restated = restated
-        self.dynamics = dynamics = restated.dynamics
-        self.objective: Objective = restated.objective
-        for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
-            if expr is not None:
-                check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
-        objective = self.objective
-        self.ends = ends_of(dynamics.states, first, last)
-        self.final_rows = conditions(
-            dynamics, "final", restated.plain(reduced.plain(last_rows) | restated.at_end, last=True)
-        )
-        #: Conditions at nodes before the last.
-        plain = {k: restated.plain(reduced.plain(own)) for k, own in zip(inner, inner_rows)}
-        self.node_rows = {k: conditions(dynamics, f"node {k}", own) for k, own in plain.items()}
-        first_rows = restated.plain(first_rows | reduced.at_start)
-        self._at_ends = first_rows, restated.plain(reduced.plain(last_rows), last=True)
-        if first_rows:
-            self.node_rows[0] = conditions(dynamics, "initial", first_rows)
-        self._leaves: dict[str, State | Control] = {s.name: s for s in dynamics.states}
-        self._leaves |= {c.name: c for c in dynamics.controls}
-        self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
-        self.transcription = transcription_of(transcription, method, substeps)
-        self.hessian = checked_hessian(hessian)
-        self.norms = slack_controls(norm_controls(objective.running, objective.sign), restated, soft)
-        asked = [e for own in (self.final_rows, *self.node_rows.values()) for e in own.residuals]
-        exprs = [e for e in (objective.final, objective.running, self.norms.running, *asked) if e is not None]
-        known = {leaf.name for leaf in dynamics.parameters}
-        #: Parameters that the system does not have.
-        self._own = {
-            leaf.name: leaf
-            for expr in exprs
-            for leaf in leaves_of(expr)
-            if isinstance(leaf, Parameter) and leaf.name not in known
-        }
-        reads, seen = dynamics._functions.reads, {leaf.name for expr in exprs for leaf in leaves_of(expr)}
-        seen |= reads["rates"] | reads["constraints"]
-        #: Parameters that the problem reads, and the names of those that cannot be changed any more.
-        self.readable = [*(leaf for leaf in dynamics.parameters if leaf.name in seen), *self._own.values()]
-        self.by_node = ByNode.of(by_node, self.mesh.shares)
-        elsewhere = [*asked, *(row for _, row in self.norms.rows)]
-        priced = [e for e in (objective.final, self.norms.running) if e is not None]
-        self.baked = {leaf.name for leaf in dynamics.system.parameters} - known
-        #: Parameters that stand for extremes, and slacks.
-        self.bounds = boxes_of({**reduced.free, **softened.free}, self.readable, ())
-        boxes = (*boxes_of(free, self.readable, self.baked), *self.bounds)
-        self.by_node.check(priced, elsewhere, reads["rates"] | reads["constraints"], [box.name for box in boxes])
-        self.border = Border(("final time",), np.array([time_limits]), boxes)
-        self.phase = 0
-        self.own_guess = self.checked_guess(guess)
-        self.params = self._prepared(params)
+        arguments = {name: value for name, value in locals().items() if name != "self"}
+        #: What it was stated with: `Problem(**problem.stated)` is the same problem.
+        self.stated = arguments
+        of_phase = {field.name: arguments[field.name] for field in _OF_PHASE if field.name in arguments}
+        #: Whether it was stated without a list of phases: names then have no phase in front.
+        self.alone = not isinstance(dynamics, (list, tuple))
+        if self.alone:
+            self.phases = [Phase(**of_phase)]
+            if links is not None:
+                raise ModelError("links joins phases; a problem of one phase has none")
+            if not isinstance(objective, Objective):
+                need_compiled("Problem", dynamics)
+                raise ModelError(
+                    f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
+                )
+        else:
+            self.phases, links = list(dynamics), objective if links is None else links
+            _check_phases(self.phases, of_phase)
+        self.names: list[str] = []
+        for index, phase in enumerate(self.phases):
+            self.names.append(free_name(phase.name or f"phase {index}", self.names))
+        kind = _kind_of(self.phases)
+        self.sign = kind.sign
+        self.parts = self._parts(kind)
+        self.sources = links_of(self.parts, self.names, links)
+        self._state_parameters(params, free)
         self._build()
 
-    def __repr__(self) -> str:
-        low, high = self.time_limits
-        times = f"{low:g} s" if low == high else f"{low:g} to {high:g} s"
-        shown = (self._stated["objective"], f"{self.nodes} nodes", times, self._stated["dynamics"])
-        return f"{type(self).__name__}({', '.join(map(str, shown))})"
+    def _parts(self, kind: type[Objective]) -> list[StatedPhase]:
+        """The phases, with their bridges applied."""
+        carried = [initials_of(phase) for phase in self.phases]
+        parts, last = [], len(self.phases) - 1
+        for index, (phase, name) in enumerate(zip(self.phases, self.names)):
+            need_compiled("Problem" if self.alone else "Phase", phase.dynamics)
+            initials = () if self.alone else tuple(leaf for leaves in carried[index:] for leaf in leaves)
+            within = InPhase("" if self.alone else name, initials, index == 0, index == last)
+            with self.errors_of(name):
+                parts.append(StatedPhase(phase, kind(0.0) if phase.objective is None else phase.objective, within))
+        return parts
 
-    def on(self, meshes: Sequence[Remeshed]) -> Problem:
-        (mesh,) = meshes
-        return Problem(**self._stated | {"by_node": self.by_node} | mesh.stated(self._stated["at"]))
+    def _state_parameters(self, params: Mapping[Any, Any] | None, free: Any) -> None:
+        """One set of parameters, and of unknowns that all phases share."""
+        params = {name_of(key): value for key, value in (params or {}).items()}
+        exprs = [e for sources in self.sources for e in sources.values() if e is not None]
+        read = {leaf.name: leaf for leaf in leaves_of(*exprs) if isinstance(leaf, Parameter)}
+        read |= {leaf.name: leaf for part in self.parts for leaf in part.readable}
+        #: All parameters by name, and the names of those that the problem reads.
+        self.leaves = {**read, **parameters_of(self.parts, self.names, params)}
+        self._read = set(read)
+        baked = {name for part in self.parts for name in part.baked} - set(self.leaves)
+        added = [box for part in self.parts for box in part.bounds]
+        boxes = (*boxes_of(free, read.values(), baked), *added)
+        times = ("final time",) if self.alone else tuple(f"duration of {name}" for name in self.names)
+        self.border = Border(times, np.array([part.time_limits for part in self.parts]), boxes)
+        only_once([part.by_node for part in self.parts])
+        self.params = self.values(params)
 
-    def transcribed_by(self, transcription: Any) -> Problem:
-        return self.stated_with(transcription=transcription, method=None, substeps=None)
-
-    def stated_with(self, **others: Any) -> Problem:
-        """The same problem with other arguments."""
-        return Problem(**self._stated | others)
-
-    def as_phase(self, number: int, border: Border) -> None:
-        """Make it a phase of a problem with these durations and free parameters."""
-        self.phase, self.border = number, border
-        self._build()
-
-    @property
-    def bounded(self) -> bool:
-        """Whether it has bounds of its own: of norms, of magnitudes, or extremes."""
-        return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes or self.restated.bounds)
-
-    @property
-    def conditions(self) -> dict[int, Conditions]:
-        """The conditions at nodes by number."""
-        return {**self.node_rows, self.nodes - 1: self.final_rows}
-
-    @property
-    def soft(self) -> set[str]:
-        """The names of soft constraints, entry by entry."""
-        along = self.norms.soft.items()
-        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.softened.rows
-
-    @property
-    def order(self) -> int:
-        """Of the derivatives that are compiled."""
-        return 2 if self.hessian is None else 1
-
-    @property
-    def parts(self) -> Sequence[Problem]:
-        return [self]
-
-    @property
-    def sign(self) -> float:
-        return self.objective.sign
-
-    @property
-    def time_limits(self) -> tuple[float, float]:
-        """Low and high, equal where the final time is fixed."""
-        low, high = self.border.time_limits[self.phase].tolist()
-        return low, high
+    def values(self, params: Mapping[str, Any]) -> dict[str, Array]:
+        """Values of all parameters, checked."""
+        by_nodes = [part.by_node for part in self.parts]
+        values = parameter_values(self.leaves, self._read, self.border.boxes, by_nodes, params)
+        for part, name in zip(self.parts, self.names):
+            with self.errors_of(name):
+                part.check_weights(values)
+        return values
 
     def _build(self) -> None:
         """What compiles."""
-        self.path = describe_path(
-            self.dynamics, self.norms, {box.name for box in self.border.boxes}, self.restated.straight
-        )
-        self.shooting = Shooting(
-            self.dynamics,
-            self.objective,
-            transcription=self.transcription,
-            mesh=self.mesh,
-            path=self.path,
-            norms=self.norms,
-            ends=self.ends,
-            final=self.final_rows,
-            at_nodes=self.node_rows,
-            border=self.border,
-            phase=self.phase,
-            pace=self.restated.pace,
-            by_node=self.by_node,
-        )
-        self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
-        self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
-        self.built()
-        self.advanced = jax.jit(self.shooting.advanced)
+        for number, (part, name) in enumerate(zip(self.parts, self.names)):
+            with self.errors_of(name):
+                part.transcribe(number, self.border)
+        self.shooting = self.parts[0].shooting if self.alone else joined(self.parts, self.sources, self.names)
+        self.forget()
 
-    def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """(points, rows) the path rows as users wrote them, at many points."""
-        local = self.shooting.local
-        return local.along(local.expressions.shown, ts, xs, us, params)
+    def forget(self) -> None:
+        """Forget the solvers that were made."""
+        self._cores: dict[tuple[float, int, int], CoreSolver] = {}
+        #: The same problem by implicit steps.
+        self.implicit: Any = None
 
-    def path_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """The same as the solver sees them."""
-        local = self.shooting.local
-        return local.along(local.expressions.rows, ts, xs, us, params)
+    @contextlib.contextmanager
+    def errors_of(self, name: str) -> Iterator[None]:
+        """Errors have the name of the phase in front."""
+        with contextlib.nullcontext() if self.alone else in_phase(name):
+            yield
+
+    def __repr__(self) -> str:
+        if self.alone:
+            return f"Problem({self.parts[0]!r})"
+        return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
+
+    def __getattr__(self, name: str) -> Any:
+        """What a problem of one phase has of that: nodes, mesh, dynamics, objective, transcription, hessian."""
+        parts = self.__dict__.get("parts", ())
+        if name.startswith("_") or len(parts) != 1:
+            raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
+        return getattr(parts[0], name)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced", "_cores", "_implicit")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
         self._build()
 
-    # ---- what a solve starts from ---------------------------------------------------------------------------------
+    # ---- the same problem otherwise ---------------------------------------------------------------------------------
 
-    def started(
+    def with_phases(self, changes: Sequence[Mapping[str, Any]]) -> Problem:
+        """The same problem with other arguments of its phases."""
+        if self.alone:
+            return Problem(**self.stated | changes[0])
+        phases = [dataclasses.replace(phase, **own) for phase, own in zip(self.phases, changes, strict=True)]
+        return Problem(**self.stated | {"dynamics": phases})
+
+    def on(self, meshes: Sequence[Remeshed]) -> Problem:
+        """The same problem on other meshes, one for each phase, without a guess."""
+        triples = zip(self.phases, self.parts, meshes, strict=True)
+        return self.with_phases([{"by_node": part.by_node} | mesh.stated(phase.at) for phase, part, mesh in triples])
+
+    def transcribed_by(self, transcription: Any) -> Problem:
+        """The same problem, its phases integrated in another way."""
+        return self.with_phases([{"transcription": transcription, "method": None, "substeps": None}] * len(self.parts))
+
+    @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        pairs = zip(self.shooting.segments, self.parts)
+        return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
+
+    def started(self, *arguments: Any, **named: Any) -> Started:
+        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        return started(self, *arguments, **named)
+
+    def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
+        """States at the nodes with what ends fix in place.
+
+        Raises:
+            TrajectoryError: they are those of another problem.
+        """
+        if self.alone:
+            return self.parts[0].at_ends(xs, ends[0])
+        if not isinstance(xs, tuple) or len(xs) != len(self.parts):
+            raise other_problem()
+        return tuple(part.at_ends(own, side) for part, own, side in zip(self.parts, xs, ends))
+
+    # ---- solving ----------------------------------------------------------------------------------------------------
+
+    @known_arguments("solve", TrajectoryError, _ELSEWHERE)
+    def solve(
         self,
         guess: Mapping[Any, Any] | None = None,
+        *,
+        warm: Any = None,
         initial: Mapping[Any, Any] | None = None,
         final: Mapping[Any, Any] | None = None,
         params: Mapping[Any, Any] | None = None,
         final_time: Any = None,
         final_time_guess: Any = None,
         free: Mapping[Any, Any] | None = None,
-        sizes: Sequence[Mapping[str, Array]] | None = None,
-        begin: Point | None = None,
-    ) -> Started:
-        """What `solve` with these arguments starts from and is for; in double precision."""
-        ends = self.other_ends(initial, final)
-        times, time_guess = self.other_times(final_time, final_time_guess)
-        limits = self.border.limited(np.array([times]), free)
-        if params is not None and not isinstance(params, Mapping):
-            raise InputError(f"solve: params must be a dict from parameters to values, got {short(params)}")
-        own = self.params if params is None else self._prepared({**self.params, **params})
-        if begin is None:
-            known, own_sizes = self.own_guess | self.checked_guess(guess), {} if sizes is None else sizes[0]
-            begin = self.start(known, ends, own, np.array([time_guess]), limits, own_sizes)
-        return Started(begin, self.given(ends, own, limits), own, ends)
+        guesses: int = 1,
+        seed: int | None = None,
+        callback: Callback | None = None,
+        max_iterations: int = 1000,
+        max_seconds: float | None = None,
+        tolerance: float = 1e-6,
+        solver: Any = None,
+        between: float | None = None,
+        refine: Any = None,
+        mesh_tolerance: float = MESH,
+        strategies: Collection[Any] = tuple(Strategy),
+    ) -> TrajectoryResult:
+        """Optimise, from one guess or from several, and return the best result.
 
-    def axes(self) -> dict[str, Any]:
-        """How many axes each argument of `started` has; a guess of states or controls has one more."""
-        leaves = {name: len(leaf.shape) for name, leaf in self._leaves.items()}
-        params = {name: value.ndim for name, value in self.params.items()}
-        longer = {name: count + 1 for name, count in leaves.items()}
-        times = int(self.border.free[self.phase])
-        return {"guess": params | longer, "initial": leaves, "final": leaves, "params": params, "final_time": times}
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
 
-    def result(self, tried: Tried) -> TrajectoryResult:
-        return best_result(self, tried)
+        Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
+        of order 5, and the message says so; `result.problem` is the one that was solved.
 
-    def results(self, tried: Sequence[Tried]) -> TrajectoryResults:
-        return trajectory_results(self, tried)
+        In a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
+        final_time_guess are dicts from names of phases to what is said here; those left out keep what they have.
 
-    def at_ends(self, xs: Any, ends: Ends) -> dict[str, Array]:
-        """States at the nodes with what ends fix in place.
+        Args:
+            guess: values by leaf or name on top of the problem's own guess.
+            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
+                scales, and a barrier that fits how far it is from what is asked now.
+            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
+            params: values of parameters, by leaf or name, in place of the problem's own.
+            free: other limits of free parameters, by leaf or name; the same sides stay open.
+            final_time: a number where the problem has one, limits where it has limits.
+            final_time_guess: where a free final time starts.
+            guesses: how many tries. Without a seed the first starts from the guess itself, or from `warm`; the others
+                start from the perturbed guess.
+            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
+                parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
+                at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
+                large as its scale, and as the guess's gaps.
+            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
+                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
+                `IPOPT` and `Fatrop` call it and go on.
+            max_iterations: iterations a try may use.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
+                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
+            tolerance: how far, in scaled form, the first-order conditions may be from holding.
+            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
+                interior point of this package if left out.
+            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
+                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
+                are asked.
+            mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
+                interval, integrated closely again from its planned start, ends within this of its planned end, in
+                scales of the states, and the objective is off by this share at most: see `result.accuracy`. An infinite
+                one takes any mesh, as a controller that solves again at every step may want it.
+            refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
+                within this of its planned end, in scales of the states, and the objective changes by no more than this,
+                relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
+            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
+                method alone. Solvers of others have some of their own.
 
         Raises:
-            TrajectoryError: they are those of another problem.
+            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
+            TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
+                free, or on other sides; a warm start of another problem, or beside a guess.
         """
-        shapes = {s.name: (self.nodes, *s.shape) for s in self.dynamics.states}
-        if not isinstance(xs, dict) or {name: np.shape(a) for name, a in xs.items()} != shapes:
-            raise other_problem()
-        return {
-            s.name: state_guess(s, xs[s.name], ends.initial[s.name], ends.final[s.name], self.mesh.shares)
-            for s in self.dynamics.states
-        }
+        arguments = {name: value for name, value in locals().items() if name != "self"}
+        return solved(self, SolveOptions(**arguments))
 
-    def other_ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
-        """The ends with other values; the same entries are fixed."""
-        if initial is None and final is None:
-            return self.ends
-        sides = []
-        for what, own, new in (("initial", self.ends.initial, initial), ("final", self.ends.final, final)):
-            if new is not None and not isinstance(new, Mapping):
-                raise ModelError(
-                    f"solve: {what} must be a dict from states to values, got {type(new).__name__}; "
-                    "constraints belong to the problem"
-                )
-            sides.append(
-                {n: v for n, v in own.items() if v is not None} | {name_of(k): v for k, v in (new or {}).items()}
-            )
-        ends = ends_of(self.dynamics.states, *sides)
-        for what, fixed, stated in (
-            ("initial", ends.initial_fixed, self.ends.initial_fixed),
-            ("final", ends.final_fixed, self.ends.final_fixed),
-        ):
-            other = [name for name in fixed if (fixed[name] != stated[name]).any()]
-            if other:
-                raise TrajectoryError(
-                    f"solve: {what}[{other[0]!r}] must fix the entries that the problem fixes, got "
-                    f"{_numbers(getattr(ends, what)[other[0]])}.\n"
-                    "  fix: state the problem with a value there, or with NaN in what is free"
-                )
-        return ends
-
-    def other_times(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
-        """Other limits of the final time, and where it starts."""
-        if limits is None and guess is None:
-            return self.time_limits, self.time_guess
-        found = times_of(self.time_limits if limits is None else limits, guess)
-        free = self.border.free[self.phase]
-        if (found[0][0] < found[0][1]) != free:
-            kind = "free: (low, high)" if free else "fixed: a number"
-            raise TrajectoryError(f"solve: final_time expects what the problem has, {kind}, got {limits!r}")
-        return found
-
-    def checked_guess(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
-        """A guess by name."""
-        return user_guess(guess, self._leaves | {box.name: box for box in self.border.boxes}, self._lengths)
-
-    def start(
+    @known_arguments("solve_many", TrajectoryError, _ELSEWHERE)
+    def solve_many(
         self,
-        given: Mapping[str, Array],
-        ends: Ends,
-        params: Mapping[str, Array],
-        durations: Array,
-        limits: Array,
-        sizes: Mapping[str, Array] = {},
-    ) -> Point:
-        """The point that guesses give, with these durations, within limits of the border.
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        free: Mapping[Any, Any] | None = None,
+        max_iterations: int = 1000,
+        tolerance: float = 1e-6,
+        mesh_tolerance: float = MESH,
+    ) -> TrajectoryResults:
+        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
 
-        Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
+        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
+        A guess with an axis of cases has one of nodes or intervals too.
+
+        As many cases at a time as there are processors.
+
+        Raises:
+            ShapeError: arguments for different numbers of cases.
+            TrajectoryError: no argument has an axis of cases.
+            TwistaxError: as `solve` does, where no case fits the problem. A case that does not fit beside others that
+                do has status REFUSED, and its message begins with its number.
         """
-        count = self.nodes - 1
-        first, last = self.stated_values(params)
-        xs = {}
-        for s in self.dynamics.states:
-            stated = first.get(s.name), last.get(s.name)
-            sides = ends.initial[s.name], ends.final[s.name]
-            xs[s.name] = state_guess(s, given.get(s.name), *sides, self.mesh.shares, stated)
-        us = {c.name: control_guess(c, given.get(c.name), count) for c in self.dynamics.controls}
-        xs |= self.reduced.starts_of(xs)
-        whole = _sized(xs | us, sizes)
-        for name, values in bounds_along(self.reduced.bounds | self.restated.bounds, whole, params).items():
-            (us if name in us else xs)[name] = above(values)
-        xs, us = self.restated.started(xs, us, self.shooting.times(durations))
-        # Rows may have any sign: controls that say nothing count with both.
-        sides = [{name: side * a for name, a in sizes.items()} for side in (1.0, -1.0)]
-        points = [(xs, us), *((_sized(xs, own), _sized(us, own)) for own in sides)]
-        ts, rows = self.shooting.times(durations), self._shown_at(points, params, durations)
-        guess = self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params) if rows else {}
-        residuals = self.softened.values(self.conditions, xs, ts, params) if self.softened.slacks else {}
-        guess = {**guess, **self.softened.start(residuals), **given}
-        border = self.border.start(durations, params, guess, limits)
-        flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
-        norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
-        slacks = self.norms.start(rows[0], list(self.path.shown), count) if self.norms.slacks else []
-        return Point(xs, np.concatenate([*flat, *norms, *slacks], axis=1), border)
+        arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
+        options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
+        return solved_many(self, arguments | {"free": free}, options)
 
-    def stated_values(self, params: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-        """What conditions say of states at both ends."""
-        known = {**params, **self.softened.without}
-        first, last = (stated_values(self.dynamics.states, rows.values(), known) for rows in self._at_ends)
-        return first, last
-
-    def _shown_at(
-        self, points: Sequence[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], durations: Array
-    ) -> list[Array]:
-        """The path rows as users wrote them of states and controls at nodes, where something has to fit them."""
-        if not (self.reduced.extremes or self.norms.slacks):
-            return []
-        ts, rows = self.shooting.times(durations)[:-1], []
-        norms = {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.norms.controls}
-        for xs, us in points:
-            before = {name: a[:-1] for name, a in xs.items()}
-            rows.append(np.asarray(self.shown_rows(ts, before, us | norms, dict(params))))
-        return rows
-
-    def given(self, ends: Ends, params: Mapping[str, Array], limits: Array) -> Given:
-        """What a solve with these ends, parameters and limits of the border is for."""
-        margins = np.zeros(len(self.shooting.exists))
-        return Given(dict(params), self.filled(ends.final), limits, margins)
-
-    def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
-        """Values of the states, with anything where they are free."""
-        found = {}
-        for state in self.dynamics.states:
-            value, rest = values[state.name], np.zeros(state.shape)
-            if not state.group.flat:
-                rest = np.asarray(state.group.identity(float))
-            found[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
-        return found
-
-    def _prepared(self, params: Mapping[Any, Any] | None) -> dict[str, Array]:
-        """All parameters as double-precision arrays, those of the objective and the final conditions too; checked."""
-        valued = {leaf.name for leaf in (*self.dynamics.parameters, *self._own.values()) if leaf.value is not None}
-        # A free parameter without a value starts in the middle of its box.
-        middle = {box.name: control_guess(box, None, 1)[0] for box in self.border.boxes if box.name not in valued}
-        given = middle | {name_of(key): value for key, value in (params or {}).items()}
-        known = [leaf.name for leaf in (*self.dynamics.parameters, *self._own.values())]
-        for name in sorted(given.keys() - set(known) - self.baked):
-            stated = [own for own in known if own not in {box.name for box in self.bounds}]
-            raise InputError(f"unknown key {name!r} in params; expected: {listed(stated, name)}")
-        own = {name: given.pop(name) for name in self._own if name in given}
-        with in_double():
-            zeros_x = {s.name: np.zeros(s.shape) for s in self.dynamics.states}
-            zeros_u = {c.name: np.zeros(c.shape) for c in self.dynamics.controls}
-            families = ("rates", "constraints")
-            inputs = self.dynamics._functions.prepare(0.0, zeros_x, zeros_u, given or None, reads=families)
-            found = {name: np.asarray(value) for name, value in inputs.params.items()}
-        for name, leaf in self._own.items():
-            if name not in own and leaf.value is None:
-                raise InputError(
-                    f"the problem reads the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
-                )
-            if name in self.by_node.leaves:
-                found[name] = self.by_node.values(name, own.get(name, leaf.value))
-                continue
-            found[name] = reals(f"params[{name!r}]", own.get(name, leaf.value), InputError)
-            if found[name].shape != leaf.shape:
-                raise ShapeError(f"params[{name!r}] expects shape {leaf.shape}, got {found[name].shape}")
-        for name, value in found.items():
-            if not np.isfinite(value).all():
-                raise InputError(f"params[{name!r}] expects finite numbers, got {value}")
-        self.check_weights(found)
-        return found
-
-    def check_weights(self, params: Mapping[str, Array]) -> None:
-        """Raise InputError where parameters make the weight of a soft constraint negative."""
-        at_nodes = {name: slack.soft for name, slack in self.softened.slacks.items()}
-        check_weights({**self.dynamics.system.soft, **self.norms.soft, **at_nodes}, params)
+    def core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
+        """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
+        key = (tolerance, threading.get_ident(), 0)
+        while key in self._cores and self._cores[key].busy:
+            key = (*key[:2], key[2] + 1)
+        if key not in self._cores:
+            with _MAKING, uncollected():
+                first = next((core.staged for core in self._cores.values()), None)
+                staged = Staged(self.shooting, self.parts, given) if first is None else first.alone(given)
+                if first is None:
+                    staged.drop(redundant_rows(staged, point, given), given)
+                self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
+        return self._cores[key]
 
 
-def _numbers(value: Array | None) -> str:
-    return short(None if value is None else value.tolist())
+_OF_PHASE = dataclasses.fields(Phase)
 
 
-def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str, Array]:
-    """Values by leaf, those that are nothing beside their sizes at these."""
-    found = dict(values)
-    for name, size in sizes.items():
-        if name in found and np.abs(found[name]).max(initial=0.0) <= _NOTHING * np.abs(size).max(initial=0.0):
-            found[name] = np.broadcast_to(size.reshape(found[name].shape[1:]), found[name].shape)
-    return found
+def _check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
+    """Raise ModelError unless they are phases, and nothing else is stated that belongs to each of them."""
+    strangers = [phase for phase in phases if not isinstance(phase, Phase)]
+    if strangers or not phases:
+        got = short(strangers[0]) if strangers else "none"
+        raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
+    defaults = {field.name: None if field.default is dataclasses.MISSING else field.default for field in _OF_PHASE}
+    names = {name for name, value in arguments.items() if value is not defaults[name]}
+    if too_many := sorted(names - {"dynamics", "objective"}):
+        raise ModelError(
+            f"Problem of phases expects links, params and free alone, got {listed(too_many)}.\n"
+            "  fix: give it to each tx.trajectory.Phase"
+        )
+
+
+def _kind_of(phases: Sequence[Phase]) -> type[Objective]:
+    """Whether the phases minimise or maximise."""
+    kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
+    if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
+        raise ModelError(
+            "phases expect tx.Minimize(...) in one of them at least and tx.Maximize(...) in none, or the other way "
+            f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
+        )
+    return kinds.pop()

@@ -20,20 +20,19 @@ from ..staged import Staged
 from ..transcribed import Given, Point
 from ..warm import WarmStart
 from ..watch import Status
-from .quality import found_params
+from .quality import params_of
 from .replay import times_along
-from .result import Trajectory, trajectory_at
+from .trajectory import Trajectory, trajectory_at
 
 if TYPE_CHECKING:
-    from ..problem.problem import Problem
-    from ..problem.solving import Solvable
+    from ..problem.stated_phase import StatedPhase
 
 #: Samples of a rollout in an interval, how often margins may change, and by how much more than a limit is exceeded.
 _SAMPLES, _ROUNDS, _MORE = 40, 12, 1.2
 
 
-def held(
-    problem: Solvable[Any, Any],
+def hold_between_nodes(
+    problem: Any,
     outcome: Outcome,
     given: Given,
     params: dict[str, Array],
@@ -58,7 +57,7 @@ def held(
     margins = [np.zeros((part.shooting.intervals, len(part.path.names))) for part, _ in parts]
     iterations = outcome.iterations
     for left in reversed(range(_ROUNDS + 1)):
-        own = found_params(problem.border, outcome, params)
+        own = params_of(problem.border, outcome, params)
         scales = np.asarray(outcome.scales.rows)
         excess = [
             _excess(part, segment.of(outcome.point), own, rollout) for (part, segment), rollout in zip(parts, rollouts)
@@ -95,7 +94,7 @@ def _beside(over: Array) -> Array:
     return np.maximum(closed[:-2], closed[2:])
 
 
-def _excess(problem: Problem, point: Point, params: dict[str, Array], rollout: Rollout) -> Array:
+def _excess(problem: StatedPhase, point: Point, params: dict[str, Array], rollout: Rollout) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))

@@ -16,7 +16,7 @@ from ...precision import in_double
 
 if TYPE_CHECKING:
     from ...view import Scene
-    from .result import Trajectory
+    from .trajectory import Trajectory
 
 #: So many multipliers are shown, of the constraints that matter most.
 _MOST = 10
@@ -31,7 +31,7 @@ def drawn(
 ) -> Any:
     """A figure of one trajectory, or of several that follow each other; see `Trajectory.plot`."""
     # Of the systems as they were given: linear controls and free node times have made states of their own since.
-    systems = [part.problem._stated["dynamics"] for part in parts]
+    systems = [part.problem.phase.dynamics for part in parts]
     leaves = {leaf.name: leaf for system in systems for leaf in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
     found = [
@@ -69,7 +69,7 @@ def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, 
 
 def _outputs(part: Trajectory, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array]) -> Mapping[str, Array]:
     """The outputs of the system as it was given, along a motion."""
-    dynamics = part.problem._stated["dynamics"]
+    dynamics = part.problem.phase.dynamics
     params = {leaf.name: part.params[leaf.name] for leaf in dynamics.parameters if leaf.name in part.params}
     with in_double():
         found = jax.vmap(lambda t, x, u: dynamics.outputs(t, x, u, params))(ts, dict(xs), dict(us))

@@ -12,12 +12,13 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...errors import IntegrationError, TrajectoryError
+from ...precision import in_double
 from ..accuracy import Accuracy
 from ..border import Border
 from ..outcome import Outcome
 from ..problem.statement import largest_by_name
 from ..transcribed import Transcribed
-from ..undetermined import Undetermined
+from ..undetermined import Undetermined, undetermined
 from ..warm import WarmStart
 from ..watch import AT_OPTIMUM, Status
 from .singular import singular
@@ -26,6 +27,8 @@ from .singular import singular
 _ACTIVE = 1e-5
 #: What is said of a solution that is no minimum.
 _SADDLE = ", at a saddle: the objective falls to second order from here, and no search beside it found better"
+#: The tolerance of a solver that only looks at solutions.
+_LOOKED_AT = 1e-6
 #: How many limits that do not hold between nodes are named.
 _NAMED = 3
 #: What makes a mesh finer.
@@ -53,7 +56,7 @@ class Optimality:
 
 
 @dataclasses.dataclass(frozen=True)
-class Found:
+class Quality:
     """How well what was found solves its problem. All arrays are NumPy, double precision.
 
     Attributes:
@@ -119,8 +122,13 @@ class Found:
 
     @functools.cached_property
     def _undetermined(self) -> list[Undetermined]:
-        found: list[Undetermined] = self.problem.undetermined(self.warm) if self.solved else []
-        return found
+        problem, warm = self.problem, self.warm
+        if not self.solved or any(part.hessian is not None for part in problem.parts):
+            return []
+        with in_double():
+            given = problem.started().given._replace(params=warm.params)
+            staged = problem.core(_LOOKED_AT, warm.point, given).staged
+            return undetermined(staged, warm, given, [part.restated.derivatives for part in problem.parts])
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
@@ -246,7 +254,7 @@ class Tried:
     def fields(
         self, problem: Any, params: dict[str, Array], violations: Mapping[str, float], shown: Collection[str]
     ) -> dict[str, Any]:
-        """The fields of a `Found` of the best try that do not depend on phases.
+        """The fields of a `Quality` of the best try that do not depend on phases.
 
         Args:
             params: with those that were found.
@@ -278,7 +286,7 @@ class Tried:
         }
 
 
-def found_params(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
+def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
     """The parameters with those that were found."""
     return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
 

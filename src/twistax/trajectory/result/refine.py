@@ -23,10 +23,10 @@ from ..mesh import Mesh, Remeshed
 from ..transcribed import Point, Segment
 from ..warm import WarmStart
 from ..watch import Status
-from .result import Trajectory, trajectory_at
+from .trajectory import Trajectory, trajectory_at
 
 if TYPE_CHECKING:
-    from ..problem.problem import Problem
+    from ..problem.stated_phase import StatedPhase
 
 #: The most meshes, nodes and substeps; what is split at least of all squared changes of controls, and of all intervals.
 _MESHES, _NODES, _SUBSTEPS, _SHARE, _LEAST = 12, 1000, 8, 0.9, 0.5
@@ -132,7 +132,7 @@ def _finer(result: Any, errors: Sequence[Array], tolerance: float, rests: bool) 
     return again, _start(again, result, splits)
 
 
-def _changes(part: Problem, us: Array, ts: Array) -> Array:
+def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
     """(intervals,) by how much, squared, controls change about an interval, in their scales, times its length.
 
     Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.

@@ -21,7 +21,7 @@ from ..rollout import Rollout
 from ..transcribed import Point
 
 if TYPE_CHECKING:
-    from .result import Trajectory
+    from .trajectory import Trajectory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -53,14 +53,8 @@ class Replay:
     final: dict[str, float]
 
 
-def replayed(
-    result: Trajectory, method: Any, steps: int, rtol: float, atol: float, border: Array | None = None
-) -> Replay:
-    """The rollout of a trajectory; see `Trajectory.replay`.
-
-    Args:
-        border: what all stages share in a solve; with it and without a method the solver's core rolls out.
-    """
+def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
+    """The rollout of a trajectory; see `Trajectory.replay`. Without a method the solver's core rolls out if it can."""
     _need_finite(result)
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
     if back.size:
@@ -68,8 +62,8 @@ def replayed(
             f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time goes on.\n"
             "  fix: solve until the limits of free node times hold"
         )
-    if method is None and border is not None:
-        xs = _by_the_core(result, border, steps)
+    if method is None and result.solve is not None:
+        xs = _by_the_core(result, *result.solve, steps)
         if all(np.isfinite(values).all() for values in xs.values()):
             return _judged(result, xs, steps)
     method = result.problem.transcription.replaying if method is None else method
@@ -115,14 +109,14 @@ def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Arra
     return {name: np.concatenate([part[name] for part in parts]) for name in x}
 
 
-def _by_the_core(result: Trajectory, border: Array, steps: int) -> dict[str, Array]:
+def _by_the_core(result: Trajectory, whole: Any, border: Array, steps: int) -> dict[str, Array]:
     """The same by the solver's core, which compiles nothing for other numbers: not finite from where it fails."""
     problem, held = result.problem, held_of(result)
     held |= {c.name: np.zeros(problem.nodes - 1) for c in problem.norms.controls}
     columns = [np.reshape(held[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
-    started = problem.started(params=fixed)
-    staged = problem.staged(started.point, started.given)
+    started = whole.started(params=fixed)
+    staged = whole.core(1e-6, started.point, started.given).staged
     start, planned = _start(result), result.xs | result.added
     xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)

@@ -16,13 +16,13 @@ from ..transcribed import Point
 from ..transcription import Collocation
 
 if TYPE_CHECKING:
-    from ..problem.problem import Problem
+    from ..problem.stated_phase import StatedPhase
 
 #: Characters of an expression that are shown.
 _SHOWN = 80
 
 
-def singular(problem: Problem, point: Point, params: Mapping[str, Any], durations: Any) -> str | None:
+def singular(problem: StatedPhase, point: Point, params: Mapping[str, Any], durations: Any) -> str | None:
     """What names the first expression without a finite value or slope at the first or last node; a remedy.
 
     The first one is that whose operands are finite: 1 / v where v is zero. A node before the last has the control after
@@ -70,7 +70,7 @@ def _shown(value: Any) -> str:
     return f"{float(value):.3g}" if np.ndim(value) == 0 else np.array2string(np.asarray(value), precision=3)
 
 
-def _remedy(problem: Problem, k: int) -> str:
+def _remedy(problem: StatedPhase, k: int) -> str:
     if k == 0 and not isinstance(problem.transcription, Collocation):
         return (
             "A start may be singular by transcription=Collocation(tx.tableaus.RADAU_IIA5), which never evaluates it, "

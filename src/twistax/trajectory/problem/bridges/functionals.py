@@ -46,12 +46,13 @@ class InPhase:
     Attributes:
         name: which parameters of extremes have in front.
         carried: where states of the first phase began, for this phase or a later one.
-        first: whether the path begins here.
+        first, last: whether the path begins here, and ends here.
     """
 
     name: str = ""
     carried: tuple[Initial, ...] = ()
     first: bool = True
+    last: bool = True
 
 
 class Reduction:
