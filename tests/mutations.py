@@ -2174,7 +2174,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem/bridges/continuous.py",
+        "trajectory/problem/bridges/continuous_controls.py",
         (
             "all derivatives of a spline are the last one",
             "[*states[1:], held]",
@@ -2216,7 +2216,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem/bridges/functionals.py",
+        "trajectory/problem/bridges/lifted_functionals.py",
         (
             "integrals that begin anywhere",
             "State(name, leaf.shape, initial=np.zeros(leaf.shape))",
@@ -2288,7 +2288,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem/bridges/norms.py",
+        "trajectory/problem/terms.py",
         (
             "cones of both signs",
             "sides = [] if number is not None and number >= 0.0 else [-bound]",

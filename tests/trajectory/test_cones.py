@@ -6,13 +6,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import HEUN, quick_jit
 
 import twistax as tx
-from trajectory_systems import HEUN, quick_jit
 from twistax.expr import Constraint, Expr, Inputs, evaluate_all
 from twistax.expr import Norm as NormNode
 from twistax.trajectory import Integral, Problem, Status
-from twistax.trajectory.problem.bridges.norms import without_norms
+from twistax.trajectory.problem.terms import without_norms
 
 Norm = tx.linalg.Norm
 X, U, S = tx.State("x", shape=(3,)), tx.Control("u", shape=(3,)), tx.Control("s")

@@ -5,9 +5,9 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import double_integrator
 
 import twistax as tx
-from trajectory_systems import double_integrator
 from twistax.trajectory import Collocation, Linear, Problem, Rate, Spline
 
 #: Exact for all polynomials here.
@@ -111,6 +111,6 @@ def test_what_is_no_spline() -> None:
     bent = tx.compile(tx.System(rates={p: v, v: u}, constraints={"bent": Rate(Rate(u)) <= 1.0}))
     with pytest.raises(tx.ModelError, match=r"rate of rate of u, of a control of degree 1.\n  fix: .*Spline\(2\)"):
         Problem(bent, tx.Minimize(running=u**2), final_time=2.0, controls=Linear(), initial={"p": 0.0})
-    assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).restated.rates == {
+    assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).continuous.rates == {
         "rate of rate of u": 2
     }

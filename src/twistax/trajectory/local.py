@@ -20,7 +20,7 @@ from ..linear.discretize import Controls
 from ..lowering import Dynamics
 from ..lowering.dynamics import Arrays
 from .point_values import PointValues
-from .problem.bridges.norms import NormControls
+from .problem.bridges.path_bounds import PathBounds
 from .problem.conditions import Conditions
 from .problem.statement import Objective, PathRows
 
@@ -50,7 +50,7 @@ class Local:
         dynamics: Dynamics,
         path: PathRows,
         objective: Objective,
-        norms: NormControls,
+        norms: PathBounds,
         final: Conditions,
     ) -> None:
         self._dynamics, self._path, self._final = dynamics, path, final

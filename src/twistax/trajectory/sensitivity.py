@@ -197,8 +197,7 @@ class _Named:
         held = problem.shooting.local.controls.split(point.us)
         return Solution(
             problem.objective.sign * found.cost,
-            {s.name: point.xs[s.name] for s in problem.reduced.states},
-            problem.restated.us(point.xs, held),
+            *problem.seen(point.xs, held),
             point.border[0],
             problem.border.params(point.border),
             found.solved,

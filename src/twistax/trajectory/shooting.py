@@ -32,7 +32,7 @@ from .interval import Interval, Slot
 from .layout import laid_out
 from .local import Local
 from .mesh import Mesh
-from .problem.bridges.norms import NormControls
+from .problem.bridges.path_bounds import PathBounds
 from .problem.by_node import ByNode
 from .problem.conditions import Conditions, Ends
 from .problem.statement import Objective, PathRows
@@ -65,7 +65,7 @@ class Shooting(Transcribed):
         transcription: MultipleShooting | Collocation,
         mesh: Mesh,
         path: PathRows,
-        norms: NormControls,
+        norms: PathBounds,
         ends: Ends,
         final: Conditions,
         at_nodes: Mapping[int, Conditions],
@@ -84,7 +84,7 @@ class Shooting(Transcribed):
         self.dynamics, self.mesh, self.substeps = dynamics, mesh, transcription.substeps
         self.nodes, self.intervals = mesh.nodes, mesh.nodes - 1
         #: Names of controls that are slacks.
-        self.slacks = frozenset(slack.name for slack in getattr(norms, "slacks", {}).values())
+        self.slacks = frozenset(slack.name for slack in norms.slacks.values())
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.border = border

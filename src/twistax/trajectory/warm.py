@@ -59,7 +59,7 @@ class WarmStart:
         xs: dict[str, list[Array]] = {name: list(a) for name, a in point.xs.items()}
         # Linear controls stay as they are.
         split = shooting.local.controls.split
-        still = {name: np.asarray(a) for name, a in problem.restated.at_rest(split(np.ones(shooting.m))).items()}
+        still = {name: np.asarray(a) for name, a in problem.continuous.at_rest(split(np.ones(shooting.m))).items()}
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
         us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():

@@ -35,8 +35,8 @@ from ...expr.soft import Asked, hard
 from ...lowering import Dynamics
 from ...system import entry_names, free_name, name_of
 from ..point_values import PointValues
-from .bridges.norms import linear_terms, sum_of
 from .statement import bounds_of, check_leaves, limited, without_end
+from .terms import linear_terms, sum_of
 
 #: An end beyond a limit by less than this share of it is at the limit.
 _ROUNDING = 1e-9

@@ -41,7 +41,7 @@ def _sources(
     for name, state in states.items():
         same = name in last and last[name].key() == state.key()
         sources[name] = last[name] if same else None
-    sources |= after.restated.at_join
+    sources |= after.continuous.at_join
     for key, value in (links or {}).items():
         name = name_of(key)
         if name not in states:

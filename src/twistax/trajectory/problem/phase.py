@@ -9,7 +9,7 @@ from typing import Any
 from ...expr import Expr
 from ...expr.soft import parts_of
 from ...lowering import Dynamics
-from .bridges.functionals import functionals_of
+from .bridges.lifted_functionals import functionals_of
 from .conditions import split
 from .functionals import Initial
 

@@ -29,7 +29,7 @@ from ..staged import Staged
 from ..strategies import Strategy
 from ..transcribed import Given, Point, Transcribed
 from ..warm import other_problem
-from .bridges.functionals import InPhase
+from .bridges.lifted_functionals import InPhase
 from .by_node import only_once
 from .conditions import Ends
 from .links import joined, links_of

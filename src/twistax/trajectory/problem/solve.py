@@ -260,5 +260,5 @@ def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, given: Given
     for part, segment, sizes in zip(problem.parts, problem.shooting.segments, units.parts):
         held, states = segment.shooting.local.controls.slices, segment.shooting.dynamics.group.slices
         of_held = {name: sizes.u[columns] for name, columns in held.items()}
-        found.append(of_held | {name: sizes.d[states[name]] for name in part.restated.smooth})
+        found.append(of_held | {name: sizes.d[states[name]] for name in part.continuous.smooth})
     return found

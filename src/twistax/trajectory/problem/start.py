@@ -113,7 +113,7 @@ def _start(
     known = [_with_stated(side, part.stated_values(params)) for side, part in zip(ends, problem.parts)]
     xs: list[Any] = []
     for index, part in enumerate(problem.parts):
-        began = {name: np.asarray(xs[0][name][0]) for name in part.reduced.starts if index}
+        began = {name: np.asarray(xs[0][name][0]) for name in part.functionals.starts if index}
         guess = _between(problem, index, known, durations) | guesses[index] | free | began
         point = part.start(guess, ends[index], params, durations, limits, sizes[index])
         values = part.border.params(np.asarray(point.border))

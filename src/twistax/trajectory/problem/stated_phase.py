@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import functools
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from typing import Any
 
 import jax
@@ -21,19 +21,16 @@ from ..shooting import Shooting
 from ..transcribed import Point
 from ..transcription import transcription_of
 from ..warm import other_problem
-from .bridges.continuous import Restated
-from .bridges.functionals import InPhase, Reduction
-from .bridges.norms import above, bounds_along, norm_controls
-from .bridges.soft import NodeSlacks, check_weights, slack_controls
+from .bridges.bridge import Bridge, Path, Statement, place_of
+from .bridges.continuous_controls import ContinuousControls
+from .bridges.lifted_functionals import InPhase, LiftedFunctionals
+from .bridges.path_bounds import NodeSlacks, PathBounds, check_weights
 from .by_node import ByNode
 from .conditions import Conditions, Ends, at_nodes, conditions, ends_of, split, stated_values
 from .controls import continuous_controls
 from .guess import control_guess, state_guess, user_guess
 from .phase import Phase
 from .statement import Objective, check_leaves, describe_path
-
-#: A control of less than this share of its size says nothing of it.
-_NOTHING = 1e-4
 
 
 class StatedPhase:
@@ -47,7 +44,7 @@ class StatedPhase:
     Attributes:
         phase: as stated.
         dynamics, objective: with what the bridges added.
-        softened, reduced, restated, norms: the bridges, in the order in which they are applied.
+        bridges: in the order in which they are applied.
         path: the rows along the path.
         shooting: its transcription.
         border: the unknowns that all phases share.
@@ -80,37 +77,29 @@ class StatedPhase:
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self._read_parameters()
 
-    def _bridge(self, objective: Objective, asked: Mapping[int, Any], within: InPhase) -> None:
-        """Apply the bridges in turn, and state the conditions at nodes by what they made of them."""
-        phase, last = self.phase, self.nodes - 1
-        places = {0: "initial", last: "final"}
-        named = {places.get(k, f"node {k}"): rows for k, rows in asked.items()}
-        softened = self.softened = NodeSlacks(objective, named, f"{within.name}: " if within.name else "")
-        first_rows, last_rows, *inner_rows = softened.plain.values()
-        smooth = continuous_controls(phase.controls, phase.dynamics.controls)
-        reduced = Reduction(phase.dynamics, softened.objective, first_rows, last_rows, inner_rows, within, smooth)
-        self.reduced = reduced
-        controls = reduced.shapes_of_bounds(phase.controls)
-        restated = self.restated = Restated(
-            reduced.dynamics, reduced.objective, controls, self.mesh, within.first, added=reduced.bounds
-        )
-        self.dynamics, self.objective = restated.dynamics, restated.objective
-        norms = norm_controls(self.objective.running, self.objective.sign)
-        self.norms = slack_controls(norms, restated, phase.dynamics.system.soft)
-        rows = {k: restated.plain(reduced.plain(own)) for k, own in zip(list(asked)[2:], inner_rows)}
-        rows[0] = restated.plain(first_rows | reduced.at_start)
-        self._at_ends = rows[0], restated.plain(reduced.plain(last_rows), last=True)
-        #: Conditions at nodes before the last, and at the last.
-        self.node_rows = {k: conditions(self.dynamics, places.get(k, f"node {k}"), own) for k, own in rows.items()}
-        if not rows[0]:
-            del self.node_rows[0]
-        last_rows = restated.plain(reduced.plain(last_rows) | restated.at_end, last=True)
-        self.final_rows = conditions(self.dynamics, "final", last_rows)
+    def _bridge(self, objective: Objective, rows: Mapping[int, Any], within: InPhase) -> None:
+        """Apply the bridges in turn."""
+        phase, dynamics = self.phase, self.phase.dynamics
+        stated = Statement(dynamics, objective, rows, continuous_controls(phase.controls, dynamics.controls))
+        self.node_slacks = NodeSlacks(stated, f"{within.name}: " if within.name else "")
+        self.functionals = LiftedFunctionals(self.node_slacks.statement, within)
+        self.continuous = ContinuousControls(self.functionals.statement, self.mesh, within.first)
+        self.path_bounds = PathBounds(self.continuous.statement, dynamics.system.soft, self.continuous.put)
+        self.bridges: list[Bridge] = [self.node_slacks, self.functionals, self.continuous, self.path_bounds]
+        self.dynamics, self.objective, self.rows, _ = self.path_bounds.statement
+        last = self.nodes - 1
+        #: The conditions at nodes by number, the first of them last and before those of the last node.
+        stated_at = {k: place_of(k, last) for k in sorted(self.rows, key=lambda k: (k == last, k == 0, k))}
+        self.conditions = {
+            k: conditions(self.dynamics, place, self.rows[k])
+            for k, place in stated_at.items()
+            if self.rows[k] or k == last
+        }
 
     def _read_parameters(self) -> None:
         """Which parameters there are, and which of them the problem reads."""
-        at_nodes = [row for rows in (self.final_rows, *self.node_rows.values()) for row in rows.residuals]
-        priced = [e for e in (self.objective.final, self.norms.running) if e is not None]
+        at_nodes = [row for rows in self.conditions.values() for row in rows.residuals]
+        priced = [e for e in (self.objective.final, self.path_bounds.running) if e is not None]
         running = [] if self.objective.running is None else [self.objective.running]
         leaves = list(leaves_of(*priced, *running, *at_nodes))
         known = {leaf.name: leaf for leaf in self.dynamics.parameters}
@@ -122,8 +111,8 @@ class StatedPhase:
         self.readable = [*(leaf for leaf in known.values() if leaf.name in seen), *added.values()]
         self.baked = {leaf.name for leaf in self.dynamics.system.parameters} - set(known)
         self.by_node = ByNode.of(self.phase.by_node, self.mesh.shares)
-        self.bounds = boxes_of({**self.reduced.free, **self.softened.free}, self.readable, ())
-        elsewhere = [*at_nodes, *(row for _, row in self.norms.rows)]
+        self.bounds = boxes_of({k: v for b in self.bridges for k, v in b.free.items()}, self.readable, ())
+        elsewhere = [*at_nodes, *(row for _, row in self.path_bounds.rows)]
         self._check_by_node = functools.partial(self.by_node.check, priced, elsewhere, of_system)
 
     def transcribe(self, number: int, border: Border) -> None:
@@ -132,24 +121,24 @@ class StatedPhase:
         free = {box.name for box in border.boxes}
         self._check_by_node(free)
         self.own_guess = user_guess(self.phase.guess, self._guessed, self._lengths)
-        self.path = describe_path(self.dynamics, self.norms, free, self.restated.straight)
+        self.path = describe_path(self.dynamics, self.path_bounds, free, self.continuous.straight)
         self.shooting = Shooting(
             self.dynamics,
             self.objective,
             transcription=self.transcription,
             mesh=self.mesh,
             path=self.path,
-            norms=self.norms,
+            norms=self.path_bounds,
             ends=self.ends,
-            final=self.final_rows,
+            final=self.conditions[self.nodes - 1],
             at_nodes=self.node_rows,
             border=border,
             phase=number,
-            pace=self.restated.pace,
+            pace=self.continuous.pace,
             by_node=self.by_node,
         )
         self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
-        self.shooting.alike = {name: state.name for name, state in self.reduced.starts.items()}
+        self.shooting.alike = {name: state.name for name, state in self.functionals.starts.items()}
         self.advanced = jax.jit(self.shooting.advanced)
 
     def __getstate__(self) -> dict[str, Any]:
@@ -164,18 +153,24 @@ class StatedPhase:
     @property
     def bounded(self) -> bool:
         """Whether bridges added bounds of norms or magnitudes, or extremes."""
-        return bool(self.norms.controls or self.reduced.bounds or self.reduced.extremes or self.restated.bounds)
+        functionals, continuous = self.functionals, self.continuous
+        return bool(self.path_bounds.controls or functionals.bounds or functionals.extremes or continuous.bounds)
 
     @property
-    def conditions(self) -> dict[int, Conditions]:
-        """The conditions at nodes by number."""
-        return {**self.node_rows, self.nodes - 1: self.final_rows}
+    def node_rows(self) -> dict[int, Conditions]:
+        """The conditions at nodes before the last."""
+        return {k: rows for k, rows in self.conditions.items() if k < self.nodes - 1}
+
+    @property
+    def final_rows(self) -> Conditions:
+        """Those at the last node."""
+        return self.conditions[self.nodes - 1]
 
     @property
     def soft(self) -> set[str]:
         """The names of soft constraints, entry by entry."""
-        along = self.norms.soft.items()
-        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.softened.rows
+        along = self.path_bounds.soft.items()
+        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.node_slacks.rows
 
     @property
     def order(self) -> int:
@@ -184,8 +179,8 @@ class StatedPhase:
 
     def check_weights(self, params: Mapping[str, Array]) -> None:
         """Raise InputError where parameters make the weight of a soft constraint negative."""
-        at_nodes = {name: slack.soft for name, slack in self.softened.slacks.items()}
-        check_weights({**self.norms.soft, **at_nodes}, params)
+        at_nodes = {name: slack.soft for name, slack in self.node_slacks.slacks.items()}
+        check_weights({**self.path_bounds.soft, **at_nodes}, params)
 
     def shown_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
         """(points, rows) the path rows as users wrote them, at many points."""
@@ -266,8 +261,9 @@ class StatedPhase:
 
     def stated_values(self, params: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
         """What conditions say of states at both ends."""
-        known = {**params, **self.softened.without}
-        first, last = (stated_values(self.dynamics.states, rows.values(), known) for rows in self._at_ends)
+        known = {**params, **self.node_slacks.without}
+        ends = (self.rows[0], self.rows[self.nodes - 1])
+        first, last = (stated_values(self.dynamics.states, rows.values(), known) for rows in ends)
         return first, last
 
     def start(
@@ -283,41 +279,42 @@ class StatedPhase:
 
         Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
         """
-        count, (first, last) = self.nodes - 1, self.stated_values(params)
-        xs = {}
+        first, last = self.stated_values(params)
+        path = Path(self.shooting.times(durations), {}, {}, params, sizes)
         for s in self.dynamics.states:
             sides, stated = (ends.initial[s.name], ends.final[s.name]), (first.get(s.name), last.get(s.name))
-            xs[s.name] = state_guess(s, guess.get(s.name), *sides, self.mesh.shares, stated)
-        us = {c.name: control_guess(c, guess.get(c.name), count) for c in self.dynamics.controls}
-        xs |= self.reduced.starts_of(xs)
-        sized = _sized(xs | us, sizes)
-        for name, values in bounds_along(self.reduced.bounds | self.restated.bounds, sized, params).items():
-            (us if name in us else xs)[name] = above(values)
-        ts = self.shooting.times(durations)
-        xs, us = self.restated.started(xs, us, ts)
-        # Rows may have any sign: controls that say nothing count with both.
-        sides = [{name: side * a for name, a in sizes.items()} for side in (1.0, -1.0)]
-        rows = self._shown_at([(xs, us), *((_sized(xs, own), _sized(us, own)) for own in sides)], params, ts)
-        extremes = self.reduced.extremes_of(np.concatenate(rows), self.path.shown, params) if rows else {}
-        residuals = self.softened.values(self.conditions, xs, ts, params) if self.softened.slacks else {}
-        border = self.border.start(durations, params, {**extremes, **self.softened.start(residuals), **guess}, limits)
-        flat = [np.zeros((count, 0)), *(us[c.name].reshape(count, -1) for c in self.dynamics.controls)]
-        norms = self.norms.guess(_sized(us, sizes), {**params, **self.border.params(border)})
-        slacks = self.norms.start(rows[0], list(self.path.shown), count) if self.norms.slacks else []
-        return Point(xs, np.concatenate([*flat, *norms, *slacks], axis=1), border)
+            path.xs[s.name] = state_guess(s, guess.get(s.name), *sides, self.mesh.shares, stated)
+        count, controls = self.nodes - 1, self.dynamics.controls
+        path.us |= {c.name: control_guess(c, guess.get(c.name), count) for c in controls}
+        for bridge in self.bridges:
+            bridge.complete(path)
+        values = {name: value for bridge in self.bridges for name, value in bridge.parameters(path, self).items()}
+        border = self.border.start(durations, params, {**values, **guess}, limits)
+        path.params = {**params, **self.border.params(border)}
+        flat = [np.zeros((count, 0)), *(path.us[c.name].reshape(count, -1) for c in controls)]
+        return Point(path.xs, np.concatenate([*flat, *self.path_bounds.columns(path, self)], axis=1), border)
 
-    def _shown_at(
-        self, points: Iterable[tuple[dict[str, Array], dict[str, Array]]], params: Mapping[str, Array], ts: Array
-    ) -> list[Array]:
-        """The path rows as users wrote them of states and controls at nodes, where something has to fit them."""
-        if not (self.reduced.extremes or self.norms.slacks):
-            return []
-        rows: list[Array] = []
-        norms = {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.norms.controls}
-        for xs, us in points:
-            before = {name: a[:-1] for name, a in xs.items()}
-            rows.append(np.asarray(self.shown_rows(ts[:-1], before, us | norms, dict(params))))
-        return rows
+    def shown_along(self, path: Path) -> Array:
+        """(intervals, rows) the path rows as users wrote them, at the nodes before the last."""
+        us = path.us | {c.name: np.zeros((self.nodes - 1, *c.shape)) for c in self.path_bounds.controls}
+        xs = {name: values[:-1] for name, values in path.xs.items()}
+        return np.asarray(self.shown_rows(path.ts[:-1], xs, us, dict(path.params)))
+
+    # ---- between a trajectory as stated and as solved ----------------------------------------------------------------
+
+    def seen(self, xs: Mapping[str, Any], us: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        """States and controls as they are stated."""
+        states, controls = dict(xs), dict(us)
+        for bridge in reversed(self.bridges):
+            states, controls = bridge.back(states, controls)
+        return states, controls
+
+    def lifted(self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]) -> Path:
+        """States at nodes, those added among them, and held controls, of controls as they are stated."""
+        path = Path(ts, dict(xs), dict(us), params)
+        for bridge in self.bridges:
+            bridge.forward(path)
+        return path
 
     def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
         """Values of the states, with anything where they are free."""
@@ -327,12 +324,3 @@ class StatedPhase:
             rest = np.zeros(state.shape) if state.group.flat else np.asarray(state.group.identity(float))
             filled[state.name] = rest if value is None else np.where(np.isnan(value), rest, value)
         return filled
-
-
-def _sized(values: Mapping[str, Array], sizes: Mapping[str, Array]) -> dict[str, Array]:
-    """Values by leaf, those that are nothing beside their sizes at these."""
-    sized = dict(values)
-    for name, size in sizes.items():
-        if name in sized and np.abs(sized[name]).max(initial=0.0) <= _NOTHING * np.abs(size).max(initial=0.0):
-            sized[name] = np.broadcast_to(size.reshape(sized[name].shape[1:]), sized[name].shape)
-    return sized

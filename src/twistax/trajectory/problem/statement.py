@@ -26,8 +26,8 @@ from ...expr import (
 )
 from ...lowering import Dynamics
 from ...system import entry_names, need_finite
-from .bridges.norms import NormControls, linear_terms, without_norms
 from .controls import is_rate
+from .terms import linear_terms, without_norms
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -150,10 +150,8 @@ class PathRows:
         return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
 
-def describe_path(
-    dynamics: Dynamics, norms: NormControls, free: Collection[str], straight: Collection[str] = ()
-) -> PathRows:
-    """The rows of a compiled system, of bounds on norms, and the leaves' boxes; and which read free parameters.
+def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str] = ()) -> PathRows:
+    """The rows of a compiled system, of `PathBounds`, and the leaves' boxes; and which read free parameters.
 
     Boxes of states that are linear over each interval hold between its ends.
     """

@@ -109,9 +109,9 @@ def many_results(problem: Any, tried: Sequence[Tried]) -> TrajectoryResults:
 
 
 def _states_and_controls(part: Any, points: Sequence[Point]) -> tuple[dict[str, Array], dict[str, Array]]:
-    split, names = part.shooting.local.controls.split, [s.name for s in part.reduced.states]
-    us = [part.restated.us(point.xs, split(np.asarray(point.us))) for point in points]
+    split = part.shooting.local.controls.split
+    xs, us = zip(*(part.seen(point.xs, split(np.asarray(point.us))) for point in points))
     return (
-        {name: np.stack([np.asarray(point.xs[name]) for point in points]) for name in names},
-        {name: np.stack([np.asarray(own[name]) for own in us]) for name in us[0]},
+        {name: np.stack([np.asarray(values[name]) for values in xs]) for name in xs[0]},
+        {name: np.stack([np.asarray(values[name]) for values in us]) for name in us[0]},
     )

@@ -128,7 +128,7 @@ class Quality:
         with in_double():
             given = problem.started().given._replace(params=warm.params)
             staged = problem.core(_LOOKED_AT, warm.point, given).staged
-            return undetermined(staged, warm, given, [part.restated.derivatives for part in problem.parts])
+            return undetermined(staged, warm, given, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""

@@ -140,10 +140,10 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
     lengths = np.diff(ts) / (ts[-1] - ts[0])
     found = np.zeros(len(us))
     for name, place in part.shooting.local.controls.slices.items():
-        if name == part.restated.pace:
+        if name == part.continuous.pace:
             continue
         jumps = np.pad(np.abs(np.diff(us[:, place], axis=0)), ((1, 1), (0, 0)))
-        change = np.maximum(jumps[:-1], jumps[1:]) * lengths[:, None] ** part.restated.rates.get(name, 0)
+        change = np.maximum(jumps[:-1], jumps[1:]) * lengths[:, None] ** part.continuous.rates.get(name, 0)
         most = change.max(axis=0)
         found += ((change / np.where(most > 0.0, most, 1.0)) ** 2).sum(axis=1) * lengths
     return found

@@ -15,7 +15,6 @@ from ...errors import InputError, IntegrationError, TrajectoryError
 from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import Ambient
-from ..problem.bridges.norms import bounds_along
 from ..problem.statement import largest_by_name, violations
 from ..rollout import Rollout
 from ..transcribed import Point
@@ -111,8 +110,7 @@ def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Arra
 
 def _by_the_core(result: Trajectory, whole: Any, border: Array, steps: int) -> dict[str, Array]:
     """The same by the solver's core, which compiles nothing for other numbers: not finite from where it fails."""
-    problem, held = result.problem, held_of(result)
-    held |= {c.name: np.zeros(problem.nodes - 1) for c in problem.norms.controls}
+    problem, held = result.problem, lifted(result).us
     columns = [np.reshape(held[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
     started = whole.started(params=fixed)
@@ -127,8 +125,7 @@ def _by_the_core(result: Trajectory, whole: Any, border: Array, steps: int) -> d
 
 def _start(result: Trajectory) -> dict[str, Array]:
     """The first node, with what was added to the states."""
-    found, bounds = result.xs | result.added, _bounds(result)
-    return {name: np.asarray(bounds.get(name, values)[0]) for name, values in found.items()}
+    return {name: np.asarray(values[0]) for name, values in lifted(result).xs.items()}
 
 
 def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
@@ -174,15 +171,16 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
     return {name: np.asarray(values) for name, values in xs.items()}
 
 
+def lifted(result: Trajectory) -> Any:
+    """States and held controls of the system that is integrated; bounds on norms are as tight as they can be."""
+    return result.problem.lifted(result.ts, result.xs | result.added, result.us, result.params)
+
+
 def held_of(result: Trajectory) -> dict[str, Array]:
     """The held controls of the system that is integrated."""
-    bounds = _bounds(result)
-    return result.problem.restated.held(result.ts, result.us | bounds, result.us | result.added | bounds)
-
-
-def _bounds(result: Trajectory) -> dict[str, Array]:
-    """Bounds on norms as tight as they can be."""
-    return bounds_along(result.problem.reduced.bounds, result.us, result.params)
+    controls = result.problem.dynamics.controls
+    held = lifted(result).us
+    return {c.name: held[c.name] for c in controls}
 
 
 def times_along(result: Trajectory, steps: int) -> Array:
@@ -197,20 +195,20 @@ def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
     end = {name: np.asarray(values[-1]) for name, values in xs.items()}
     planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
-    unseen = problem.restated.hidden | problem.reduced.loose
+    unseen = problem.continuous.hidden | problem.functionals.loose
     factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in unseen]
     vectors = {name: _difference(g, planned[name], end[name]) for name, g in factors}
     path, rows = problem.path, _shown_along(result, ts, xs, steps)
-    extremes = problem.reduced.extremes_of(rows, path.shown, result.params)
+    extremes = problem.functionals.extremes_of(rows, path.shown, result.params)
     return Replay(
         ts=ts,
         xs={name: xs[name] for name in result.xs},
-        us=result.problem.restated.us(xs, {name: values[holds] for name, values in held_of(result).items()}),
+        us=problem.seen(xs, {name: values[holds] for name, values in held_of(result).items()})[1],
         misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
         vectors=vectors,
         violations=largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0)),
-        integrals={name: xs[name] for name in problem.reduced.integrals},
-        extremes={leaf.name: float(extremes[name]) for leaf, name in problem.reduced.extremes.values()},
+        integrals={name: xs[name] for name in problem.functionals.integrals},
+        extremes={leaf.name: float(extremes[name]) for leaf, name in problem.functionals.extremes.values()},
         final=_node_violations(result, ts, xs, steps),
     )
 
@@ -241,8 +239,7 @@ def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
     # Each interval is looked at with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
-    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in held_of(result).items()}
-    held |= {c.name: np.zeros((window.size, *c.shape)) for c in problem.norms.controls}
+    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in lifted(result).us.items()}
     return np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
 
 
@@ -250,7 +247,7 @@ def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps:
     problem, found = result.problem, dict[str, float]()
     for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
         here = {name: values[k * steps] for name, values in xs.items()}
-        params = {**result.params, **problem.softened.without}
+        params = {**result.params, **problem.node_slacks.without}
         values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, params))
         found |= largest_by_name(rows.names, violations(values, rows.equality))
     return found

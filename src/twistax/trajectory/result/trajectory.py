@@ -53,12 +53,12 @@ class Trajectory:
     @property
     def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold | PiecewisePolynomial]:
         """The controls over time, as `tx.integrate(u=...)` takes them."""
-        return self.problem.restated.over_time(self.ts, self.us, self.us | self.added)
+        return self.problem.continuous.over_time(self.ts, self.us, self.us | self.added)
 
     @property
     def integrals(self) -> dict[str, Array]:
         """`Integral(...)` -> from the beginning until each node."""
-        reduced, found = self.problem.reduced, dict[str, Array]()
+        reduced, found = self.problem.functionals, dict[str, Array]()
         for name in reduced.integrals:
             # What bounds of norms stand for is told by a rollout with the norms themselves.
             along = self.dense.integrals[name] if name in reduced.loose else self.added[name]
@@ -127,13 +127,12 @@ class Trajectory:
 def trajectory_at(problem: StatedPhase, point: Point, params: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
-    states, ts = problem.reduced.states, times_of(problem, point)
-    own = {s.name for s in states}
+    ts, (xs, us) = times_of(problem, point), problem.seen(point.xs, controls)
     return {
         "problem": problem,
-        "xs": {s.name: np.asarray(point.xs[s.name]) for s in states},
-        "added": {name: np.asarray(values) for name, values in point.xs.items() if name not in own},
-        "us": {n: np.asarray(values) for n, values in problem.restated.us(point.xs, controls).items()},
+        "xs": {name: np.asarray(values) for name, values in xs.items()},
+        "added": {name: np.asarray(values) for name, values in point.xs.items() if name not in xs},
+        "us": {name: np.asarray(values) for name, values in us.items()},
         "ts": ts,
         "final_time": float(ts[-1]),
         "params": params,
@@ -142,7 +141,7 @@ def trajectory_at(problem: StatedPhase, point: Point, params: dict[str, Array]) 
 
 def times_of(problem: StatedPhase, point: Point) -> Array:
     """The times of the nodes."""
-    return np.asarray(problem.restated.times(point.xs, problem.shooting.times(np.asarray(point.border))))
+    return np.asarray(problem.continuous.times(point.xs, problem.shooting.times(np.asarray(point.border))))
 
 
 def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
@@ -172,4 +171,4 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
     lost = violations(np.asarray(outcome.values.rows), shooting.equality)
     found |= largest_by_name([str(name) for name in shooting.names[own]], lost[own])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}
-    return found | problem.softened.violations(problem.conditions, xs, times_of(problem, point), params)
+    return found | problem.node_slacks.violations(problem.conditions, xs, times_of(problem, point), params)

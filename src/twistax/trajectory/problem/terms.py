@@ -5,14 +5,13 @@ Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a
 
 from __future__ import annotations
 
-import dataclasses
 import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
-from ....expr import (
+from ...expr import (
     Abs,
     Add,
     Constant,
@@ -30,7 +29,7 @@ from ....expr import (
     Sub,
     leaves_of,
 )
-from ...point_values import PointValues
+from ..point_values import PointValues
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]
@@ -62,33 +61,10 @@ def without_norms(residual: Expr) -> list[Expr]:
     return [row.canonicalize() for row in (squares, *sides)]
 
 
-@dataclasses.dataclass(frozen=True)
-class NormControls:
-    """Norms and magnitudes of controls in a running cost, each replaced by a control s of its own that bounds it."""
-
-    running: Expr | None
-    controls: tuple[Control, ...]
-    sizes: tuple[Expr, ...]
-
-    def asked(self, name: str, residual: Expr, is_equality: bool) -> list[tuple[Expr, bool]]:
-        """The residuals that stand for that of a constraint along the path, and which are equalities."""
-        return [(residual, is_equality)]
-
-    @property
-    def rows(self) -> list[tuple[str, Expr]]:
-        """Smooth rows, <= 0, that say so where the bounds are not negative, with a name."""
-        pairs = zip(self.controls, self.sizes)
-        return [(s.name, row.canonicalize()) for s, size in pairs for row in _above(s, size)]
-
-    def guess(self, us: Mapping[str, np.ndarray], params: Mapping[str, Any]) -> list[np.ndarray]:
-        """Values of the controls over all intervals, (intervals, 1) each: a little above what they bound."""
-        if not self.sizes:
-            return []
-        return [above(values)[:, None] for values in values_of(self.sizes, us, params)]
-
-
-def _above(s: Control, size: Expr) -> list[Expr]:
-    return [_square(size) - s * s] if is_norm(size) else without_norms((size - s).canonicalize())
+def bound_rows(s: Control, size: Expr) -> list[Expr]:
+    """Smooth rows, <= 0, that say size <= s where s is not negative."""
+    rows = [_square(size) - s * s] if is_norm(size) else without_norms((size - s).canonicalize())
+    return [row.canonicalize() for row in rows]
 
 
 def continuous_bound(size: Expr, s: Control) -> Expr:
@@ -128,25 +104,26 @@ def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
 
 def above(values: np.ndarray) -> np.ndarray:
     """Bounds a little above what they bound."""
-    found: np.ndarray = values + 0.1 * (values.max() or 1.0)
-    return found
+    bounds: np.ndarray = values + 0.1 * (values.max() or 1.0)
+    return bounds
 
 
-def norm_controls(running: Expr | None, sign: float) -> NormControls:
-    """What a running cost is without its norms and magnitudes of controls alone, which have no slope at zero.
+def sizes_in(running: Expr | None, sign: float) -> tuple[Expr | None, list[Control], list[Expr]]:
+    """A running cost without its norms and magnitudes of controls alone, which have no slope at zero.
 
-    Held controls make such a size constant over an interval, so its bound s is one number there. At a minimum s = |a|.
+    Returns the cost, a control s in place of each of them, and what it bounds. Held controls make such a size constant
+    over an interval, so its bound s is one number there. At a minimum s = |a|.
     """
     if running is None:
-        return NormControls(None, (), ())
+        return None, [], []
     kept: list[Term] = []
-    found: dict[str, tuple[Control, Expr]] = {}
+    bounds: dict[str, tuple[Control, Expr]] = {}
     for factor, part in linear_terms(running.canonicalize()):
         if is_size(part) and sign * factor > 0.0:
-            part, _ = found.setdefault(part.key(), (Control(f"bound on {part!r}", min=0.0), part))
+            part, _ = bounds.setdefault(part.key(), (Control(f"bound on {part!r}", min=0.0), part))
         kept.append((factor, part))
-    bounds = tuple(own for own, _ in found.values())
-    return NormControls(sum_of(kept).canonicalize() if bounds else running, bounds, tuple(a for _, a in found.values()))
+    controls, sizes = [bound for bound, _ in bounds.values()], [size for _, size in bounds.values()]
+    return sum_of(kept).canonicalize() if bounds else running, controls, sizes
 
 
 def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:

@@ -9,7 +9,7 @@ state that does not change, equal to the first at the first node. All of them ke
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -28,15 +28,13 @@ from ....expr import (
     leaves_of,
 )
 from ....expr.graph import substitute
-from ....lowering import Dynamics, compile
-from ....system import System, free_name, name_of
+from ....lowering import Dynamics
+from ....system import free_name
 from ..controls import Linear, Spline, is_rate
 from ..functionals import Extreme, Functional, Initial, Integral
 from ..statement import Objective, check_leaves
-from .norms import Term, is_mixed, is_size, linear_terms, sum_of
-
-#: Constraints on a node by name.
-Named = Mapping[str, Constraint]
+from ..terms import Term, bounds_along, is_mixed, is_size, linear_terms, sum_of
+from .bridge import Bridge, Path, Statement, extended
 
 
 @dataclasses.dataclass(frozen=True)
@@ -55,17 +53,14 @@ class InPhase:
     last: bool = True
 
 
-class Reduction:
-    """What a problem is without functionals.
+class LiftedFunctionals(Bridge):
+    """A statement without functionals.
 
     Args:
-        dynamics, objective: as stated.
-        initial, final, inner: the constraints on the first, the last and on inner nodes, by name.
-        within: of a phase.
-        smooth: names of the continuous controls.
+        statement: with functionals.
+        within: what the phase knows of the problem.
 
     Attributes:
-        dynamics, objective: without functionals.
         states: the states of the system as users wrote it.
         integrals, starts: states that were added, by name: the integral, the state that began so.
         extremes: name of the constraint along the path -> the extreme, and the name of its parameter.
@@ -76,18 +71,10 @@ class Reduction:
         ModelError: a functional where it has no meaning, or that would be unbounded.
     """
 
-    def __init__(
-        self,
-        dynamics: Dynamics,
-        objective: Objective,
-        initial: Named,
-        final: Named,
-        inner: Iterable[Named] = (),
-        within: InPhase = InPhase(),
-        smooth: Collection[str] = (),
-    ) -> None:
+    def __init__(self, statement: Statement, within: InPhase = InPhase()) -> None:
+        dynamics = statement.dynamics
         self.states = dynamics.states
-        self._within, self._smooth = within, smooth
+        self._within, self._smooth = within, frozenset(statement.controls)
         self._taken = {leaf.name for leaf in (*dynamics.states, *dynamics.controls, *dynamics.system.parameters)}
         self._exchange: dict[str, Expr] = {}
         self._rates: dict[State, Expr] = {}
@@ -97,43 +84,56 @@ class Reduction:
         self.bounds: dict[str, Expr] = {}
         self.loose: set[str] = set()
         self._rows: dict[str, Constraint] = {}
-        self._check(objective, initial, final, inner)
-        objective = _with_running(objective)
-        self._low = _pushed_down(objective, [*final.values(), *(c for own in inner for c in own.values())])
-        parts = [e for e in (*within.carried, objective.final, objective.running) if e is not None]
-        for leaf in _functionals([*parts, *final.values(), *(c for own in inner for c in own.values())]):
+        _check_places(statement)
+        statement = statement._replace(objective=_with_running(statement.objective))
+        later = [c for k, rows in statement.rows.items() if k for c in rows.values()]
+        self._low = _pushed_down(statement.objective, later)
+        costs = (*within.carried, statement.objective.final, statement.objective.running)
+        for leaf in _functionals([*(e for e in costs if e is not None), *later]):
             self._add(dynamics, leaf)
-        self.dynamics = self._extended(dynamics) if self._exchange else dynamics
-        self.objective = self._reduced(objective) if self._exchange else objective
-        #: Constraints on the first node that come with the starts.
-        self.at_start: dict[str, Constraint] = {}
-        if within.first:
+        if self._exchange:
+            statement = statement.substituted(lambda e, _: self._put(e))
+            statement = statement._replace(dynamics=extended(dynamics, self._rates, self._rows))
+        if within.first and self.starts:
             known = {s.name: s for s in self._rates}
-            self.at_start = {f"{s.name} == {name}": s == known[name] for name, s in self.starts.items()}
+            begin = {f"{s.name} == {name}": s == known[name] for name, s in self.starts.items()}
+            statement = statement._replace(rows={**statement.rows, 0: {**statement.rows[0], **begin}})
+        self.statement = statement._replace(controls={**statement.controls, **self._smooth_bounds(statement.controls)})
+        self.free = {name: (None, None) for _, name in self.extremes.values()}
 
-    def plain(self, constraints: Named) -> dict[str, Constraint]:
-        """The same constraints without functionals."""
-        if not self._exchange:
-            return dict(constraints)
-        return {name: type(c)(self._put(c.lhs), self._put(c.rhs)) for name, c in constraints.items()}
+    def _smooth_bounds(self, controls: Mapping[str, Spline]) -> dict[str, Spline]:
+        """Bounds of continuous controls go on like these, linear in time."""
+        return {
+            name: Linear()
+            for name, part in self.bounds.items()
+            if any(isinstance(leaf, Control) and leaf.name in controls for leaf in leaves_of(part))
+        }
 
-    def starts_of(self, xs: Mapping[str, Array]) -> dict[str, Array]:
-        """The states that do not change, at the nodes, given the states there."""
-        known = {name: xs[s.name] for name, s in self.starts.items() if self._within.first}
-        return {name: np.array(np.broadcast_to(a[0], a.shape)) for name, a in known.items()}
+    def complete(self, guess: Path) -> None:
+        known = {name: guess.xs[s.name] for name, s in self.starts.items() if self._within.first}
+        guess.xs |= {name: np.array(np.broadcast_to(a[0], a.shape)) for name, a in known.items()}
+        guess.add_bounds(self.bounds)
+
+    def parameters(self, guess: Path, phase: Any) -> dict[str, Array]:
+        if not self.extremes:
+            return {}
+        # Rows may have any sign: controls that say nothing count with both.
+        rows = [phase.shown_along(path) for path in (guess, guess.sized(), guess.sized(-1.0))]
+        return self.extremes_of(np.concatenate(rows), phase.path.shown, guess.params)
+
+    def forward(self, path: Path) -> None:
+        path.us |= bounds_along(self.bounds, path.us, path.params)
+
+    def back(self, xs: dict[str, Any], us: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
+        return {s.name: xs[s.name] for s in self.states}, {n: a for n, a in us.items() if n not in self.bounds}
 
     def extremes_of(self, rows: Array, names: Sequence[str], params: Mapping[str, Array]) -> dict[str, Array]:
         """Name of a parameter -> the extreme it stands for, given rows (points, rows) and their names."""
-        found = {}
+        extremes = {}
         for row, (leaf, name) in self.extremes.items():
-            own = [k for k, shown in enumerate(names) if shown == row or shown.startswith(f"{row}[")]
-            found[name] = np.asarray(params[name] + leaf.sign * rows[:, own].max())
-        return found
-
-    @property
-    def free(self) -> dict[str, tuple[None, None]]:
-        """The parameters of extremes, which are free."""
-        return {name: (None, None) for _, name in self.extremes.values()}
+            entries = [k for k, shown in enumerate(names) if shown == row or shown.startswith(f"{row}[")]
+            extremes[name] = np.asarray(params[name] + leaf.sign * rows[:, entries].max())
+        return extremes
 
     # ---- what becomes of a functional ---------------------------------------------------------------------------
 
@@ -184,72 +184,37 @@ class Reduction:
                 terms.append((factor, part))
         return sum_of(terms).canonicalize()
 
-    def shapes_of_bounds(self, controls: Any) -> Any:
-        """How controls go on between nodes, with bounds as what they bound."""
-        if not isinstance(controls, Mapping):
-            return controls
-        ways = {name_of(key): way for key, way in controls.items()}
-        found = dict(controls)
-        for name, part in self.bounds.items():
-            linear = [ways[e.name] for e in leaves_of(part) if isinstance(e, Control) and e.name in ways]
-            if any(isinstance(way, Spline) for way in linear):
-                found[name] = Linear()
-        return found
-
     def _put(self, expr: Expr) -> Expr:
         return substitute(expr, self._exchange)
 
-    def _reduced(self, objective: Objective) -> Objective:
-        final, running = (None if e is None else self._put(e) for e in (objective.final, objective.running))
-        return type(objective)(final, running=running)
 
-    def _extended(self, dynamics: Dynamics) -> Dynamics:
-        """The system with what was added, compiled as it was."""
-        system, functions = dynamics.system, dynamics._functions
-        new = [leaf for e in (*self._rates.values(), *self._rows.values()) for leaf in leaves_of(e)]
-        known = {leaf.name for leaf in (*system.parameters, *system.controls)}
-        parameters = {leaf.name: leaf for leaf in new if isinstance(leaf, Parameter) and leaf.name not in known}
-        # Rates of controls, and bounds.
-        controls = {leaf.name: leaf for leaf in new if isinstance(leaf, Control) and leaf.name not in known}
-        rates: dict[State | str, Any] = {state: system.rates[state.name] for state in system.states}
-        return compile(
-            System(
-                rates=rates | dict(self._rates.items()),
-                outputs=system.outputs,
-                constraints={**system.constraints, **self._rows},
-                controls=(*system.controls, *controls.values()),
-                parameters=(*system.parameters, *parameters.values()),
-            ),
-            outputs=list(functions.families["outputs"]),
-            bake=dynamics.baked,
-            backend=dynamics.backend,
-        )
-
-    # ---- where functionals have a meaning --------------------------------------------------------------------------
-
-    def _check(self, objective: Objective, initial: Named, final: Named, inner: Iterable[Named]) -> None:
-        for leaf in _functionals(initial.values()):
-            raise ModelError(f"initial reads {leaf!r}, but a path has only begun there.\n  fix: ask it in final=")
-        for leaf in _functionals([] if objective.running is None else [objective.running]):
-            if not isinstance(leaf, Initial):
-                raise ModelError(
-                    f"the running cost reads {leaf!r}, which is a value of the whole path.\n"
-                    "  fix: add it to the objective at the end"
-                )
-        for own in inner:
-            for name, constraint in own.items():
-                for leaf in _functionals([constraint]):
-                    if isinstance(leaf, Extreme):
-                        raise ModelError(
-                            f"{name} is asked at a node, but {leaf!r} is a value of the whole path.\n"
-                            "  fix: ask it in final="
-                        )
-        if objective.final is not None:
-            _check_pushed("the objective", objective.final.canonicalize(), objective.sign)
-        for name, constraint in final.items():
-            if any(isinstance(leaf, Extreme) for leaf in _functionals([constraint])):
-                sign = 0.0 if isinstance(constraint, Equality) else 1.0
-                _check_pushed(f"final: {name}", constraint.residual().canonicalize(), sign)
+def _check_places(statement: Statement) -> None:
+    """Raise ModelError where a functional has no meaning, or would be unbounded."""
+    objective = statement.objective
+    for node, rows in statement.rows.items():
+        for name, constraint in rows.items():
+            for leaf in _functionals([constraint]):
+                if node == 0:
+                    raise ModelError(
+                        f"initial reads {leaf!r}, but a path has only begun there.\n  fix: ask it in final="
+                    )
+                if node < statement.last and isinstance(leaf, Extreme):
+                    raise ModelError(
+                        f"{name} is asked at a node, but {leaf!r} is a value of the whole path.\n"
+                        "  fix: ask it in final="
+                    )
+    for leaf in _functionals([] if objective.running is None else [objective.running]):
+        if not isinstance(leaf, Initial):
+            raise ModelError(
+                f"the running cost reads {leaf!r}, which is a value of the whole path.\n"
+                "  fix: add it to the objective at the end"
+            )
+    if objective.final is not None:
+        _check_pushed("the objective", objective.final.canonicalize(), objective.sign)
+    for name, constraint in statement.rows[statement.last].items():
+        if any(isinstance(leaf, Extreme) for leaf in _functionals([constraint])):
+            sign = 0.0 if isinstance(constraint, Equality) else 1.0
+            _check_pushed(f"final: {name}", constraint.residual().canonicalize(), sign)
 
 
 def functionals_of(*exprs: Expr) -> list[Functional]:
