@@ -2237,8 +2237,8 @@ MUTATIONS: list[Mutation] = [
         ),
         (
             "starts that are not those of the path",
-            "        if within.first:",
-            "        if False:",
+            "if within.first and self.starts:",
+            "if False:",
             "trajectory/test_functionals.py",
         ),
     ),
@@ -2315,13 +2315,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/problem/stated_phase.py",
-        (
-            "bounds on continuous controls without a unit",
-            "bounds_along(self.reduced.bounds | self.restated.bounds, sized, params)",
-            "bounds_along(self.reduced.bounds, sized, params)",
-            "trajectory/test_far_starts.py::test_bounds_on_norms_of_linear_controls_have_their_unit",
-        ),
+        "trajectory/problem/bridges/bridge.py",
         (
             "bounds of norms in no unit",
             "<= _NOTHING * np.abs(size).max(initial=0.0)",

@@ -43,9 +43,10 @@ class Outcome(NamedTuple):
 
     def refused(self, refusal: str) -> Outcome:
         """That of a case which was not solved, of the same shapes: all numbers are NaN."""
-        numbers = self._replace(status=None, iterations=None, accuracy=None, units=None, flat=None, refusal=None)
-        nothing: Outcome = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)
-        return nothing._replace(status=Status.REFUSED, iterations=0, saddle=False, refusal=refusal)
+        others = ("status", "iterations", "accuracy", "units", "flat", "saddle", "refusal")
+        numbers = {name: value for name, value in self._asdict().items() if name not in others}
+        nothing = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)
+        return Outcome(**nothing, status=Status.REFUSED, iterations=0, refusal=refusal)
 
     @property
     def cost(self) -> float:

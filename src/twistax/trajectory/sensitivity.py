@@ -195,9 +195,11 @@ class _Named:
     def _solution(self, found: Optimum) -> Solution:
         problem, point = self._problem, self._asked.point(found.z)
         held = problem.shooting.local.controls.split(point.us)
+        xs, us = problem.seen(point.xs, held)
         return Solution(
             problem.objective.sign * found.cost,
-            *problem.seen(point.xs, held),
+            xs,
+            us,
             point.border[0],
             problem.border.params(point.border),
             found.solved,

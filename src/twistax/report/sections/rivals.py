@@ -121,7 +121,7 @@ class Rival:
         # Held controls are on equal intervals.
         problem = self.known.problem if held else self.make(nodes=Mesh(ts / ts[-1]), controls=Linear())
         us = {n: values[: -1 if held else None] for n, values in self._controls(nodes).items()}
-        return Trajectory(problem, self._states(nodes), us, ts, float(ts[-1]), {}, {} if held else us)
+        return Trajectory(problem.parts[0], self._states(nodes), us, ts, float(ts[-1]), {}, {} if held else us)
 
     def apart(self) -> float:
         """The largest difference of the two statements, relative where above 1; see `_pairs`."""

@@ -115,8 +115,7 @@ def stated_values(
         name, index, value = stated
         state = known[name]
         values = found.setdefault(name, np.full(state.shape, np.nan))
-        is_number = isinstance(value, Constant)
-        numbers = value.value if is_number else PointValues.of([value])(np.zeros(1), {}, {}, params)
+        numbers = value.value if isinstance(value, Constant) else PointValues.of([value])(np.zeros(1), {}, {}, params)
         values[index] = np.reshape(numbers, value.shape)
     for name, values in found.items():
         for part in () if known[name].group.flat else known[name].group.parts:

@@ -26,12 +26,16 @@ def parameters_of(parts: Sequence[StatedPhase], names: Sequence[str], params: Co
     for part, phase in zip(parts, names):
         for name, leaf in part.parameters.items():
             known = leaves.setdefault(name, leaf)
-            if name not in params and not np.array_equal(known.value, leaf.value):
+            if name not in params and not _is_same(known.value, leaf.value):
                 raise ModelError(
                     f"the parameter {name!r} has another value in {phase!r} than in a phase before.\n"
                     f"  fix: pass params={{{name!r}: ...}}, or give it another name"
                 )
     return leaves
+
+
+def _is_same(a: Array | None, b: Array | None) -> bool:
+    return a is b if a is None or b is None else bool(np.array_equal(a, b))
 
 
 def parameter_values(

@@ -27,7 +27,7 @@ from ..result.many import TrajectoryResults
 from ..result.result import TrajectoryResult
 from ..staged import Staged
 from ..strategies import Strategy
-from ..transcribed import Given, Point, Transcribed
+from ..transcribed import Given, Point
 from ..warm import other_problem
 from .bridges.lifted_functionals import InPhase
 from .by_node import only_once
@@ -96,7 +96,7 @@ class Problem:
         InputError: parameters without a value.
     """
 
-    shooting: Transcribed
+    shooting: Any
 
     @known_arguments("Problem", TrajectoryError, {"problem.solve": lambda: Problem.solve})
     def __init__(
@@ -232,7 +232,7 @@ class Problem:
     def with_phases(self, changes: Sequence[Mapping[str, Any]]) -> Problem:
         """The same problem with other arguments of its phases."""
         if self.alone:
-            return Problem(**self.stated | changes[0])
+            return Problem(**{**self.stated, **changes[0]})
         phases = [dataclasses.replace(phase, **own) for phase, own in zip(self.phases, changes, strict=True)]
         return Problem(**self.stated | {"dynamics": phases})
 

@@ -73,7 +73,8 @@ class StatedPhase:
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
         self.ends = ends_of(dynamics.states, first, last, (within.first, within.last))
-        self._leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls)}
+        self._leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
+        self._leaves |= {leaf.name: leaf for leaf in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
         self._read_parameters()
 
@@ -212,7 +213,7 @@ class StatedPhase:
         """The ends with other values; the same entries are fixed."""
         if initial is None and final is None:
             return self.ends
-        sides = []
+        sides: list[Any] = []
         for what, known, values in (("initial", self.ends.initial, initial), ("final", self.ends.final, final)):
             if values is not None and not isinstance(values, Mapping):
                 raise ModelError(
@@ -220,7 +221,7 @@ class StatedPhase:
                     "constraints belong to the problem"
                 )
             sides.append({**known, **{name_of(key): value for key, value in (values or {}).items()}})
-        ends = ends_of(self.dynamics.states, *sides)
+        ends = ends_of(self.dynamics.states, sides[0], sides[1])
         for what in ("initial", "final"):
             fixed, stated = (getattr(side, f"{what}_fixed") for side in (ends, self.ends))
             changed = next((name for name in fixed if (fixed[name] != stated[name]).any()), None)

@@ -32,7 +32,7 @@ def drawn(
     """A figure of one trajectory, or of several that follow each other; see `Trajectory.plot`."""
     # Of the systems as they were given: linear controls and free node times have made states of their own since.
     systems = [part.problem.phase.dynamics for part in parts]
-    leaves = {leaf.name: leaf for system in systems for leaf in (*system.states, *system.controls)}
+    leaves: dict[str, Any] = {e.name: e for system in systems for e in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
     found = [
         panel

@@ -50,8 +50,8 @@ class Statement(NamedTuple):
             None if final is None else put(final, True), running=None if running is None else put(running, False)
         )
         rows = {
-            k: {name: _exchanged(c, lambda e, k=k: put(e, k == self.last)) for name, c in constraints.items()}
-            for k, constraints in self.rows.items()
+            k: {name: type(c)(put(c.lhs, k == self.last), put(c.rhs, k == self.last)) for name, c in own.items()}
+            for k, own in self.rows.items()
         }
         return self._replace(objective=objective, rows=rows)
 
@@ -59,10 +59,6 @@ class Statement(NamedTuple):
 def place_of(node: int, last: int) -> str:
     """What a node is called in names of conditions."""
     return {0: "initial", last: "final"}.get(node, f"node {node}")
-
-
-def _exchanged(constraint: Constraint, put: Callable[[Expr], Expr]) -> Constraint:
-    return type(constraint)(put(constraint.lhs), put(constraint.rhs))
 
 
 def extended(
@@ -81,7 +77,7 @@ def extended(
         dropped: names of controls that go.
     """
     system = dynamics.system
-    constraints = {name: _exchanged(c, put) for name, c in {**system.constraints, **rows}.items()}
+    constraints = {n: type(c)(put(c.lhs), put(c.rhs)) for n, c in {**system.constraints, **rows}.items()}
     every: dict[State | str, Any] = {state: put(system.rates[state.name]) for state in system.states}
     known = {leaf.name for leaf in (*system.parameters, *system.controls, *controls)}
     read = leaves_of(*(e for e in rates.values() if isinstance(e, Expr)), *rows.values())

@@ -211,21 +211,20 @@ def check_weights(soft: Mapping[str, Soft], params: Mapping[str, Array]) -> None
         params: values; those of a parameter with a value for each node have one more axis.
     """
     for name, constraint in soft.items():
-        for kind, weight in (("l1", constraint.l1), ("l2", constraint.l2)):
-            leaves = [] if weight is None else [e for e in leaves_of(weight) if not isinstance(e, Constant)]
+        weights = {"l1": constraint.l1, "l2": constraint.l2}
+        for kind, weight in ((kind, weight) for kind, weight in weights.items() if weight is not None):
+            leaves = [leaf for leaf in leaves_of(weight) if not isinstance(leaf, Constant)]
             if not leaves or not all(isinstance(leaf, Parameter) and leaf.name in params for leaf in leaves):
                 continue
-            long = {e.name for e in leaves if np.ndim(params[e.name]) > len(e.shape)}
-            count = len(params[min(long)]) if long else 1
+            by_node = {e.name for e in leaves if np.ndim(params[e.name]) > len(e.shape)}
             values = PointValues.of([weight.canonicalize()])
-            for k in range(count):
-                here = {e.name: params[e.name][k] if e.name in long else params[e.name] for e in leaves}
-                found = values(np.zeros(1), {}, {}, here)
-                if not (found >= 0.0).all():
-                    names = listed(sorted(here))
+            for k in range(len(params[min(by_node)]) if by_node else 1):
+                here = {e.name: params[e.name][k] if e.name in by_node else params[e.name] for e in leaves}
+                least = values(np.zeros(1), {}, {}, here).min()
+                if not least >= 0.0:
                     raise InputError(
                         f"params: the weight {kind} of the soft constraint {name!r} must be 0 or more, "
-                        f"got {found.min():g} by {names}"
+                        f"got {least:g} by {listed(sorted(here))}"
                     )
 
 
