@@ -73,6 +73,28 @@ def _at(file: str, *entries: tuple[str, str, str, str]) -> list[Mutation]:
 MUTATIONS: list[Mutation] = [
     # ---- simulators --------------------------------------------------------------------------------------------------
     *_at(
+        "trajectory/transcription/methods.py",
+        ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
+    ),
+    *_at(
+        "trajectory/strategy/judge.py",
+        (
+            "SOLVED whatever the mesh misses",
+            "if accuracy.coarse else outcome",
+            "if False else outcome",
+            "trajectory/test_accuracy.py",
+        ),
+    ),
+    *_at(
+        "trajectory/strategy/judge.py",
+        (
+            "a multiplier that may run away",
+            "_RUN_AWAY = 1e8",
+            "_RUN_AWAY = np.inf",
+            "trajectory/test_accuracy.py",
+        ),
+    ),
+    *_at(
         "integrators/simulator.py",
         (
             "what a call leaves out is what the last one had",
@@ -1510,21 +1532,6 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/alike.py",
-        (
-            "names that stand for any state",
-            "return (type(leaf), self.named[leaf.name], leaf.shape) if known",
-            "return (type(leaf), leaf.shape) if known",
-            "trajectory/test_numbers.py",
-        ),
-        (
-            "limits of another side",
-            "(self.named[b.leaf], b.entry, b.sign)",
-            "(self.named[b.leaf], b.entry)",
-            "trajectory/test_numbers.py",
-        ),
-    ),
-    *_at(
         "lowering/scalar/before.py",
         (
             "what two arguments decide counts as of one",
@@ -2065,41 +2072,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/interval.py",
-        (
-            "adjoints without the rows at the points",
-            "return adjoint + through + pull, adjoints",
-            "return adjoint + through, adjoints",
-            "trajectory/test_shooting.py",
-        ),
-        ("Simpson's weights", "weights[1:-1:2] = 4.0", "weights[1:-1:2] = 2.0", "trajectory/test_shooting.py"),
-    ),
-    *_at(
-        "trajectory/redundant_rows.py",
-        (
-            "limits at nodes taken as decided by the parameters of the first solve",
-            "for params in (given.params, *others):",
-            "for params in (given.params,):",
-            "trajectory/test_conditions.py",
-        ),
-    ),
-    *_at(
-        "trajectory/interval.py",
-        (
-            "adjoints of collocation without what pulls at its stages",
-            "b[:, None] * adjoint[None] + a.T @ own",
-            "b[:, None] * adjoint[None]",
-            "trajectory/test_transcription.py",
-        ),
-        (
-            "the cost of collocation at the ends of substeps",
-            "return shares, etas, weights",
-            "return shares, etas, np.concatenate([simpson(self.substeps), 0.0 * weights[self.substeps + 1 :]])",
-            "trajectory/test_transcription.py",
-        ),
-    ),
-    *_at(
-        "trajectory/shooting.py",
+        "trajectory/transcription/shooting.py",
         (
             "a running cost that does not know how long intervals are",
             "length * self._pace(u) * density",
@@ -2108,7 +2081,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/transcription.py",
+        "trajectory/transcription/methods.py",
         (
             "errors measured with the steps of the transcription",
             "return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))",
@@ -2117,28 +2090,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/accuracy.py",
-        (
-            "SOLVED whatever the mesh misses",
-            "if accuracy.coarse else outcome",
-            "if False else outcome",
-            "trajectory/test_accuracy.py",
-        ),
-        (
-            "a multiplier that may run away",
-            "_RUN_AWAY = 1e8",
-            "_RUN_AWAY = np.inf",
-            "trajectory/test_accuracy.py",
-        ),
-        (
-            "a change of the objective without what misses are worth",
-            "+ (outcome.dynamics[segment.stages, : own.n] * closely.gaps).sum()",
-            "+ 0.0",
-            "trajectory/test_accuracy.py::test_what_a_mesh_misses_is_worth_its_multipliers",
-        ),
-    ),
-    *_at(
-        "trajectory/core_solver.py",
+        "trajectory/strategy/core_solver.py",
         (
             "a solution that is a start solved again",
             "if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:",
@@ -2198,16 +2150,16 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/joined.py",
+        "trajectory/transcription/joined.py",
         (
             "limits asked twice at a join",
             "        if same and after.path.at_nodes()[row]:",
-            "        if False:",
+            "if False:",
             "trajectory/test_phases.py",
         ),
     ),
     *_at(
-        "trajectory/shooting.py",
+        "trajectory/transcription/shooting.py",
         (
             "phases that all begin at time zero",
             "return b[: self.phase].sum(), b[self.phase]",
@@ -2243,7 +2195,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/border.py",
+        "trajectory/transcription/border.py",
         (
             "other limits of free parameters that are not those of the solve",
             "            found[own] = other",
@@ -2255,15 +2207,6 @@ MUTATIONS: list[Mutation] = [
             "(limits[i, 0] - b[i], b[i] - limits[i, 1])[side]",
             "(limits[i, 0] - b[i], limits[i, 1] - b[i])[side]",
             "trajectory/test_free_parameters.py",
-        ),
-    ),
-    *_at(
-        "trajectory/shooting.py",
-        (
-            "no second derivatives of conditions at nodes",
-            "hessian = hessian.at[k, self._seen[:, None], self._seen[None]].add(bend)",
-            "pass",
-            "trajectory/test_shooting.py",
         ),
     ),
     *_at(
@@ -2297,16 +2240,16 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/many.py",
+        "trajectory/strategy/batch.py",
         (
             "every case with the arguments of the first",
-            "pool.map(solved, cases)",
-            "pool.map(solved, [cases[0]] * len(cases))",
+            "pool.map(outcome, cases)",
+            "pool.map(outcome, [cases[0]] * len(cases))",
             "trajectory/test_many.py",
         ),
     ),
     *_at(
-        "trajectory/durations.py",
+        "trajectory/strategy/other_starts.py",
         (
             "durations that are fixed where they began",
             "_FACTORS, _NEAR = (3.0, 9.0, 1.0)",
@@ -2316,6 +2259,12 @@ MUTATIONS: list[Mutation] = [
     ),
     *_at(
         "trajectory/problem/bridges/bridge.py",
+        (
+            "bounds on continuous controls without a unit",
+            "bounds_along(bounds, sized.xs | sized.us, self.params)",
+            "bounds_along(bounds, self.xs | self.us, self.params)",
+            "trajectory/test_far_starts.py::test_bounds_on_norms_of_linear_controls_have_their_unit",
+        ),
         (
             "bounds of norms in no unit",
             "<= _NOTHING * np.abs(size).max(initial=0.0)",
@@ -2333,7 +2282,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/program.py",
+        "trajectory/adapters/program.py",
         (
             "joins that forget the step of the next node",
             "at.c[defect] = v[control] - v[after]",
@@ -2354,7 +2303,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/casadi_program.py",
+        "trajectory/adapters/casadi_program.py",
         (
             "a solver that hangs ended late",
             "faulthandler.dump_traceback_later(min(seconds, 1e6),",
@@ -2378,13 +2327,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/sensitivity.py",
-        (
-            "options of the compiler within another program",
-            "self._alone, self._within = jitted(self._tangent), jax.jit(self._tangent)",
-            "self._alone = self._within = jitted(self._tangent)",
-            "trajectory/test_sensitivity.py::test_with_the_settings_of_users",
-        ),
+        "trajectory/sensitivity/solution.py",
         (
             "multipliers that stand still in derivatives of derivatives",
             "            move.lam,",
@@ -2393,18 +2336,12 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/called.py",
+        "trajectory/sensitivity/core_call.py",
         (
             "an initial state that moves a start without its bounds",
             "lower, upper = lower.at[at].set(v[at]), upper.at[at].set(v[at])",
             "lower = lower.at[at].set(lower[at])",
             "trajectory/test_solution_in_programs.py",
-        ),
-        (
-            "a search without end that counts as solved",
-            "most = jnp.maximum(COST * found",
-            "most = 0.0 * jnp.maximum(COST * found",
-            "trajectory/test_solution_in_programs.py::test_a_member_without_a_solution_has_no_derivative",
         ),
     ),
     *_at(
@@ -2417,7 +2354,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/strategies.py",
+        "trajectory/strategy/strategies.py",
         (
             "units of an earlier result that are kept far away",
             "known.fit(solver.staged, result.point)",
@@ -2426,27 +2363,12 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/optimum.py",
+        "trajectory/sensitivity/optimum.py",
         (
             "a change of an optimum that is not refined",
             "_REFINEMENTS = 6",
             "_REFINEMENTS = 0",
             "trajectory/test_sensitivity.py",
-        ),
-        (
-            "limits that do not bind where an optimum moves",
-            "weights = own.bound_weights, own.y",
-            "weights = 0.0 * own.bound_weights, own.y",
-            "trajectory/test_sensitivity.py",
-        ),
-    ),
-    *_at(
-        "trajectory/smooth.py",
-        (
-            "a Hessian without its weights",
-            "*jax.tree.leaves(others), weights)[0]",
-            "*jax.tree.leaves(others), jnp.ones_like(weights))[0]",
-            "trajectory/test_smooth.py",
         ),
     ),
     *_at(
@@ -2459,7 +2381,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/squares.py",
+        "trajectory/hessians/gauss_newton.py",
         (
             "squares without their two",
             "factor * (product + product.T)",
@@ -2468,7 +2390,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/quasi_newton.py",
+        "trajectory/hessians/quasi_newton.py",
         (
             "updates in one tangent space",
             "    if turn is None:\n        return gradient",
@@ -2486,7 +2408,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/undetermined.py",
+        "trajectory/strategy/undetermined.py",
         (
             "limits that do not hold a move",
             "rows.append(move[(low | high)[columns]])",
@@ -2495,7 +2417,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "trajectory/stiff.py",
+        "trajectory/strategy/stiffness.py",
         (
             "explicit steps whatever the rates are",
             "LARGEST = 2.8",

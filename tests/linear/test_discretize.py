@@ -7,9 +7,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
-from trajectory_systems import everything, quick_jit, sample, spinning_ball
 from twistax.integrators import VectorField
 from twistax.trajectory import Discretization, discretize
 

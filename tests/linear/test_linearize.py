@@ -4,9 +4,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
-from trajectory_systems import everything, quick_jit, sample, spinning_ball
 from twistax.trajectory import Linearization, linearize
 
 T = 0.4

@@ -8,9 +8,9 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from trajectory_systems import quick_jit
 
 import twistax as tx
-from trajectory_systems import quick_jit
 from twistax.integrators import VectorField
 from twistax.lowering import hessian
 from twistax.lowering.scalar.graph import TooLarge

@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
-from twistax.trajectory.rollout import Rollout
+from twistax.trajectory.strategy.integration import Rollout
 
 pytest.importorskip("llvmlite")
 

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from trajectory_systems import HEUN
 
 import twistax as tx
-from trajectory_systems import HEUN
 from twistax.errors import InputError, ModelError, TrajectoryError
 from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem
-from twistax.trajectory.evaluated import Evaluated
 from twistax.trajectory.result import refine
+from twistax.trajectory.transcription.evaluation import Evaluated
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)

@@ -5,9 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 import scipy.integrate
+from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
-from trajectory_systems import HEUN, double_integrator
 from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status
 from twistax.trajectory.result import refine
 

@@ -11,9 +11,9 @@ import jax
 import numpy as np
 import pytest
 from scipy.optimize import minimize
+from trajectory_systems import HEUN
 
 import twistax as tx
-from trajectory_systems import HEUN
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.trajectory import Collocation, Integral, Linear, Maximum, Mesh, Phase, Problem, Status, solution
 

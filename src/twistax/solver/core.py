@@ -80,6 +80,18 @@ class Stages:
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
 
     @functools.cached_property
+    def first(self) -> Array:
+        """Where each stage begins in v."""
+        widths = np.array(self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
+
+    @functools.cached_property
+    def first_point(self) -> Array:
+        """Where each stage begins in z."""
+        widths = np.array(self.point_states or self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
+
+    @functools.cached_property
     def columns(self) -> list[int]:
         """Columns of each stage's derivatives: x_k, u_k, p."""
         return [x + u + self.parameters for x, u in zip(self.states, self.controls)]

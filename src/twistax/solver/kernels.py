@@ -92,6 +92,12 @@ class BatchKernel:
         call(ctypes.addressof(table), 0, rows)
         return found
 
+    def check(self) -> None:
+        """Raise what a function that JAX runs has raised."""
+        if isinstance(self.owner, Callback) and self.owner.error is not None:
+            error, self.owner.error = self.owner.error, None
+            raise error
+
 
 class _Unbound:
     """A kernel that lacks its numbers.

@@ -87,7 +87,6 @@ class Phase:
         starts, widths: of intervals, shares of the duration.
         path: (intervals, substeps + 1, rows) what each path row is: NONE, an INEQUALITY or an EQUALITY.
         conditions: the same of the conditions of each node.
-        path_margins, margins: by which these are tightened.
         join: to the next phase.
         node_rows: where in the data the numbers of the nodes begin, and how many each has.
     """
@@ -101,8 +100,6 @@ class Phase:
     widths: Array
     path: Array
     conditions: Sequence[Array]
-    path_margins: Array
-    margins: Sequence[Array]
     join: JoinKernels | None = None
     node_rows: tuple[int, int] = (0, 0)
 
@@ -299,10 +296,7 @@ class Transcription:
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
         for kernel in self._kernels:
-            error = getattr(kernel.owner, "error", None)
-            if error is not None:
-                kernel.owner.error = None
-                raise error
+            kernel.check()
 
     def _array(self, array: Array) -> int:
         """The address of an array that lives as long as this."""
@@ -330,7 +324,7 @@ class Transcription:
             method, kernels = phase.method, phase.kernels
             inequalities, equalities = ([path, *nodes] for path, nodes in own)
             codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
-            self._margins.append([np.array(a, float) for a in (phase.path_margins, *phase.margins)])
+            self._margins.append([np.zeros(a.shape) for a in (phase.path, *phase.conditions)])
             margins = [self._array(a) for a in self._margins[-1]]
             nodes = (_Node * len(kernels.nodes))()
             for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):

@@ -2,10 +2,8 @@
 
 from ..linear import Discretization, Linearization, discretize, linearize
 from ..progress import Progress
-from .accuracy import Accuracy
-from .external import IPOPT, Fatrop
-from .hessians import GaussNewton, QuasiNewton
-from .mesh import Mesh
+from .adapters.solvers import IPOPT, Fatrop
+from .hessians.options import GaussNewton, QuasiNewton
 from .problem.controls import Held, Linear, Rate, Spline
 from .problem.functionals import Initial, Integral, Maximum, Minimum
 from .problem.phase import Phase
@@ -17,11 +15,13 @@ from .result.many import PhasedResults, TrajectoryResults
 from .result.quality import Optimality
 from .result.refine import Meshed
 from .result.result import PhasedResult, TrajectoryResult
-from .sensitivity import Solution, solution
-from .strategies import Strategy
-from .transcription import Collocation, MultipleShooting
-from .warm import WarmStart
-from .watch import Status
+from .sensitivity.solution import Solution, solution
+from .strategy.accuracy import Accuracy
+from .strategy.status import Status
+from .strategy.strategies import Strategy
+from .strategy.warm import WarmStart
+from .transcription.mesh import Mesh
+from .transcription.methods import Collocation, MultipleShooting
 
 __all__ = [
     "Accuracy",

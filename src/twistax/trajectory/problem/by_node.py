@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from ...checks import reals, short
 from ...errors import InputError, ModelError, ShapeError
 from ...expr import Expr, Parameter, leaves_of
-from ..flat import Flat
+from ..transcription.vectors import Flat
 
 #: Before the values in a row: the share of the node, and one over that of the interval after it, zero after the last.
 _HEAD = 2

@@ -34,7 +34,7 @@ from ...expr.lie import Compose, Inverse, SE3Log, SO3Log
 from ...expr.soft import Asked, hard
 from ...lowering import Dynamics
 from ...system import entry_names, free_name, name_of
-from ..point_values import PointValues
+from ..transcription.point_values import PointValues
 from .statement import bounds_of, check_leaves, limited, without_end
 from .terms import linear_terms, sum_of
 

@@ -9,7 +9,7 @@ from ...checks import listed, short
 from ...errors import ModelError, ShapeError
 from ...expr import Expr, leaves_of, to_expr
 from ...system import name_of
-from ..joined import Join, Joined, told_before
+from ..transcription.joined import Join, Joined, told_before
 from .stated_phase import StatedPhase
 from .statement import check_leaves
 

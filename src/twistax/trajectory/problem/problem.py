@@ -17,18 +17,18 @@ from ...expr import Parameter, leaves_of
 from ...lowering.dynamics import need_compiled
 from ...system import free_name, name_of
 from ...walk import uncollected
-from ..accuracy import MESH
-from ..border import Border, boxes_of
-from ..core_solver import CoreSolver
-from ..mesh import Remeshed
-from ..outcome import Callback
-from ..redundant_rows import redundant_rows
 from ..result.many import TrajectoryResults
 from ..result.result import TrajectoryResult
-from ..staged import Staged
-from ..strategies import Strategy
-from ..transcribed import Given, Point
-from ..warm import other_problem
+from ..strategy.accuracy import MESH
+from ..strategy.core_solver import CoreSolver
+from ..strategy.outcome import Callback
+from ..strategy.redundant_rows import redundant_rows
+from ..strategy.strategies import Strategy
+from ..strategy.warm import other_problem
+from ..transcription.border import Border, boxes_of
+from ..transcription.mesh import Remeshed
+from ..transcription.points import Given, Point
+from ..transcription.staged import Staged
 from .bridges.lifted_functionals import InPhase
 from .by_node import only_once
 from .conditions import Ends

@@ -13,23 +13,25 @@ from numpy import ndarray as Array
 from ...checks import callable_with, number, short, whole
 from ...errors import TrajectoryError, TwistaxError
 from ...precision import in_double
-from ..accuracy import MESH
-from ..budget import Budget
-from ..core_solver import CoreSolver
-from ..external import SolvedBy
-from ..hessians import by_updates
-from ..many import solve_all
-from ..outcome import Callback, Outcome
+from ..adapters.solvers import SolvedBy
+from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
 from ..result.quality import Tried
 from ..result.refine import refined
 from ..result.result import best_result
-from ..stiff import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
-from ..strategies import Strategy
-from ..transcribed import Given, Point
-from ..warm import WarmStart, warm_start, with_ends
-from ..watch import AT_OPTIMUM, Status
+from ..strategy.accuracy import MESH
+from ..strategy.batch import solve_all
+from ..strategy.budget import Budget
+from ..strategy.core_solver import CoreSolver
+from ..strategy.other_starts import perturbed
+from ..strategy.outcome import Callback, Outcome
+from ..strategy.status import AT_OPTIMUM, Status
+from ..strategy.stiffness import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
+from ..strategy.strategies import Strategy
+from ..strategy.strategies import solved as with_strategies
+from ..strategy.warm import WarmStart, warm_start, with_ends
+from ..transcription.points import Given, Point
 from .cases import Cases, started_cases
 from .start import axes
 
@@ -161,7 +163,7 @@ def _on_one_mesh(
             try:
                 if options.solver is None:
                     budget.used = 0
-                    return core.run(start, given, budget, options.strategies)
+                    return with_strategies(core, start, given, budget, options.strategies)
                 outcome: Outcome = options.solver.run(core, start, given, options.max_iterations, report)
                 return outcome
             finally:
@@ -173,7 +175,7 @@ def _on_one_mesh(
             start: Point | WarmStart = plain if warm is None else warm
             if options.seed is not None or attempt > 0:
                 rng = np.random.default_rng([options.seed or 0, attempt])
-                start = core.perturbed(plain, given, rng)
+                start = perturbed(core, plain, given, rng)
             outcome = run(start, given)
             if between is not None and options.refine is None and outcome.status is Status.SOLVED:
                 outcome = hold_between_nodes(problem, outcome, given, params, run, between, core.staged)

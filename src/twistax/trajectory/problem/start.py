@@ -13,7 +13,7 @@ from ...checks import listed, short
 from ...errors import InputError, ModelError
 from ...expr import State
 from ...system import name_of
-from ..transcribed import Given, PhaseEnds, Point
+from ..transcription.points import Given, PhaseEnds, Point
 from .conditions import Ends
 from .guess import resample, with_stated
 

@@ -6,7 +6,6 @@ import functools
 from collections.abc import Mapping
 from typing import Any
 
-import jax
 import numpy as np
 from numpy import ndarray as Array
 
@@ -14,13 +13,13 @@ from ...checks import short
 from ...errors import ModelError, TrajectoryError
 from ...expr import Control, Parameter, State, leaves_of
 from ...system import entry_names, name_of
-from ..border import Border, boxes_of, times_of
-from ..hessians import checked_hessian
-from ..mesh import mesh_of
-from ..shooting import Shooting
-from ..transcribed import Point
-from ..transcription import transcription_of
-from ..warm import other_problem
+from ..hessians.options import checked_hessian
+from ..strategy.warm import other_problem
+from ..transcription.border import Border, boxes_of, times_of
+from ..transcription.mesh import mesh_of
+from ..transcription.methods import transcription_of
+from ..transcription.points import Point
+from ..transcription.shooting import Shooting
 from .bridges.bridge import Bridge, Path, Statement, place_of
 from .bridges.continuous_controls import ContinuousControls
 from .bridges.lifted_functionals import InPhase, LiftedFunctionals
@@ -140,11 +139,10 @@ class StatedPhase:
         )
         self.squares = None if self.hessian is None else self.hessian.squares(self.shooting)
         self.shooting.alike = {name: state.name for name, state in self.functionals.starts.items()}
-        self.advanced = jax.jit(self.shooting.advanced)
 
     def __getstate__(self) -> dict[str, Any]:
         """Without what compiles anew in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "advanced")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "squares")}
 
     def __repr__(self) -> str:
         low, high = self.time_limits

@@ -29,7 +29,7 @@ from ...expr import (
     Sub,
     leaves_of,
 )
-from ..point_values import PointValues
+from ..transcription.point_values import PointValues
 
 #: A coefficient and what it multiplies.
 Term = tuple[float, Expr]

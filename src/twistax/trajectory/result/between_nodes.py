@@ -14,12 +14,12 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..outcome import Outcome
-from ..rollout import Rollout
-from ..staged import Staged
-from ..transcribed import Given, Point
-from ..warm import WarmStart
-from ..watch import Status
+from ..strategy.integration import Rollout
+from ..strategy.outcome import Outcome
+from ..strategy.status import Status
+from ..strategy.warm import WarmStart
+from ..transcription.points import Given, Point
+from ..transcription.staged import Staged
 from .quality import params_of
 from .replay import times_along
 from .trajectory import Trajectory, trajectory_at

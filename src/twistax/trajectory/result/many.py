@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 
 from ...checks import short
 from ...errors import InputError
-from ..transcribed import Point
-from ..watch import Status
+from ..strategy.status import Status
+from ..transcription.points import Point
 from .quality import Optimality, Tried, params_of
 from .result import TrajectoryResult, best_result
 

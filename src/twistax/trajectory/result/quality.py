@@ -13,14 +13,14 @@ from numpy import ndarray as Array
 
 from ...errors import IntegrationError, TrajectoryError
 from ...precision import in_double
-from ..accuracy import Accuracy
-from ..border import Border
-from ..outcome import Outcome
 from ..problem.statement import largest_by_name
-from ..transcribed import Transcribed
-from ..undetermined import Undetermined, undetermined
-from ..warm import WarmStart
-from ..watch import AT_OPTIMUM, Status
+from ..strategy.accuracy import Accuracy
+from ..strategy.outcome import Outcome
+from ..strategy.status import AT_OPTIMUM, Status
+from ..strategy.undetermined import Undetermined, undetermined
+from ..strategy.warm import WarmStart
+from ..transcription.border import Border
+from ..transcription.shooting import Transcribed
 from .singular import singular
 
 #: A scaled multiplier above this is one of an active constraint.

@@ -18,11 +18,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..layout import Layout
-from ..mesh import Mesh, Remeshed
-from ..transcribed import Point, Segment
-from ..warm import WarmStart
-from ..watch import Status
+from ..strategy.status import Status
+from ..strategy.warm import WarmStart
+from ..transcription.mesh import Mesh, Remeshed
+from ..transcription.points import Point
+from ..transcription.row_layout import RowLayout
+from ..transcription.shooting import Segment
 from .trajectory import Trajectory, trajectory_at
 
 if TYPE_CHECKING:
@@ -225,7 +226,7 @@ class _Moved:
         return np.concatenate([found.ravel(), end])
 
 
-def _columns(old: Layout, new: Layout, substeps: int, finer: int) -> tuple[Array, Array]:
+def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:
     """Which of the old rows of an interval are at the place of each new one, or before it, and whether at it."""
     points, row = np.divmod(new.asked, new.path_rows)
     place = points * substeps / finer

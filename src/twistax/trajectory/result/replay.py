@@ -16,8 +16,8 @@ from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import Ambient
 from ..problem.statement import largest_by_name, violations
-from ..rollout import Rollout
-from ..transcribed import Point
+from ..strategy.integration import Rollout
+from ..transcription.points import Point
 
 if TYPE_CHECKING:
     from .trajectory import Trajectory

@@ -12,8 +12,9 @@ from numpy import ndarray as Array
 
 from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ...precision import in_double
-from ..outcome import Outcome
-from ..transcribed import Segment, Values
+from ..strategy.outcome import Outcome
+from ..transcription.points import Values
+from ..transcription.shooting import Segment
 from .pictures import animated, drawn
 from .quality import Quality, Tried, params_of
 from .refine import Meshed

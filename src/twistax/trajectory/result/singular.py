@@ -12,8 +12,8 @@ import numpy as np
 from ...expr import Control, Expr, Inputs, Leaf, State, evaluate_all, leaves_of
 from ...precision import in_double
 from ...walk import walk
-from ..transcribed import Point
-from ..transcription import Collocation
+from ..transcription.methods import Collocation
+from ..transcription.points import Point
 
 if TYPE_CHECKING:
     from ..problem.stated_phase import StatedPhase

@@ -14,9 +14,9 @@ from ...checks import whole
 from ...errors import TrajectoryError
 from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ...precision import in_double
-from ..outcome import Outcome
 from ..problem.statement import largest_by_name, violations
-from ..transcribed import Point
+from ..strategy.outcome import Outcome
+from ..transcription.points import Point
 from .pictures import animated, drawn
 from .replay import Replay, replayed
 

@@ -18,7 +18,7 @@ from ....expr import Constraint, Control, Expr, State, Time, leaves_of
 from ....expr.graph import substitute
 from ....integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ....lowering import Dynamics
-from ...mesh import Mesh
+from ...transcription.mesh import Mesh
 from ..controls import Linear, Spline, continuous_controls, rates_among
 from ..statement import Objective
 from ..terms import continuous_bound, is_mixed, sizes_in

@@ -20,7 +20,7 @@ from ....checks import listed
 from ....errors import InputError
 from ....expr import Constant, Constraint, Control, Equality, Expr, Inequality, Parameter, Soft, leaves_of
 from ....system import entry_names, free_name
-from ...point_values import PointValues
+from ...transcription.point_values import PointValues
 from ..conditions import Conditions, residual_of
 from ..statement import check_leaves
 from ..terms import above, bound_rows, sizes_in, values_of
@@ -102,6 +102,8 @@ class NodeSlacks(Bridge):
     ) -> dict[str, float]:
         """The residuals of soft constraints by the names of their entries, at nodes along a trajectory."""
         residuals, wanted = dict[str, float](), self.rows
+        if not wanted:
+            return residuals
         known = {name: jnp.asarray(value) for name, value in {**params, **self.without}.items()}
         for k, rows in conditions.items():
             if wanted & set(rows.names):
