@@ -10,7 +10,8 @@ import pytest
 from trajectory_systems import HEUN
 
 import twistax as tx
-from twistax.trajectory import Collocation, Held, Linear, Mesh, Phase, Problem, Spline, Status, accuracy
+from twistax.trajectory import Collocation, Held, Linear, Mesh, Phase, Problem, Spline, Status
+from twistax.trajectory.strategy import judge
 
 RATE = 50.0  # 1/s
 RADAU = Collocation(tx.tableaus.RADAU_IIA5, substeps=2)
@@ -229,7 +230,7 @@ def test_an_end_condition_without_slope_is_never_solved_elsewhere(condition: str
 
 
 def test_a_row_without_slope_is_named(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(accuracy, "_RUN_AWAY", 1e3)
+    monkeypatch.setattr(judge, "_RUN_AWAY", 1e3)
     results = [to_rest("v", nodes).solve() for nodes in (11, 21, 41)]
     named = [result for result in results if result.status is Status.DEGENERATE]
     assert named
