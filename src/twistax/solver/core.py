@@ -248,16 +248,16 @@ def as_problem(
     variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
     lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
     lengths |= {"row_size": rows, "equality_size": equalities}
-    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
-    given |= {
+    arrays = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
+    arrays |= {
         name: np.asarray(getattr(stages, name), np.int32)
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    found = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
-    for name, address in ({name: a.ctypes.data for name, a in given.items()} | functions.addresses).items():
-        setattr(found, name, address or None)
-    return Described(found, list(given.values()))
+    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
+        setattr(structure, name, address or None)
+    return Described(structure, list(arrays.values()))
 
 
 #: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
@@ -355,10 +355,10 @@ class _Watching:
 
 
 def _checked(name: str, a: Any, count: int) -> Array:
-    found = np.ascontiguousarray(a, float)
-    if found.shape != (count,):
-        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {found.shape}")
-    return found
+    array = np.ascontiguousarray(a, float)
+    if array.shape != (count,):
+        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {array.shape}")
+    return array
 
 
 def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:

@@ -72,8 +72,8 @@ class NonlinearProgram:
         with_copies: whether each stage has a p of its own.
     """
 
-    def __init__(self, staged: Staged, given: Given, *, with_copies: bool) -> None:
-        self._staged, self._transcription = (alone := staged.alone(given)), alone.transcription
+    def __init__(self, staged: Staged, instance: Given, *, with_copies: bool) -> None:
+        self._staged, self._transcription = (staged := staged.alone(instance)), staged.transcription
         self._transcription.use_charts()
         stages = self._transcription.stages
         self._free = staged.step(*(np.asarray(a, float) for a in staged.transcribed.free)) > 0.0
@@ -164,10 +164,10 @@ class NonlinearProgram:
 
     # ---- starts and ends ------------------------------------------------------------------------------------------
 
-    def start(self, start: Point | WarmStart, given: Given, units: StartUnits | None) -> ProgramStart:
+    def start(self, start: Point | WarmStart, instance: Given, units: StartUnits | None) -> ProgramStart:
         """State the program about a point, in these units or those of the statement."""
         staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
-        staged.set_given(given)
+        staged.set_given(instance)
         self._latest: tuple[Array, Evaluated] | None = None
         self._z, self._v = staged.flat(point), staged.coordinates(point)
         for _, control, after in self._joined:
@@ -177,7 +177,7 @@ class NonlinearProgram:
             self._x_units, self._cost_unit = self._of_v(units.v), units.cost
             copies = np.broadcast_to(units.border, self._copy_rows.shape)
             self._row_units = self._of_rows(staged.after(units.v), units.rows, units.equalities, copies)
-        lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(point, given))
+        lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(point, instance))
         repeated = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough
         lower[repeated], upper[repeated] = -np.inf, np.inf
         bounds, rows = np.zeros(self.size), np.zeros(self.count)

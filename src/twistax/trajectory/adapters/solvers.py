@@ -45,7 +45,12 @@ class SolvedBy(Protocol):
     """A solver of others: what `Problem.solve(solver=...)` takes."""
 
     def run(
-        self, core: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+        self,
+        core: CoreSolver,
+        start: Point | WarmStart,
+        instance: Given,
+        max_iterations: int,
+        callback: Callback | None,
     ) -> Outcome:
         """Solve from a start; `core` has the functions, and measures what comes out."""
         ...
@@ -106,18 +111,23 @@ class _Casadi:
         raise NotImplementedError
 
     def run(
-        self, core: CoreSolver, start: Point | WarmStart, given: Given, max_iterations: int, callback: Callback | None
+        self,
+        core: CoreSolver,
+        start: Point | WarmStart,
+        instance: Given,
+        max_iterations: int,
+        callback: Callback | None,
     ) -> Outcome:
         """Solve from a start; a solution that is no minimum is left."""
         if isinstance(start, WarmStart) or core.measure.is_decided:
-            begun = core.run_once(start, given, 0)
+            begun = core.run_once(start, instance, 0)
             if begun.status is not Status.MAX_ITERATIONS:
                 return begun
         count, due = 0, time.monotonic() + (self.max_seconds or np.inf)
 
         def search(begin: Point | WarmStart) -> Outcome:
             nonlocal count
-            run = _Run(core, given, max_iterations - count, due)
+            run = _Run(core, instance, max_iterations - count, due)
             outcome = self._search(run, begin, _counted(callback, count))
             count += outcome.iterations
             return outcome
@@ -131,10 +141,10 @@ class _Casadi:
         """
         from .casadi_program import SolverRefused
 
-        core, given, here, units, count = run.core, run.given, start, None, 0
-        made = self._prepared(core, given)
+        core, instance, here, units, count = run.core, run.instance, start, None, 0
+        made = self._prepared(core, instance)
         for _ in range(_PASSES):
-            first = made.program.start(here, given, units)
+            first = made.program.start(here, instance, units)
             options = self._of_pass(isinstance(here, WarmStart), units is not None, max(run.left - count, 1))
             progress = _progress(made.program, _counted(callback, count), 1.0 if units is None else units.cost)
             try:
@@ -143,9 +153,9 @@ class _Casadi:
                 raise TrajectoryError(str(error)) from None
             count += result.iterations
             if not np.isfinite(result.x).all():
-                return core.run_once(here, given, 0)._replace(status=Status.NON_FINITE, iterations=count)
+                return core.run_once(here, instance, 0)._replace(status=Status.NON_FINITE, iterations=count)
             reached = made.program.reached(result.x, result.of_bounds, result.of_rows)
-            outcome = core.measured(reached.point, reached.dynamics, reached.rows, given)._replace(iterations=count)
+            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)._replace(iterations=count)
             status = run.ended(outcome, result.word)
             if status is not None:
                 return outcome._replace(status=status)
@@ -153,19 +163,19 @@ class _Casadi:
             if units is not None and not (result.success and turned):
                 break
             if not result.success:  # the units of the statement may be what it failed by
-                units, here = core.units(start.point if isinstance(start, WarmStart) else start, given), start
+                units, here = core.units(start.point if isinstance(start, WarmStart) else start, instance), start
                 continue
-            here = strategies.warm_at(outcome, given)
+            here = strategies.warm_at(outcome, instance)
             if not turned:
-                units = core.units(reached.point, given)
+                units = core.units(reached.point, instance)
         return run.at_rest(outcome)
 
-    def _prepared(self, core: CoreSolver, given: Given) -> Any:
+    def _prepared(self, core: CoreSolver, instance: Given) -> Any:
         """The solver for the problem, made once."""
         key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
         if key not in core.made:
             if self.copies not in core.made:
-                core.made[self.copies] = NonlinearProgram(core.staged, given, with_copies=self.copies)
+                core.made[self.copies] = NonlinearProgram(core.staged, instance, with_copies=self.copies)
             core.made[key] = self._made(core.made[self.copies], core.tolerance)
         return core.made[key]
 
@@ -175,7 +185,7 @@ class _Run:
     """What a search works on and within: the iterations that are left, and when its time is over."""
 
     core: CoreSolver
-    given: Given
+    instance: Given
     left: int
     due: float
 
@@ -200,7 +210,7 @@ class _Run:
         if max(outcome.violation, *outcome.errors) <= _ACCEPTABLE * tolerance:
             return outcome._replace(status=Status.ACCEPTABLE)
         if outcome.violation > tolerance:
-            other = self.core.run_once(outcome.point, self.given, self.left - outcome.iterations)
+            other = self.core.run_once(outcome.point, self.instance, self.left - outcome.iterations)
             if other.status is Status.INFEASIBLE:
                 return other._replace(iterations=outcome.iterations + other.iterations)
         return outcome._replace(status=Status.STALLED)

@@ -41,15 +41,17 @@ class CoreCall:
 
     Args:
         start: where it starts; the units are those there.
-        given: what the problem is solved for as it was stated.
+        instance: what the problem is solved for as it was stated.
     """
 
-    def __init__(self, problem: Problem, core: CoreSolver, start: Point, given: Given, max_iterations: int) -> None:
+    def __init__(self, problem: Problem, core: CoreSolver, start: Point, instance: Given, max_iterations: int) -> None:
         self._problem, self._tolerance = problem, core.tolerance
-        self.units = units = core.units(start, given)
-        self._staged = staged = core.staged.alone(given)  # what others change of the problem's is not seen here
-        numbers = staged.numbers.vector(given)
-        self._base = SolveInputs(numbers, staged.flat(start), staged.coordinates(start), *staged.limits(start, given))
+        self.units = units = core.units(start, instance)
+        self._staged = staged = core.staged.alone(instance)  # what others change of the problem's is not seen here
+        numbers = staged.numbers.vector(instance)
+        self._base = SolveInputs(
+            numbers, staged.flat(start), staged.coordinates(start), *staged.limits(start, instance)
+        )
         self.solves = Solves(
             staged.transcription,
             Units(units.v, units.rows, units.equalities, COST * units.cost),
@@ -103,17 +105,17 @@ class CoreCall:
             z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
         return SolveInputs(data, z, v, lower, upper)
 
-    def judged(self, core: CoreSolver, values: Mapping[str, Any], given: Given, mesh_tolerance: float) -> Status:
+    def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Given, mesh_tolerance: float) -> Status:
         """The status that `problem.solve` gives a result, by the solver of this thread."""
         numbers = {name: float(values[name]) for name in MEASURES}
         arrays = {name: np.asarray(a) for name, a in values.items() if name not in MEASURES}
         status = CoreStatus(int(numbers.pop("status")))
-        core.staged.set_given(given)
+        core.staged.set_given(instance)
         result = Solution(status=status, **arrays, statistics=numbers, log=np.zeros((0, 10)))
-        outcome = core.measure.outcome(result, self.units, given)
-        if core.measure.violated_at_once(outcome.point, given, self.units) > core.tolerance:
+        outcome = core.measure.outcome(result, self.units, instance)
+        if core.measure.violated_at_once(outcome.point, instance, self.units) > core.tolerance:
             return Status.INFEASIBLE
-        return core.judge.judged(outcome, given, mesh_tolerance, core.tolerance).status
+        return core.judge.judged(outcome, instance, mesh_tolerance, core.tolerance).status
 
     def is_solved(self, values: Mapping[str, Any]) -> Any:
         """Whether it is, as far as the core knows: it has no rows that ends alone decide."""

@@ -87,20 +87,25 @@ class OptimalityConditions:
 
     Args:
         core: the problem's solver.
-        given: what the problem is solved for as it was stated.
+        instance: what the problem is solved for as it was stated.
         units: of its unknowns, rows and objective.
     """
 
     def __init__(
-        self, problem: Problem, core: CoreSolver, given: Given, names: Mapping[str, tuple[str, ...]], units: StartUnits
+        self,
+        problem: Problem,
+        core: CoreSolver,
+        instance: Given,
+        names: Mapping[str, tuple[str, ...]],
+        units: StartUnits,
     ) -> None:
         self.staged, self.shooting = core.staged, problem.shooting
         self._jax_values = JaxValues(problem.shooting)
         self._part = core.staged.parts[0]
         self._numbers: Numbers = core.staged.numbers
         self._places = self._numbers.places(names["params"], names["final"])
-        self._data = self._numbers.vector(given)
-        self._by_node = {name: given.params[name] for name in problem.by_node.leaves}
+        self._data = self._numbers.vector(instance)
+        self._by_node = {name: instance.params[name] for name in problem.by_node.leaves}
         functions = _WithNumbers(self.shooting, self._numbers, self._places)
         kernels = functions.kernels(dict(problem.node_rows))
         phase = dataclasses.replace(self._part.phase, kernels=kernels)
@@ -167,9 +172,9 @@ class OptimalityConditions:
         if not len(self._decided):
             return jnp.zeros(())
         numbers = self._numbers
-        given = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
+        instance = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
         point = self.point(jnp.append(z, jnp.zeros(len(self._places), z.dtype)))
-        rows = self._jax_values(point, given).rows[self._decided]
+        rows = self._jax_values(point, instance).rows[self._decided]
         violated = jnp.where(self.shooting.equality[self._decided], jnp.abs(rows), rows)
         return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
@@ -291,8 +296,8 @@ class OptimalityConditions:
         data = _replaced(jnp.asarray(self._data, changed.dtype), self._places, changed)
         numbers = self._numbers
         by_node = {name: jnp.asarray(rows, data.dtype) for name, rows in self._by_node.items()}
-        given = Given(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
-        values = self._jax_values(Point(self._part.point.split(xs), us, border), given, d)
+        instance = Given(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
+        values = self._jax_values(Point(self._part.point.split(xs), us, border), instance, d)
         return values.cost, values.defects.reshape(-1), *(values.rows[places] for places in self._rows)
 
 

@@ -99,7 +99,7 @@ class _Stated(NamedTuple):
     """The problem as it was stated: where it starts, or is solved, and the call that solves it from there."""
 
     core: CoreSolver
-    given: Given
+    instance: Given
     call: CoreCall
     coarse: str  # what is said of its mesh if that is too coarse
 
@@ -207,9 +207,9 @@ class _SolutionFor:
     def _conditions(self) -> OptimalityConditions:
         """The problem with these names among its unknowns; its kernels compile once."""
         params, final = self._names
-        core, given, call, _ = self._stated
+        core, instance, call, _ = self._stated
         with in_double():
-            return OptimalityConditions(self._problem, core, given, {"params": params, "final": final}, call.units)
+            return OptimalityConditions(self._problem, core, instance, {"params": params, "final": final}, call.units)
 
     # ---- the solve ----------------------------------------------------------------------------------------------
 

@@ -23,12 +23,14 @@ def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_toleranc
     of_thread = threading.local()
 
     def outcome(case: Any) -> Outcome:
-        point, given = jax.tree.map(np.asarray, (case.point, case.given))
+        point, instance = jax.tree.map(np.asarray, (case.point, case.given))
         if not hasattr(of_thread, "solver"):
-            of_thread.solver = solver.alone(given)
+            of_thread.solver = solver.alone(instance)
         core: CoreSolver = of_thread.solver
         with in_double():
-            return core.judge.judged(solved(core, point, given, Budget(most)), given, mesh_tolerance, core.tolerance)
+            return core.judge.judged(
+                solved(core, point, instance, Budget(most)), instance, mesh_tolerance, core.tolerance
+            )
 
     with ThreadPoolExecutor(processors()) as pool:
         return list(pool.map(outcome, cases))

@@ -50,7 +50,7 @@ class CoreSolver:
     Args:
         staged: the problem.
         problems: those of its phases.
-        given: what it is solved for, for shapes.
+        instance: what it is solved for, for shapes.
         tolerance: of the first-order conditions, scaled.
 
     Attributes:
@@ -60,12 +60,12 @@ class CoreSolver:
         made: what solvers of others made of the problem, by solver.
     """
 
-    def __init__(self, staged: Staged, problems: Sequence[Any], given: Given, tolerance: float) -> None:
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:
         self.staged, self.tolerance, self._problems = staged, tolerance, problems
         self.transcribed = staged.transcribed
         self.busy, self.made = False, dict[Any, Any]()
         self._by_updates = by_updates(problems)
-        close = CloseIntegration(staged, problems, given)
+        close = CloseIntegration(staged, problems, instance)
         self.judge, self.measure = Judge(close, staged), Measure(staged, close, tolerance)
         stages = staged.transcription.stages
         self.largest_step = np.where(staged.turning, _TURN, np.inf)
@@ -76,13 +76,13 @@ class CoreSolver:
         self._exactly |= {"complementarity": closest, "gap": _CLOSER * tolerance, "acceptable": tolerance / COST}
         self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closest)}
 
-    def alone(self, given: Given) -> CoreSolver:
+    def alone(self, instance: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
-        return CoreSolver(self.staged.alone(given), self._problems, given, self.tolerance)
+        return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
-    def units(self, point: Point, given: Given) -> StartUnits:
+    def units(self, point: Point, instance: Given) -> StartUnits:
         """Units at a start."""
-        self.staged.set_given(given)
+        self.staged.set_given(instance)
         return StartUnits(self.staged, point)
 
     def options(self, max_iterations: int) -> dict[str, float]:
@@ -96,7 +96,7 @@ class CoreSolver:
     def run_once(
         self,
         start: Point | WarmStart,
-        given: Given,
+        instance: Given,
         max_iterations: int,
         budget: Budget | None = None,
         *,
@@ -113,46 +113,46 @@ class CoreSolver:
         """
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         if isinstance(start, WarmStart) and start.units is not None and not as_stated:
-            self.staged.set_given(given)
+            self.staged.set_given(instance)
             units = copy.copy(start.units)
         else:
-            units = self.units(point, given)
+            units = self.units(point, instance)
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
         options = self.options(max_iterations)
-        call = functools.partial(self._call, point, given, units)
-        violated = self.measure.violated_at_once(point, given, units)
+        call = functools.partial(self._call, point, instance, units)
+        violated = self.measure.violated_at_once(point, instance, units)
         if not violated <= self.tolerance:
             status = Status.INFEASIBLE if np.isfinite(violated) else Status.NON_FINITE
-            return self.measure.outcome(call({**options, "iterations": 0}), units, given, status)
+            return self.measure.outcome(call({**options, "iterations": 0}), units, instance, status)
         watch = _Watch(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             fitted = _FITTED_AT if rescaling and not as_stated else ()
-            return self._from_point(point, given, units, options, watch, fitted)
+            return self._from_point(point, instance, units, options, watch, fitted)
         warm, violated = self._warm(point, start.dynamics, start.rows, units)
         if violated <= self.tolerance:
-            outcome = self._as_it_is(warm, point, given, units)
+            outcome = self._as_it_is(warm, point, instance, units)
             if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
                 return outcome
         closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
         near = {"complementarity": closer, **_near(violated)}
-        return self.measure.outcome(call({**options, **near}, warm, watch), units, given)
+        return self.measure.outcome(call({**options, **near}, warm, watch), units, instance)
 
-    def measured(self, point: Point, dynamics: Array, rows: Array, given: Given) -> Outcome:
+    def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
         """How far a point with multipliers is from the conditions of an optimum, in units that fit it."""
-        units = self.units(point, given)
-        return self._as_it_is(self._warm(point, dynamics, rows, units)[0], point, given, units)
+        units = self.units(point, instance)
+        return self._as_it_is(self._warm(point, dynamics, rows, units)[0], point, instance, units)
 
-    def _as_it_is(self, warm: Solution, point: Point, given: Given, units: StartUnits) -> Outcome:
+    def _as_it_is(self, warm: Solution, point: Point, instance: Given, units: StartUnits) -> Outcome:
         """How far a warm start is from the conditions of an optimum."""
-        result = self._call(point, given, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        return self.measure.outcome(result, units, given, warm=True)
+        result = self._call(point, instance, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self.measure.outcome(result, units, instance, warm=True)
 
     def _from_point(
         self,
         point: Point,
-        given: Given,
+        instance: Given,
         units: StartUnits,
         options: dict[str, float],
         watch: _Watch,
@@ -175,18 +175,18 @@ class CoreSolver:
                 return fresh is not None
 
             watch.also = is_misfit
-            result = self._call(point, given, units, options, None, watch)
+            result = self._call(point, instance, units, options, None, watch)
             watch.before += int(result.statistics["iterations"])
             if fresh is None:
                 break
             options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
         result.statistics["iterations"] = watch.before
-        return self.measure.outcome(result, units, given)
+        return self.measure.outcome(result, units, instance)
 
     def _call(
         self,
         point: Point,
-        given: Given,
+        instance: Given,
         units: StartUnits,
         options: dict[str, float],
         warm: Solution | None = None,
@@ -199,7 +199,7 @@ class CoreSolver:
         result = solve(
             staged.transcription.stages,
             functions,
-            *staged.limits(point, given),
+            *staged.limits(point, instance),
             staged.flat(point),
             staged.coordinates(point),
             units=Units(units.v, units.rows, units.equalities, COST * units.cost),

@@ -45,7 +45,7 @@ class CloseIntegration:
         problems: those of its phases.
     """
 
-    def __init__(self, staged: Staged, problems: Sequence[Any], given: Given) -> None:
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given) -> None:
         self._staged, self._phases = staged, list[Phase]()
         for part, problem in zip(staged.parts, problems):
             method = problem.transcription.finer.scheme
@@ -58,20 +58,20 @@ class CloseIntegration:
                     conditions=[np.full(len(own), INEQUALITY) for own in part.phase.conditions],
                 )
             )
-        self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(given))
+        self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(instance))
 
-    def at(self, z: Array, given: Given) -> tuple[Closely, ...]:
+    def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
         """Close integrations of all phases at a point of the problem."""
         own = self._transcription
-        own.set_data(self._staged.numbers.vector(given))
+        own.set_data(self._staged.numbers.vector(instance))
         seen = Evaluated(own, z)
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
-    def decided_rows(self, z: Array, given: Given) -> Array:
+    def decided_rows(self, z: Array, instance: Given) -> Array:
         """(rows,) of those at nodes, which ends or other rows decide; of others what stands there means nothing."""
         own, rows = self._transcription, []
-        own.set_data(self._staged.numbers.vector(given))
+        own.set_data(self._staged.numbers.vector(instance))
         h = Evaluated(own, z).h
         for part, path, nodes in zip(self._staged.parts, own.path_places, own.node_places):
             at_starts = np.zeros(part.phase.path.shape)

@@ -50,7 +50,7 @@ class Judge:
         #: Rows |a|^2 <= b^2 that stand for |a| <= b: their multipliers go like 1 / b as b goes to zero.
         self._cones = np.isin(np.asarray(shooting.names, str), cones)
 
-    def judged(self, outcome: Outcome, given: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
+    def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
         """The outcome with its accuracy, and with the status that this gives it.
 
         Args:
@@ -61,8 +61,8 @@ class Judge:
         if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
             return outcome
         z = self._staged.flat(outcome.point)
-        amplified = amplification(self._staged, outcome.point, given)
-        accuracy = self._accuracy(self._close.at(z, given), outcome, mesh_tolerance, tolerance, amplified)
+        amplified = amplification(self._staged, outcome.point, instance)
+        accuracy = self._accuracy(self._close.at(z, instance), outcome, mesh_tolerance, tolerance, amplified)
         outcome = outcome._replace(accuracy=accuracy, flat=self._flat(z, outcome))
         if not ended_well:
             return outcome

@@ -47,12 +47,12 @@ class Measure:
         """Whether ends alone decide a row."""
         return bool((self._transcribed.decided & ~self._transcribed.pinned).any())
 
-    def violated_at_once(self, point: Point, given: Given, units: StartUnits) -> float:
+    def violated_at_once(self, point: Point, instance: Given, units: StartUnits) -> float:
         """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
         if not self.is_decided:
             return 0.0
         problem = self._transcribed
-        rows = self._close.decided_rows(self._staged.flat(point), given)
+        rows = self._close.decided_rows(self._staged.flat(point), instance)
         violated = np.where(problem.equality, np.abs(rows), np.maximum(rows, 0.0)) / self.row_sizes(units)
         return float(np.where(problem.decided & ~problem.pinned, violated, 0.0).max(initial=0.0))
 
@@ -80,16 +80,16 @@ class Measure:
 
     @np.errstate(all="ignore")
     def outcome(
-        self, result: Solution, units: StartUnits, given: Given, status: Status | None = None, warm: bool = False
+        self, result: Solution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
     ) -> Outcome:
         """What came out; the status is that of the core unless it is known."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
         at, point = Evaluated(staged.transcription, result.z), staged.point(result.z)
-        lower, upper = staged.limits(point, given)
+        lower, upper = staged.limits(point, instance)
         rows = staged.all_rows(at.h, at.e, lower - result.v, result.v - upper)
         w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
         if problem.decided.any():
-            rows = np.where(problem.decided, self._close.decided_rows(result.z, given), rows)
+            rows = np.where(problem.decided, self._close.decided_rows(result.z, instance), rows)
         sizes = self.row_sizes(units)
         inequality = problem.exists & ~problem.equality
         slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)

@@ -22,17 +22,17 @@ _FACTORS, _NEAR = (3.0, 9.0, 1.0), 0.01
 _MOST = 0.9
 
 
-def perturbed(solver: CoreSolver, point: Point, given: Given, rng: np.random.Generator) -> Point:
+def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.Generator) -> Point:
     """A point with every free entry of states, controls and border moved by a random step.
 
     The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
     is exponential in a state, as air is in a height, else makes starts that mean nothing.
     """
-    staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, given)
+    staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance)
     z, scales = staged.flat(point), solver.measure.scales(units)
     d = np.where(solver.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
     u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)
-    here, (low, high) = np.asarray(point.border), np.asarray(given.limits).T
+    here, (low, high) = np.asarray(point.border), np.asarray(instance.limits).T
     spread = np.minimum((high - low) / 6.0, _MOVES[0] * units.border)
     border = np.where(free.border, rng.normal(size=here.shape) * spread, 0.0)
 
@@ -61,13 +61,13 @@ def beside(
     return solver.moved(point, Step(d, u, np.zeros(problem.border.size)))
 
 
-def with_fixed_durations(border: Border, start: Point, given: Given) -> Iterator[tuple[Point, Given]]:
+def with_fixed_durations(border: Border, start: Point, instance: Given) -> Iterator[tuple[Point, Given]]:
     """Starts with other durations, and the problem with these as limits; nothing where no duration is free.
 
     While durations are free a step may shorten what it should steer: a mass that moves away from where it is to stop
     comes nearest at once. At a fixed duration that is long enough there is no such point of rest.
     """
-    limits, begun = np.array(given.limits), np.asarray(start.border)
+    limits, begun = np.array(instance.limits), np.asarray(start.border)
     low, high = limits.T
     free = border.free & (np.arange(border.size) < border.phases) & (low < high)
     before = [begun]
@@ -78,4 +78,4 @@ def with_fixed_durations(border: Border, start: Point, given: Given) -> Iterator
             continue
         before.append(times)
         near = np.stack([np.maximum(low, (1.0 - _NEAR) * times), np.minimum(high, (1.0 + _NEAR) * times)], axis=1)
-        yield start._replace(border=times), given._replace(limits=np.where(free[:, None], near, limits))
+        yield start._replace(border=times), instance._replace(limits=np.where(free[:, None], near, limits))

@@ -18,16 +18,16 @@ from ..transcription.staged_phase import StagedPhase
 _SAMPLES, _MOVE = 2, 0.3
 
 
-def redundant_rows(staged: Staged, start: Point, given: Given) -> list[Array]:
+def redundant_rows(staged: Staged, start: Point, instance: Given) -> list[Array]:
     """Of each phase which inequalities at nodes have slopes in the span of those of the equalities there.
 
     They count if it is so at all samples, with these parameters and with others: the next solve may have those.
     """
-    samples = list(_samples(staged, start, given))
+    samples = list(_samples(staged, start, instance))
     return [_of_part(staged, number, samples) for number in range(len(staged.parts))]
 
 
-def _samples(staged: Staged, start: Point, given: Given) -> Iterator[Evaluated]:
+def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluated]:
     """Derivatives at random points, with these parameters and with others."""
     rng, free, z = np.random.default_rng(0), staged.transcribed.free, staged.flat(start)
     points = list[Array]()
@@ -36,14 +36,14 @@ def _samples(staged: Staged, start: Point, given: Given) -> Iterator[Evaluated]:
         u, b = (_stirred(rng, np.asarray(a)) - a for a in (start.us, start.border))
         step = staged.step(d, np.where(free.u, u, 0.0), np.where(free.border, b, 0.0))
         points.append(moved(staged.transcription, z, step))
-    changed = [jax.tree.map(lambda a, i=i: _stirred(np.random.default_rng(i), a), given.params) for i in range(2)]
-    for params in (given.params, *changed):
-        staged.set_given(given._replace(params=params))
+    changed = [jax.tree.map(lambda a, i=i: _stirred(np.random.default_rng(i), a), instance.params) for i in range(2)]
+    for params in (instance.params, *changed):
+        staged.set_given(instance._replace(params=params))
         for point in points:
             at = Evaluated(staged.transcription, point)
             if at.differentiate():
                 yield at
-    staged.set_given(given)
+    staged.set_given(instance)
 
 
 def _stirred(rng: np.random.Generator, values: Any) -> Array:

@@ -22,13 +22,13 @@ IMPLICIT, IMPLICIT_NAME = Collocation(tableaus.RADAU_IIA5), "Collocation(tx.tabl
 _AMPLIFIES = 1.2
 
 
-def stiffness(staged: Staged, point: Point, given: Given) -> float:
+def stiffness(staged: Staged, point: Point, instance: Given) -> float:
     """The largest product of an eigenvalue of the rates' Jacobian, at a node, and a substep; of explicit phases."""
-    explicit = [z for part, z in zip(staged.parts, _modes(staged, point, given)) if not part.phase.method.implicit]
+    explicit = [z for part, z in zip(staged.parts, _modes(staged, point, instance)) if not part.phase.method.implicit]
     return max((float(np.abs(z).max(initial=0.0)) for z in explicit), default=0.0)
 
 
-def amplification(staged: Staged, point: Point, given: Given) -> list[Array]:
+def amplification(staged: Staged, point: Point, instance: Given) -> list[Array]:
     r"""Of each phase (intervals,): by how much a substep multiplies a mode that does not grow; 1 where that is little.
 
     A Runge-Kutta method multiplies a mode with eigenvalue $\lambda$ by $R(z) = \det(I - z A + z 1 b^T) / \det(I - z A)$
@@ -37,7 +37,7 @@ def amplification(staged: Staged, point: Point, given: Given) -> list[Array]:
     Source: Hairer and Wanner, Solving ordinary differential equations II (1996), section IV.3.
     """
     amplified = []
-    for part, z in zip(staged.parts, _modes(staged, point, given)):
+    for part, z in zip(staged.parts, _modes(staged, point, instance)):
         a, b = np.asarray(part.phase.method.a, float), np.asarray(part.phase.method.b, float)
         of_stages = np.eye(len(b)) - z[..., None, None] * a
         grown = np.linalg.det(of_stages + z[..., None, None] * b) / np.linalg.det(of_stages)
@@ -46,10 +46,10 @@ def amplification(staged: Staged, point: Point, given: Given) -> list[Array]:
     return amplified
 
 
-def _modes(staged: Staged, point: Point, given: Given) -> list[Array]:
+def _modes(staged: Staged, point: Point, instance: Given) -> list[Array]:
     """Of each phase (intervals, n): eigenvalues of the rates' Jacobian at the first node times a substep, or zero."""
-    staged.set_given(given)
-    data, every, border = staged.numbers.vector(given), list[Array](), np.asarray(point.border)
+    staged.set_given(instance)
+    data, every, border = staged.numbers.vector(instance), list[Array](), np.asarray(point.border)
     for part, segment in zip(staged.parts, staged.transcribed.segments):
         phase, here, n, size = part.phase, segment.of(point), part.shooting.n, part.shooting.size
         count = phase.intervals

@@ -56,12 +56,14 @@ class Strategy(enum.Enum):
 def solved(
     solver: CoreSolver,
     start: Point | WarmStart,
-    given: Given,
+    instance: Given,
     budget: Budget,
     strategies: Collection[Strategy] = tuple(Strategy),
 ) -> Outcome:
     """A solve from a start, in units that fit its result, at a minimum where one is near."""
-    return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Point)).run(start, given)
+    return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Point)).run(
+        start, instance
+    )
 
 
 class _Search:
@@ -74,84 +76,84 @@ class _Search:
     def __init__(self, solver: CoreSolver, budget: Budget, strategies: Collection[Strategy], *, limited: bool) -> None:
         self._solver, self._budget, self._strategies, self._limited = solver, budget, strategies, limited
 
-    def run(self, start: Point | WarmStart, given: Given) -> Outcome:
+    def run(self, start: Point | WarmStart, instance: Given) -> Outcome:
         """The strategies, one after the other, as long as the search comes to no optimum."""
-        result = self._near(start, given)
+        result = self._near(start, instance)
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
         if at_once or isinstance(start, WarmStart):
             return result._replace(iterations=self._budget.used)
         if self._may_repeat(result, Strategy.STATED_SCALES):
-            stated = self._once(start, given, as_stated=True)  # the units of a statement are often well chosen
+            stated = self._once(start, instance, as_stated=True)  # the units of a statement are often well chosen
             if stated.status in AT_OPTIMUM:
-                result = self._at_minimum(stated, given)
+                result = self._at_minimum(stated, instance)
         for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
             if not self._may_repeat(result, Strategy.PERTURBED_STARTS):
                 break
-            other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), given)
+            other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), instance)
             if other.status in AT_OPTIMUM:
                 result = other
         if self._may_repeat(result, Strategy.FIXED_DURATIONS):
-            result = self._with_fixed_durations(result, start, given)
+            result = self._with_fixed_durations(result, start, instance)
         return result._replace(iterations=self._budget.used)
 
     def _may_repeat(self, result: Outcome, strategy: Strategy) -> bool:
         return result.status in _AT_REST and not self._budget.is_spent and strategy in self._strategies
 
-    def _once(self, start: Any, given: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
+    def _once(self, start: Any, instance: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         budget = self._budget
         most = min(_MOST, budget.left) if self._limited else budget.left
         rescaling = Strategy.RESCALING in self._strategies
         result = self._solver.run_once(
-            start, given, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling
+            start, instance, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling
         )
         budget.used += min(result.iterations, most)
         is_stopped = result.status is Status.STOPPED
         return result._replace(status=budget.ended or result.status) if is_stopped else result
 
-    def _fitting(self, start: Any, given: Given) -> Outcome:
+    def _fitting(self, start: Any, instance: Given) -> Outcome:
         if Strategy.RESCALING in self._strategies:
-            return in_fitting_units(self._solver, self._once, start, given)
-        return self._once(start, given)
+            return in_fitting_units(self._solver, self._once, start, instance)
+        return self._once(start, instance)
 
-    def _at_minimum(self, result: Outcome, given: Given) -> Outcome:
+    def _at_minimum(self, result: Outcome, instance: Given) -> Outcome:
         if Strategy.LEAVING_SADDLES not in self._strategies:
             return result
-        return at_a_minimum(self._solver, lambda start: self._fitting(start, given), result)
+        return at_a_minimum(self._solver, lambda start: self._fitting(start, instance), result)
 
-    def _near(self, start: Any, given: Given) -> Outcome:
-        return self._at_minimum(self._fitting(start, given), given)
+    def _near(self, start: Any, instance: Given) -> Outcome:
+        return self._at_minimum(self._fitting(start, instance), instance)
 
-    def _with_fixed_durations(self, rested: Outcome, start: Point, given: Given) -> Outcome:
+    def _with_fixed_durations(self, rested: Outcome, start: Point, instance: Given) -> Outcome:
         """What runs come to that begin with fixed durations; the earlier outcome if no such run succeeds.
 
         Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
         """
-        for point, fixed in other_starts.with_fixed_durations(self._solver.staged.border, start, given):
+        for point, fixed in other_starts.with_fixed_durations(self._solver.staged.border, start, instance):
             if self._budget.is_spent:
                 break
             result = self._near(point, fixed)
             if result.status is not Status.SOLVED or self._budget.is_spent:
                 continue
-            freed = self._near(result.point, given)
+            freed = self._near(result.point, instance)
             if freed.status is Status.SOLVED:
                 return freed
         return rested
 
 
-def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, given: Given) -> Outcome:
+def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
     """A solve whose objective counts in units that fit the result: those of a start may be worth nothing there.
 
     What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
     optimal.
     """
-    result = solve(start, given)
+    result = solve(start, instance)
     known = start.units if isinstance(start, WarmStart) and result.status is Status.SOLVED else None
     if known is not None and known.fit(solver.staged, result.point):  # those of an earlier result close by
         return result
     for _ in range(_ROUNDS):
         if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
             break
-        fresh, used = solver.units(result.point, given), result.scales
+        fresh, used = solver.units(result.point, instance), result.scales
         floor = _SMALL * float(used.cost)
         ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
         error = max(result.errors.stationarity, result.errors.gap)
@@ -159,13 +161,13 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
             result = result._replace(units=fresh)  # for warm starts there
             break
         if result.status in AT_OPTIMUM:
-            measured = solver.run_once(warm_at(result, given), given, 0)
+            measured = solver.run_once(warm_at(result, instance), instance, 0)
             if measured.status in AT_OPTIMUM:
                 result = measured._replace(iterations=result.iterations, saddle=result.saddle)
                 break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(warm_at(result, given) if near else result.point, given, floor)
+        again = solve(warm_at(result, instance) if near else result.point, instance, floor)
         if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
@@ -175,9 +177,9 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
     return result
 
 
-def warm_at(result: Outcome, given: Given) -> WarmStart:
+def warm_at(result: Outcome, instance: Given) -> WarmStart:
     """A start at a result."""
-    return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, given.params)
+    return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, instance.params)
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:

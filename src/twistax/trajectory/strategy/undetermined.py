@@ -50,7 +50,7 @@ class Undetermined(NamedTuple):
 
 
 def undetermined(
-    staged: Staged, warm: WarmStart, given: Given, derivatives: Sequence[Mapping[str, str]]
+    staged: Staged, warm: WarmStart, instance: Given, derivatives: Sequence[Mapping[str, str]]
 ) -> list[Undetermined]:
     """The controls that a solution does not determine, to second order.
 
@@ -62,7 +62,7 @@ def undetermined(
     Args:
         derivatives: of each phase: name of a held derivative of a control -> what it is.
     """
-    staged.set_given(given)
+    staged.set_given(instance)
     scales, sizes = warm.scales, _control_sizes(staged, warm)
     moves = _Moves(staged, warm, sizes)
     if moves.count > _MOST:

@@ -61,9 +61,9 @@ class WarmStart:
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
         us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():
-            given = self.problem.started(begin=point).given._replace(params=self.params)
-            staged = self.problem.core(1e-6, point, given).staged
-            last, data = staged.parts[0], staged.numbers.vector(given)
+            instance = self.problem.started(begin=point).given._replace(params=self.params)
+            staged = self.problem.core(1e-6, point, instance).staged
+            last, data = staged.parts[0], staged.numbers.vector(instance)
             rollout = Rollout(last, problem.transcription, staged.border.size, data)
             nodes = list(last.point.joined(point.xs, 1))
             for _ in range(steps):
@@ -100,7 +100,7 @@ def warm_start(value: Any) -> WarmStart:
     return warm
 
 
-def with_ends(warm: WarmStart, problem: Any, ends: Any, given: Given) -> WarmStart:
+def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> WarmStart:
     """The warm start at other ends, and within the limits of times and free parameters.
 
     Raises:
@@ -112,8 +112,8 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, given: Given) -> WarmSta
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
     if shapes != expected:
         raise other_problem()
-    start = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(given.limits).T))
-    same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in given.params.items())
+    start = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
+    same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in instance.params.items())
     return dataclasses.replace(warm, point=start, units=warm.units if same else None)
 
 

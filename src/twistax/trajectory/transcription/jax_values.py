@@ -52,9 +52,9 @@ class JaxValues:
         self._gap, self._end = compiled(shooting.local.gap), compiled(shooting.end_at)
         self._nodes = {k: compiled(functools.partial(shooting.node_at, k)) for k in shooting.conditions}
 
-    def __call__(self, point: Point, given: Given, d: jax.Array | None = None) -> Values:
+    def __call__(self, point: Point, instance: Given, d: jax.Array | None = None) -> Values:
         """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
-        phase, params = self._shooting, given.params
+        phase, params = self._shooting, instance.params
         d = jnp.zeros((phase.nodes, phase.n), point.us.dtype) if d is None else d
         left, right = ({name: a[part] for name, a in point.xs.items()} for part in (slice(-1), slice(1, None)))
         shares, widths = (jnp.asarray(a, d.dtype) for a in (phase.mesh.shares[:-1], phase.mesh.widths))
@@ -71,9 +71,9 @@ class JaxValues:
         for k, conditions in self._nodes.items():
             values = conditions(*at(k), params)
             of_nodes = of_nodes.at[k, : len(values)].set(values)
-        end = self._end(*at(-1), given)
+        end = self._end(*at(-1), instance)
         rows = jnp.concatenate([jnp.concatenate([rows, of_nodes], axis=1).reshape(-1), end[:-1]])
-        return Values(jnp.sum(costs) + end[-1], defects, rows + given.margins)
+        return Values(jnp.sum(costs) + end[-1], defects, rows + instance.margins)
 
     def _interval(self, fixed: _Fixed, eta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Where an interval ends that starts at eta, its path rows, and its share of the running cost."""

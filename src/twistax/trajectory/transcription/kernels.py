@@ -219,8 +219,8 @@ class PhaseFunctions:
     def _end(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
         phase = self._made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
         z, data, numbers = known[Argument.Z], known[Argument.DATA], self._numbers
-        given = Given(params, numbers.final(data, phase.phase), numbers.limits(data))
-        return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), given)
+        instance = Given(params, numbers.final(data, phase.phase), numbers.limits(data))
+        return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), instance)
 
     def _node(self, conditions: Conditions) -> Traced:
         def at_node(known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:

@@ -83,7 +83,7 @@ def _limits(free: Any) -> tuple[float, float] | None:
 
 
 def mesh_of(nodes: Any) -> Mesh:
-    """The mesh that was given, or that of so many nodes, or with nodes at these shares."""
+    """The mesh that was instance, or that of so many nodes, or with nodes at these shares."""
     return nodes if isinstance(nodes, Mesh) else Mesh(nodes)
 
 

@@ -116,7 +116,7 @@ def transcription_of(transcription: Any, method: Any, substeps: Any) -> Multiple
     """The transcription itself, or multiple shooting by a method.
 
     Raises:
-        TrajectoryError: another object, or both are given.
+        TrajectoryError: another object, or both are instance.
     """
     if transcription is None:
         chosen = {} if substeps is None else {"substeps": substeps}

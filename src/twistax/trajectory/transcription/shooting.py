@@ -54,7 +54,7 @@ class Segment(NamedTuple):
 
 
 class Transcribed(ABC):
-    """What solvers are given: a discrete problem in stages.
+    """What solvers are instance: a discrete problem in stages.
 
     Attributes:
         n, m: tangents of a node and controls of an interval, of the largest phase.
@@ -263,13 +263,13 @@ class Shooting(Transcribed):
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
-    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], instance: Given) -> jax.Array:
         """The rows of the end and the final cost, from where the last node is and the border."""
         base, b = last[0], last[1] + z[self.n :]
-        params = self._at_share(given.params, 1.0) | self.border.params(b)
+        params = self._at_share(instance.params, 1.0) | self.border.params(b)
         begin, length = self.span(b)
-        conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, given.final, params)
-        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
+        conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, instance.final, params)
+        limits = self.border.rows(b, instance.limits) if self.is_last else jnp.zeros(0, b.dtype)
         return jnp.concatenate([conditions, gap[self.layout.fixed], path[self.layout.end_states], limits, cost[None]])
 
     def span(self, b: Any) -> tuple[Any, Any]:

@@ -28,7 +28,7 @@ class Staged:
     Args:
         transcribed: the discrete problem.
         problems: the problems of its phases.
-        given: what it is solved for, for shapes.
+        instance: what it is solved for, for shapes.
 
     Attributes:
         numbers: what a solve is for, as one vector.
@@ -40,10 +40,10 @@ class Staged:
         turning: which entries of v are rotations.
     """
 
-    def __init__(self, transcribed: Transcribed, problems: Sequence[Any], given: Given) -> None:
+    def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Given) -> None:
         self.transcribed, self.border = transcribed, transcribed.border
         points = [point_of(problem.shooting) for problem in problems]
-        self.numbers = Numbers(points, given, [problem.shooting.by_node for problem in problems])
+        self.numbers = Numbers(points, instance, [problem.shooting.by_node for problem in problems])
         with in_double():
             every = [PhaseFunctions(p.shooting, self.numbers, p.squares, p.order) for p in problems]
             pairs = zip(every, transcribed.joins, problems[1:])
@@ -54,11 +54,11 @@ class Staged:
                     zip(transcribed.segments, problems, every, [*joins, None])
                 )
             ]
-        self._assemble(given)
+        self._assemble(instance)
 
-    def _assemble(self, given: Given) -> None:
+    def _assemble(self, instance: Given) -> None:
         phases = [part.phase for part in self.parts]
-        self.transcription = Transcription(phases, self.border.size, self.numbers.vector(given))
+        self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
         stages = self.transcription.stages
         self.first, first = stages.first, stages.first_point
         self._shared = stages.variables - stages.parameters, stages.points - stages.parameters
@@ -111,23 +111,23 @@ class Staged:
         # Padding of smaller phases has no place either.
         self._places = transcribed.whole_rows([place - nothing for place in places]).astype(int) + nothing
 
-    def drop(self, rows: Sequence[Array], given: Given) -> None:
+    def drop(self, rows: Sequence[Array], instance: Given) -> None:
         """Take rows out of each phase that others decide; they are only checked."""
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
-        self._assemble(given)
+        self._assemble(instance)
 
-    def alone(self, given: Given) -> Staged:
+    def alone(self, instance: Given) -> Staged:
         """The same for another thread: kernels are shared, memory is not."""
         other = copy.copy(self)
-        other._assemble(given)
+        other._assemble(instance)
         return other
 
-    def set_given(self, given: Given) -> None:
+    def set_given(self, instance: Given) -> None:
         """What it is solved for from now on."""
-        self.transcription.set_data(self.numbers.vector(given))
-        self._margins = np.broadcast_to(np.asarray(given.margins), self._margins.shape)
+        self.transcription.set_data(self.numbers.vector(instance))
+        self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
         for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
             rows = self.transcribed.rows_of(segment, self._margins)
             self.transcription.set_margins(number, *part.by_place(rows))
@@ -190,11 +190,11 @@ class Staged:
 
     # ---- limits and rows ------------------------------------------------------------------------------------------
 
-    def limits(self, point: Point, given: Given) -> tuple[Array, Array]:
+    def limits(self, point: Point, instance: Given) -> tuple[Array, Array]:
         """Lower and upper bounds of v; equal where an entry is fixed."""
         v = self.coordinates(point)
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
-        lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(given.limits).T
+        lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T
         rows, places, is_upper, limits = self._bounds
         for bound, side, most, sign in ((lower, False, np.maximum, 1.0), (upper, True, np.minimum, -1.0)):
             at = ~np.isnan(limits) & (is_upper == side)

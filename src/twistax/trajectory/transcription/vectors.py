@@ -56,7 +56,7 @@ class Numbers:
 
     Args:
         points: a node's states of each phase.
-        given: what it is solved for, for shapes.
+        instance: what it is solved for, for shapes.
         by_node: `ByNode` of each phase, the parameters that have a value for each node. Their rows follow the numbers.
 
     Attributes:
@@ -65,25 +65,27 @@ class Numbers:
         key: equal where numbers are laid out alike.
     """
 
-    def __init__(self, points: Sequence[Flat], given: Given, by_node: Sequence[Any]) -> None:
+    def __init__(self, points: Sequence[Flat], instance: Given, by_node: Sequence[Any]) -> None:
         self._by_node = by_node
         with_rows = {name for part in by_node for name in part.leaves}
-        self._params = Flat({name: np.shape(value) for name, value in given.params.items() if name not in with_rows})
-        self._points, self._limits = points, np.shape(given.limits)
+        self._params = Flat({name: np.shape(value) for name, value in instance.params.items() if name not in with_rows})
+        self._points, self._limits = points, np.shape(instance.limits)
         sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
         self._ends = np.cumsum([0, *sizes]).tolist()
         self.size = self._ends[-1]
         self.names = tuple(self._params.shapes)
         self.key = (*(tuple(p.shapes.values()) for p in (self._params, *points)), self._limits)
 
-    def vector(self, given: Given) -> Array:
+    def vector(self, instance: Given) -> Array:
         """The numbers of a solve."""
-        ends = given.final if isinstance(given.final, PhaseEnds) else PhaseEnds((given.final,), (given.final,))
-        parts = [self._params.joined(given.params)]
+        ends = (
+            instance.final if isinstance(instance.final, PhaseEnds) else PhaseEnds((instance.final,), (instance.final,))
+        )
+        parts = [self._params.joined(instance.params)]
         for point, initial, final in zip(self._points, ends.initial, ends.final):
             parts += [point.joined(initial), point.joined(final)]
-        rows = [part.rows(given.params).ravel() for part in self._by_node]
-        return np.concatenate([*parts, np.ravel(given.limits), *rows])
+        rows = [part.rows(instance.params).ravel() for part in self._by_node]
+        return np.concatenate([*parts, np.ravel(instance.limits), *rows])
 
     def node_rows(self, phase: int) -> tuple[int, int]:
         """Where the rows of a phase begin, and how many entries each has."""
