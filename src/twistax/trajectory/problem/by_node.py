@@ -34,17 +34,17 @@ class ByNode:
     shares: Array
 
     @classmethod
-    def of(cls, given: Any, shares: Array) -> ByNode:
+    def of(cls, value: Any, shares: Array) -> ByNode:
         """From what a problem was stated with.
 
         Raises:
             ModelError: no list of parameters.
         """
-        if isinstance(given, ByNode):
-            return dataclasses.replace(given, shares=shares)
-        listed = [] if given is None else given
+        if isinstance(value, ByNode):
+            return dataclasses.replace(value, shares=shares)
+        listed = [] if value is None else value
         if not isinstance(listed, (list, tuple)) or not all(isinstance(leaf, Parameter) for leaf in listed):
-            raise ModelError(f"by_node expects a list of parameters, such as [reference, weight], got {short(given)}")
+            raise ModelError(f"by_node expects a list of parameters, such as [reference, weight], got {short(value)}")
         return cls({leaf.name: leaf for leaf in listed}, shares, shares)
 
     def check(
@@ -63,9 +63,9 @@ class ByNode:
                 "  fix: leave it out of one of them; a control is a quantity that the optimiser chooses over time"
             )
         known = {leaf.name for expr in objective for leaf in leaves_of(expr)}
-        others = {leaf.name for expr in elsewhere for leaf in leaves_of(expr)} | set(read)
+        elsewhere_read = {leaf.name for expr in elsewhere for leaf in leaves_of(expr)} | set(read)
         for name in self.leaves:
-            if name in others:
+            if name in elsewhere_read:
                 raise ModelError(
                     f"by_node names {name!r}, which a rate, a constraint or a bound of a norm reads; a value for each "
                     "node is for the objective.\n  fix: take a table over time there, or a square in place of a norm"
@@ -75,25 +75,25 @@ class ByNode:
                     f"by_node names {name!r}, which the objective does not read.\n  fix: leave it out of by_node"
                 )
 
-    def values(self, name: str, given: Any) -> Array:
+    def values(self, name: str, value: Any) -> Array:
         """(nodes, ...) of a parameter, from as many, from those for the nodes as stated, or from one for all.
 
         Raises:
             InputError, ShapeError: other values.
         """
-        shape, found = self.leaves[name].shape, reals(f"params[{name!r}]", given, InputError)
-        if not np.isfinite(found).all():
-            raise InputError(f"params[{name!r}] expects finite numbers, got {short(found)}")
-        if found.shape == shape:
-            return np.broadcast_to(found, (len(self.shares), *shape)).copy()
-        if found.shape == (len(self.shares), *shape):
-            return found
-        if found.shape != (len(self.stated), *shape):
+        shape, rows = self.leaves[name].shape, reals(f"params[{name!r}]", value, InputError)
+        if not np.isfinite(rows).all():
+            raise InputError(f"params[{name!r}] expects finite numbers, got {short(rows)}")
+        if rows.shape == shape:
+            return np.broadcast_to(rows, (len(self.shares), *shape)).copy()
+        if rows.shape == (len(self.shares), *shape):
+            return rows
+        if rows.shape != (len(self.stated), *shape):
             raise ShapeError(
                 f"params[{name!r}] expects a row for each node {(len(self.stated), *shape)}, or one value {shape}, "
-                f"got {found.shape}"
+                f"got {rows.shape}"
             )
-        columns = [np.interp(self.shares, self.stated, own) for own in found.reshape(len(found), -1).T]
+        columns = [np.interp(self.shares, self.stated, column) for column in rows.reshape(len(rows), -1).T]
         return np.stack(columns, axis=1).reshape(-1, *shape)
 
     # ---- as kernels read them: a row for each node, with its own values and those of the next ------------------------

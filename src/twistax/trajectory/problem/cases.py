@@ -31,33 +31,33 @@ class Cases:
         TrajectoryError: none of them has an axis of cases.
     """
 
-    def __init__(self, axes: Mapping[str, Any], given: Mapping[str, Any]) -> None:
+    def __init__(self, axes: Mapping[str, Any], arguments: Mapping[str, Any]) -> None:
         self._counts: dict[str, int] = {}
-        self._chosen = {what: self._of(what, own, axes.get(what)) for what, own in given.items()}
+        self._chosen = {what: self._of(what, value, axes.get(what)) for what, value in arguments.items()}
         if not self._counts:
             raise TrajectoryError(
                 "solve_many: no argument has an axis of cases; e.g. initial={state: array of (cases, *shape)}"
             )
         self.count = next(iter(self._counts.values()))
         if len(set(self._counts.values())) > 1:
-            told = ", ".join(f"{name} has {count}" for name, count in self._counts.items())
-            raise ShapeError(f"solve_many expects as many cases in every argument: {told}")
+            counts = ", ".join(f"{name} has {count}" for name, count in self._counts.items())
+            raise ShapeError(f"solve_many expects as many cases in every argument: {counts}")
 
     def case(self, k: int) -> dict[str, Any]:
         """The arguments of one."""
         return {name: choose(k) for name, choose in self._chosen.items()}
 
-    def _of(self, what: str, given: Any, axes: Any) -> Choose:
+    def _of(self, what: str, value: Any, axes: Any) -> Choose:
         """What has so many axes, or is a dict of what has; what is not known is the same in all cases."""
         if isinstance(axes, int):
-            return self._axis(what, given, axes)
-        if not isinstance(given, Mapping) or axes is None:
-            return lambda _: given
-        own: dict[Any, Choose] = {}
-        for key, value in given.items():
+            return self._axis(what, value, axes)
+        if not isinstance(value, Mapping) or axes is None:
+            return lambda _: value
+        choices: dict[Any, Choose] = {}
+        for key, entry in value.items():
             name = name_of(key)
-            own[name] = self._of(f"{what}[{name!r}]", value, axes.get(name, 0))
-        return lambda k: {name: choose(k) for name, choose in own.items()}
+            choices[name] = self._of(f"{what}[{name!r}]", entry, axes.get(name, 0))
+        return lambda k: {name: choose(k) for name, choose in choices.items()}
 
     def _axis(self, what: str, value: Any, dimensions: int) -> Choose:
         """An argument with so many axes in each case; with one more, the first counts the cases."""
@@ -84,13 +84,13 @@ def started_cases(
     Raises:
         TwistaxError: no case fits: that of the first, with its number.
     """
-    found: list[Started | TwistaxError] = []
+    started: list[Started | TwistaxError] = []
     for k in range(cases.count):
         try:
-            found.append(problem.started(**cases.case(k), sizes=None if sizes is None else sizes(k)))
+            started.append(problem.started(**cases.case(k), sizes=None if sizes is None else sizes(k)))
         except TwistaxError as error:
             error.args = (f"case {k}: {error}",)
-            found.append(error)
-    if isinstance(found[0], TwistaxError) and all(isinstance(case, TwistaxError) for case in found):
-        raise found[0]
-    return found
+            started.append(error)
+    if isinstance(started[0], TwistaxError) and all(isinstance(case, TwistaxError) for case in started):
+        raise started[0]
+    return started

@@ -57,18 +57,18 @@ class Conditions:
 
     def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
         """(entries,) those that nothing can change where these entries of the states are fixed."""
-        whole, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
-        found: list[bool] = []
+        fixed_states, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
+        decided: list[bool] = []
         for residual in self.residuals:
             leaves = list(leaves_of(residual))
-            moves = any(
-                (isinstance(leaf, State) and leaf.name not in whole)
+            is_free = any(
+                (isinstance(leaf, State) and leaf.name not in fixed_states)
                 or (isinstance(leaf, Parameter) and leaf.name in loose)
                 or (isinstance(leaf, Time) and not at_known_time)
                 for leaf in leaves
             )
-            found += [not moves] * prod(residual.shape)
-        return np.array(found, bool)
+            decided += [not is_free] * prod(residual.shape)
+        return np.array(decided, bool)
 
 
 def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constraint]) -> Conditions:
@@ -76,18 +76,18 @@ def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constra
     names: list[str] = []
     residuals: list[Expr] = []
     equality: list[bool] = []
-    for own, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
-        name = f"{place}: {own}"
+    for label, constraint in sorted(constraints.items(), key=lambda item: isinstance(item[1], Equality)):
+        name = f"{place}: {label}"
         check_leaves(dynamics, name, constraint, controls=False)
         residual = residual_of(constraint)
         shape, is_equality = residual.check_shape(), isinstance(constraint, Equality)
         row = residual.canonicalize()
-        asked = limited(name, row, is_equality)
-        names += itertools.compress(entry_names(name, shape), asked.ravel())
-        if asked.any():
-            row = row if asked.all() else row[np.nonzero(asked)]
+        finite = limited(name, row, is_equality)
+        names += itertools.compress(entry_names(name, shape), finite.ravel())
+        if finite.any():
+            row = row if finite.all() else row[np.nonzero(finite)]
             residuals.append(row if is_equality else without_end(row))
-        equality += [is_equality] * int(asked.sum())
+        equality += [is_equality] * int(finite.sum())
     return Conditions(tuple(names), tuple(residuals), np.array(equality, bool))
 
 
@@ -107,21 +107,21 @@ def stated_values(
 
     An equality says a value where one term of it is a state, or a part of one, and all others read parameters alone.
     """
-    known, found = {state.name: state for state in states}, dict[str, Array]()
+    known, known_values = {state.name: state for state in states}, dict[str, Array]()
     for constraint in constraints:
-        stated = _stated_value(constraint) if isinstance(constraint, Equality) else None
-        if stated is None:
+        equation = _stated_value(constraint) if isinstance(constraint, Equality) else None
+        if equation is None:
             continue
-        name, index, value = stated
+        name, index, value = equation
         state = known[name]
-        values = found.setdefault(name, np.full(state.shape, np.nan))
+        values = known_values.setdefault(name, np.full(state.shape, np.nan))
         numbers = value.value if isinstance(value, Constant) else PointValues.of([value])(np.zeros(1), {}, {}, params)
         values[index] = np.reshape(numbers, value.shape)
-    for name, values in found.items():
+    for name, values in known_values.items():
         for part in () if known[name].group.flat else known[name].group.parts:
             if part.unit == "rad" and np.isnan(values[part.place]).any():
                 values[part.place] = np.nan  # a part of a rotation is none
-    return found
+    return known_values
 
 
 def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
@@ -142,11 +142,11 @@ def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
     return (base.name, index, value) if isinstance(base, State) and part.shape == value.shape == shape else None
 
 
-def split(what: str, given: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
+def split(what: str, end: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
     """Values and named constraints from what an end may be: a mapping, a constraint, or a list of both."""
     values: dict[Any, Any] = {}
     constraints: dict[str, Asked] = {}
-    items: Sequence[Any] = list(given) if isinstance(given, (list, tuple)) else [] if given is None else [given]
+    items: Sequence[Any] = list(end) if isinstance(end, (list, tuple)) else [] if end is None else [end]
     for item in items:
         refuse_conditions(what, item)
         if isinstance(item, Mapping):
@@ -167,47 +167,47 @@ def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
         raise ModelError(
             f"at must be a dict from numbers of nodes to constraints, got {short(at)}; e.g. at={{5: p >= 1}}"
         )
-    found = {}
-    for node, given in (at or {}).items():
+    by_node = {}
+    for node, conditions_at in (at or {}).items():
         if isinstance(node, bool) or not isinstance(node, (int, np.integer)) or not 0 < node < nodes - 1:
             raise TrajectoryError(
                 f"at names the node {short(node)}; inner nodes have the numbers 1 to {nodes - 2}.\n"
                 "  fix: conditions on the first and the last node belong to initial= and final="
             )
-        values, constraints = split(f"at[{node}]", given)
+        values, constraints = split(f"at[{node}]", conditions_at)
         if values:
             raise ModelError(
                 f"at[{node}] expects constraints, got values of {listed(map(name_of, values))}; e.g. p == 1.0"
             )
-        found[int(node)] = constraints
-    return found
+        by_node[int(node)] = constraints
+    return by_node
 
 
 def end_values(
-    states: Sequence[State], what: str, given: Mapping[Any, Any] | None, declared: bool
+    states: Sequence[State], what: str, stated_end: Mapping[Any, Any] | None, declared: bool
 ) -> dict[str, Array | None]:
     """The initial or final value of every state, NaN where an entry is free, None where all are."""
     leaves = {state.name: state for state in states}
     values: dict[str, Array | None] = {name: getattr(e, what) if declared else None for name, e in leaves.items()}
-    if given is not None and not isinstance(given, Mapping):
-        raise ModelError(f"{what} must be a mapping from state names to values, got {type(given).__name__}")
-    for key, value in (given or {}).items():
+    if stated_end is not None and not isinstance(stated_end, Mapping):
+        raise ModelError(f"{what} must be a mapping from state names to values, got {type(stated_end).__name__}")
+    for key, value in (stated_end or {}).items():
         name = name_of(key)
         if name not in leaves:
             raise ModelError(f"{what} names {name!r}; the states are: {listed(leaves, name)}")
         values[name] = leaves[name].boundary(what, value)
     for bound in bounds_of(states):
         array = values[bound.leaf]
-        found = np.nan if array is None else array.ravel()[bound.entry]
-        excess = bound.sign * (found - bound.limit)
+        number = np.nan if array is None else array.ravel()[bound.entry]
+        excess = bound.sign * (number - bound.limit)
         if array is not None and 0.0 < excess <= _ROUNDING * abs(bound.limit):
             array = values[bound.leaf] = np.array(array)
             array.reshape(-1)[bound.entry] = bound.limit
         elif excess > 0.0:
             symbol = ">" if bound.sign > 0.0 else "<"
             raise TrajectoryError(
-                f"the {what} value of {bound.place} must keep its bound, but is {found:.12g}: "
-                f"{found:.12g} {symbol} {bound.limit:.12g}.\n"
+                f"the {what} value of {bound.place} must keep its bound, but is {number:.12g}: "
+                f"{number:.12g} {symbol} {bound.limit:.12g}.\n"
                 "  fix: clip a measured state with np.clip, or state the limit in constraints={...}: then this case "
                 "alone is INFEASIBLE"
             )
@@ -240,7 +240,7 @@ def ends_of(states: Sequence[State], initial: Any, final: Any, declared: tuple[b
     """
     first = end_values(states, "initial", initial, declared[0])
     last = end_values(states, "final", final, declared[1])
-    fixed = [{s.name: fixed_entries(s, own[s.name]) for s in states} for own in (first, last)]
+    fixed = [{s.name: fixed_entries(s, side[s.name]) for s in states} for side in (first, last)]
     return Ends(first, last, *fixed)
 
 

@@ -101,14 +101,14 @@ def rate_name(name: str) -> str:
 
 def rates_among(controls: Sequence[Control]) -> dict[str, tuple[str, int]]:
     """Name of a rate among controls -> the name of the control whose rate it is, and how often it is taken."""
-    known, found = {leaf.name for leaf in controls}, {}
+    known, rates = {leaf.name for leaf in controls}, {}
     for name in known:
         inner, order = name, 0
         while inner.startswith(_RATE_OF):
             inner, order = inner.removeprefix(_RATE_OF), order + 1
             if inner in known:
-                found[name] = inner, order
-    return found
+                rates[name] = inner, order
+    return rates
 
 
 def is_rate(leaf: Any, controls: Sequence[Control]) -> bool:
@@ -116,7 +116,7 @@ def is_rate(leaf: Any, controls: Sequence[Control]) -> bool:
     return isinstance(leaf, Control) and leaf.name in rates_among([*controls, leaf])
 
 
-def continuous_controls(given: Any, controls: Sequence[Control]) -> dict[str, Spline]:
+def continuous_controls(interpolations: Any, controls: Sequence[Control]) -> dict[str, Spline]:
     """Which controls are continuous, from `controls=`: one way for all, or a dict by control or name.
 
     Raises:
@@ -124,25 +124,27 @@ def continuous_controls(given: Any, controls: Sequence[Control]) -> dict[str, Sp
     """
     known = {leaf.name: leaf for leaf in controls}
     rates = rates_among(controls)
-    if not isinstance(given, Mapping):
-        given = dict.fromkeys((name for name in known if name not in rates), Held() if given is None else given)
-    found = {}
-    for key, way in given.items():
+    if not isinstance(interpolations, Mapping):
+        interpolations = dict.fromkeys(
+            (name for name in known if name not in rates), Held() if interpolations is None else interpolations
+        )
+    splines = {}
+    for key, interpolation in interpolations.items():
         name = name_of(key)
         if name not in known:
             raise ModelError(f"controls names {name!r}; the controls are: {listed(known, name)}")
-        if not isinstance(way, (Held, Spline)):
-            raise ModelError(f"controls expects tx.trajectory.Held(), Linear() or Spline(), got {short(way)}")
-        if isinstance(way, Spline):
-            found[name] = way
+        if not isinstance(interpolation, (Held, Spline)):
+            raise ModelError(f"controls expects tx.trajectory.Held(), Linear() or Spline(), got {short(interpolation)}")
+        if isinstance(interpolation, Spline):
+            splines[name] = interpolation
     for rate, (name, order) in rates.items():
-        if name not in found:
+        if name not in splines:
             raise ModelError(
                 f"the system reads the {rate}, which is held.\n  fix: controls={{{name!r}: tx.trajectory.Linear()}}"
             )
-        if order > found[name].degree:
+        if order > splines[name].degree:
             raise ModelError(
-                f"the system reads the {rate}, of a control of degree {found[name].degree}.\n"
+                f"the system reads the {rate}, of a control of degree {splines[name].degree}.\n"
                 f"  fix: controls={{{name!r}: tx.trajectory.Spline({order})}}"
             )
-    return found
+    return splines

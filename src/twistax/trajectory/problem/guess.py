@@ -24,7 +24,7 @@ def user_guess(
     guess: Mapping[Any, Any] | None, leaves: Mapping[str, State | Control], lengths: Mapping[str, int]
 ) -> dict[str, Array]:
     """Checked guesses by name: one value, or one for each node (states) or interval (controls)."""
-    found = {}
+    guesses = {}
     if guess is not None and not isinstance(guess, Mapping):
         raise ModelError(f"guess must be a dict from names to values, got {type(guess).__name__}")
     for key, value in (guess or {}).items():
@@ -37,33 +37,33 @@ def user_guess(
             raise ShapeError(f"guess[{name!r}] expects shape {' or '.join(map(str, shapes))}, got {array.shape}")
         if not np.isfinite(array).all():
             raise ModelError(f"guess[{name!r}] expects finite numbers, got {short(array)}")
-        found[name] = array
-    return found
+        guesses[name] = array
+    return guesses
 
 
 def state_guess(
     leaf: State,
-    given: Array | None,
+    guess: Array | None,
     initial: Array | None,
     final: Array | None,
     shares: Array,
-    stated: tuple[Array | None, Array | None] = (None, None),
+    end_values: tuple[Array | None, Array | None] = (None, None),
 ) -> Array:
     """Values of a state at nodes, given as shares of the final time; fixed ends are put in place.
 
     Without a guess the state goes from its initial to its final value along a geodesic, or stays where one is known.
 
     Args:
-        stated: what conditions say of the state at both ends, for where neither a guess nor an end does.
+        end_values: what conditions say of the state at both ends, for where neither a guess nor an end does.
     """
-    source = given if given is not None else leaf.guess
+    source = guess if guess is not None else leaf.guess
     if source is None:
         rest = np.zeros(leaf.shape)
         if leaf.group.flat:
             rest = _middle(leaf.min, leaf.max, rest)
         else:
             rest = np.asarray(leaf.group.identity(float))
-        begin, end = (with_stated(side, value) for side, value in zip((initial, final), stated, strict=True))
+        begin, end = (with_stated(side, value) for side, value in zip((initial, final), end_values, strict=True))
         first, last = _known(begin, _known(end, rest)), _known(end, _known(begin, rest))
         source = np.stack([first, last])
     elif source.shape == leaf.shape:
@@ -73,9 +73,9 @@ def state_guess(
     return values
 
 
-def control_guess(leaf: Control, given: Array | None, intervals: int) -> Array:
+def control_guess(leaf: Control, guess: Array | None, intervals: int) -> Array:
     """Values of a control in all intervals: what is given, or the middle of its box, or its point nearest zero."""
-    source = given if given is not None else leaf.guess
+    source = guess if guess is not None else leaf.guess
     if source is None:
         source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
     if source.shape == leaf.shape:
@@ -101,8 +101,8 @@ def resample(group: Group, samples: Array, shares: Array) -> Array:
     arguments = {Argument.SHARE: 1, Argument.BASE: size, Argument.TARGET: size}
     kernels = SmoothKernels(functools.partial(_geodesic, group), arguments, 0, ("geodesic", type(group), freeze(group)))
     values = [np.reshape(a, (len(shares), -1)) for a in (share, first, last)]
-    found = kernels.kernels[0](len(shares), size, dict(zip(arguments, values, strict=True)))
-    return found.reshape(len(shares), *group.shape)
+    curve = kernels.kernels[0](len(shares), size, dict(zip(arguments, values, strict=True)))
+    return curve.reshape(len(shares), *group.shape)
 
 
 def _geodesic(group: Group, share: jax.Array, first: jax.Array, last: jax.Array) -> jax.Array:
@@ -115,9 +115,9 @@ def _known(values: Array | None, otherwise: Any) -> Any:
     return otherwise if values is None else np.where(np.isnan(values), otherwise, values)
 
 
-def with_stated(values: Array | None, others: Array | None) -> Array | None:
+def with_stated(values: Array | None, end_values: Array | None) -> Array | None:
     """Values, and others where these are free."""
-    return values if others is None else _known(values, others)
+    return values if end_values is None else _known(values, end_values)
 
 
 def _middle(low: Array | None, high: Array | None, otherwise: Any) -> Any:

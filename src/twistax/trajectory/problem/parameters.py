@@ -70,7 +70,7 @@ def parameter_values(
                     f"the problem reads the parameter {name!r}, which has no value; pass params={{{name!r}: ...}}"
                 )
             continue
-        by_node = next((own for own in by_nodes if name in own.leaves), None)
+        by_node = next((candidate for candidate in by_nodes if name in candidate.leaves), None)
         if by_node is not None:
             values[name] = by_node.values(name, value)
             continue

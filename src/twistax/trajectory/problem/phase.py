@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
+from ...checks import listed, short
+from ...errors import ModelError
 from ...expr import Expr
 from ...expr.soft import parts_of
 from ...lowering import Dynamics
 from .bridges.lifted_functionals import functionals_of
 from .conditions import split
 from .functionals import Initial
+from .statement import Objective
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -58,3 +61,32 @@ def initials_of(phase: Phase) -> list[Initial]:
             exprs += parts_of(constraint)
     leaves = functionals_of(*(e for e in exprs if isinstance(e, Expr)))
     return [leaf for leaf in leaves if isinstance(leaf, Initial)]
+
+
+def check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
+    """Raise ModelError unless they are phases, and nothing else is stated that belongs to each of them."""
+    strangers = [phase for phase in phases if not isinstance(phase, Phase)]
+    if strangers or not phases:
+        got = short(strangers[0]) if strangers else "none"
+        raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
+    defaults = {
+        field.name: None if field.default is dataclasses.MISSING else field.default
+        for field in dataclasses.fields(Phase)
+    }
+    names = {name for name, value in arguments.items() if value is not defaults[name]}
+    if too_many := sorted(names - {"dynamics", "objective"}):
+        raise ModelError(
+            f"Problem of phases expects links, params and free alone, got {listed(too_many)}.\n"
+            "  fix: give it to each tx.trajectory.Phase"
+        )
+
+
+def kind_of(phases: Sequence[Phase]) -> type[Objective]:
+    """Whether the phases minimise or maximise."""
+    kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
+    if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
+        raise ModelError(
+            "phases expect tx.Minimize(...) in one of them at least and tx.Maximize(...) in none, or the other way "
+            f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
+        )
+    return kinds.pop()

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...checks import known_arguments, listed, short
+from ...checks import known_arguments
 from ...errors import ModelError, TrajectoryError, in_phase
 from ...expr import Parameter, leaves_of
 from ...lowering.dynamics import need_compiled
@@ -34,7 +34,7 @@ from .by_node import only_once
 from .conditions import Ends
 from .links import joined, links_of
 from .parameters import parameter_values, parameters_of
-from .phase import Phase, initials_of
+from .phase import Phase, check_phases, initials_of, kind_of
 from .solve import SolveOptions, solved, solved_many
 from .start import Started, started
 from .stated_phase import StatedPhase
@@ -124,7 +124,7 @@ class Problem:
         arguments = {name: value for name, value in locals().items() if name != "self"}
         #: What it was stated with: `Problem(**problem.stated)` is the same problem.
         self.stated = arguments
-        of_phase = {field.name: arguments[field.name] for field in _OF_PHASE if field.name in arguments}
+        of_phase = {field.name: arguments[field.name] for field in dataclasses.fields(Phase) if field.name in arguments}
         #: Whether it was stated without a list of phases: names then have no phase in front.
         self.alone = not isinstance(dynamics, (list, tuple))
         if self.alone:
@@ -138,11 +138,11 @@ class Problem:
                 )
         else:
             self.phases, links = list(dynamics), objective if links is None else links
-            _check_phases(self.phases, of_phase)
+            check_phases(self.phases, of_phase)
         self.names: list[str] = []
         for index, phase in enumerate(self.phases):
             self.names.append(free_name(phase.name or f"phase {index}", self.names))
-        kind = _kind_of(self.phases)
+        kind = kind_of(self.phases)
         self.sign = kind.sign
         self.parts = self._parts(kind)
         self.sources = links_of(self.parts, self.names, links)
@@ -233,7 +233,9 @@ class Problem:
         """The same problem with other arguments of its phases."""
         if self.alone:
             return Problem(**{**self.stated, **changes[0]})
-        phases = [dataclasses.replace(phase, **own) for phase, own in zip(self.phases, changes, strict=True)]
+        phases = [
+            dataclasses.replace(phase, **arguments) for phase, arguments in zip(self.phases, changes, strict=True)
+        ]
         return Problem(**self.stated | {"dynamics": phases})
 
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
@@ -265,7 +267,7 @@ class Problem:
             return self.parts[0].at_ends(xs, ends[0])
         if not isinstance(xs, tuple) or len(xs) != len(self.parts):
             raise other_problem()
-        return tuple(part.at_ends(own, side) for part, own, side in zip(self.parts, xs, ends))
+        return tuple(part.at_ends(states, side) for part, states, side in zip(self.parts, xs, ends))
 
     # ---- solving ----------------------------------------------------------------------------------------------------
 
@@ -385,7 +387,7 @@ class Problem:
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
         return solved_many(self, arguments | {"free": free}, options)
 
-    def core(self, tolerance: float, point: Point, given: Given) -> CoreSolver:
+    def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
         """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
@@ -393,37 +395,8 @@ class Problem:
         if key not in self._cores:
             with _MAKING, uncollected():
                 first = next((core.staged for core in self._cores.values()), None)
-                staged = Staged(self.shooting, self.parts, given) if first is None else first.alone(given)
+                staged = Staged(self.shooting, self.parts, instance) if first is None else first.alone(instance)
                 if first is None:
-                    staged.drop(redundant_rows(staged, point, given), given)
-                self._cores[key] = CoreSolver(staged, self.parts, given, tolerance)
+                    staged.drop(redundant_rows(staged, point, instance), instance)
+                self._cores[key] = CoreSolver(staged, self.parts, instance, tolerance)
         return self._cores[key]
-
-
-_OF_PHASE = dataclasses.fields(Phase)
-
-
-def _check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
-    """Raise ModelError unless they are phases, and nothing else is stated that belongs to each of them."""
-    strangers = [phase for phase in phases if not isinstance(phase, Phase)]
-    if strangers or not phases:
-        got = short(strangers[0]) if strangers else "none"
-        raise ModelError(f"Problem expects a compiled system, or a list of tx.trajectory.Phase(...), got {got}")
-    defaults = {field.name: None if field.default is dataclasses.MISSING else field.default for field in _OF_PHASE}
-    names = {name for name, value in arguments.items() if value is not defaults[name]}
-    if too_many := sorted(names - {"dynamics", "objective"}):
-        raise ModelError(
-            f"Problem of phases expects links, params and free alone, got {listed(too_many)}.\n"
-            "  fix: give it to each tx.trajectory.Phase"
-        )
-
-
-def _kind_of(phases: Sequence[Phase]) -> type[Objective]:
-    """Whether the phases minimise or maximise."""
-    kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
-    if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
-        raise ModelError(
-            "phases expect tx.Minimize(...) in one of them at least and tx.Maximize(...) in none, or the other way "
-            f"round, got {listed(sorted(kind.__name__ for kind in kinds))}"
-        )
-    return kinds.pop()

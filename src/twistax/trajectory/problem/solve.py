@@ -108,12 +108,12 @@ class SolveOptions:
         names = ("guess", "initial", "final", "params", "final_time", "final_time_guess", "free")
         return {name: getattr(self, name) for name in names}
 
-    def again(self, **others: Any) -> dict[str, Any]:
+    def again(self, **changed: Any) -> dict[str, Any]:
         """The arguments of another solve of the same, from another start and on one mesh."""
         left_out = ("warm", "guesses", "between", "refine", *_STARTS)
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         kept = {name: value for name, value in fields.items() if name not in left_out}
-        return {**kept, "tolerance": self.needed, **others}
+        return {**kept, "tolerance": self.needed, **changed}
 
 
 def solved(problem: Any, options: SolveOptions) -> Any:
@@ -127,17 +127,17 @@ def solved(problem: Any, options: SolveOptions) -> Any:
     if callback is not None:
         report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
     budget = Budget(options.max_iterations, options.max_seconds, report)
-    result, start, given = _on_one_mesh(problem, options, budget, report)
-    said = ""
+    result, start, instance = _on_one_mesh(problem, options, budget, report)
+    remark = ""
     implicit = Strategy.IMPLICIT_STEPS in options.strategies and options.warm is None and options.solver is None
     if implicit and budget.ended is None:
         names = ("guess", "final_time_guess", "guesses", "seed", "between")
         same_start = {name: getattr(options, name) for name in names}
         again = options.again(max_seconds=budget.seconds_left, **same_start)
-        result, said = _by_implicit_steps(problem, result, start, given, again)
+        result, remark = _by_implicit_steps(problem, result, start, instance, again)
     if options.refine is None:
         return result
-    return _on_finer_meshes(result, options, budget, said)
+    return _on_finer_meshes(result, options, budget, remark)
 
 
 def _on_one_mesh(
@@ -149,22 +149,22 @@ def _on_one_mesh(
         begin = time.perf_counter()
         warm = None if options.warm is None else warm_start(options.warm)
         alone = None if warm is None or options.guesses > 1 else warm.point
-        plain, given, params, ends = problem.started(**options.arguments, begin=alone)
-        warm = None if warm is None else with_ends(warm, problem, ends, given)
-        core = problem.core(tolerance, plain, given)
+        plain, instance, params, ends = problem.started(**options.arguments, begin=alone)
+        warm = None if warm is None else with_ends(warm, problem, ends, instance)
+        core = problem.core(tolerance, plain, instance)
         if (warm is None or options.guesses > 1) and any(part.bounded for part in problem.parts):
-            sizes = sizes_of_controls(problem, core, plain, given)
+            sizes = sizes_of_controls(problem, core, plain, instance)
             plain = problem.started(**options.arguments, sizes=sizes).point
         compiled = time.perf_counter()
         outcomes: list[Outcome] = []
 
-        def run(start: Point | WarmStart, given: Given) -> Outcome:
+        def run(start: Point | WarmStart, instance: Given) -> Outcome:
             core.busy = True  # what a callback solves or looks at has another solver
             try:
                 if options.solver is None:
                     budget.used = 0
-                    return with_strategies(core, start, given, budget, options.strategies)
-                outcome: Outcome = options.solver.run(core, start, given, options.max_iterations, report)
+                    return with_strategies(core, start, instance, budget, options.strategies)
+                outcome: Outcome = options.solver.run(core, start, instance, options.max_iterations, report)
                 return outcome
             finally:
                 core.busy = False
@@ -175,40 +175,42 @@ def _on_one_mesh(
             start: Point | WarmStart = plain if warm is None else warm
             if options.seed is not None or attempt > 0:
                 rng = np.random.default_rng([options.seed or 0, attempt])
-                start = perturbed(core, plain, given, rng)
-            outcome = run(start, given)
+                start = perturbed(core, plain, instance, rng)
+            outcome = run(start, instance)
             if between is not None and options.refine is None and outcome.status is Status.SOLVED:
-                outcome = hold_between_nodes(problem, outcome, given, params, run, between, core.staged)
+                outcome = hold_between_nodes(problem, outcome, instance, params, run, between, core.staged)
             exceeded = tolerance if between is None else max(tolerance, between)
-            outcomes.append(core.judge.judged(outcome, given, options.mesh_tolerance, exceeded))
+            outcomes.append(core.judge.judged(outcome, instance, options.mesh_tolerance, exceeded))
         done = time.perf_counter()
     tried = Tried(outcomes, params, tolerance, compiled - begin, done - compiled)
-    return best_result(problem, tried), plain, given
+    return best_result(problem, tried), plain, instance
 
 
-def _by_implicit_steps(problem: Any, result: Any, start: Point, given: Given, again: dict[str, Any]) -> tuple[Any, str]:
+def _by_implicit_steps(
+    problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
+) -> tuple[Any, str]:
     """A result, or a better one by implicit steps where explicit ones are unstable; and a sentence that says so."""
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""
     with in_double():
-        staged = problem.core(float(again["tolerance"]), start, given).staged
-        fastest = max(stiffness(staged, point, given) for point in (start, result.warm.point))
+        staged = problem.core(float(again["tolerance"]), start, instance).staged
+        fastest = max(stiffness(staged, point, instance) for point in (start, result.warm.point))
     if fastest <= LARGEST:
         return result, ""
     if problem.implicit is None:
         problem.implicit = problem.transcribed_by(IMPLICIT)
     other = problem.implicit.solve(**again)
-    said = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
+    remark = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
     is_finite = result.status is Status.NON_FINITE and other.status is not Status.NON_FINITE
     if other.status not in AT_OPTIMUM and not is_finite:
-        other, said = result, f"{said}{IMPLICIT_NAME} did not help."
+        other, remark = result, f"{remark}{IMPLICIT_NAME} did not help."
     else:
-        said += f"solved again by {IMPLICIT_NAME}."
-    return dataclasses.replace(other, message=other.message + said), said
+        remark += f"solved again by {IMPLICIT_NAME}."
+    return dataclasses.replace(other, message=other.message + remark), remark
 
 
-def _on_finer_meshes(first: Any, options: SolveOptions, budget: Budget, said: str) -> Any:
+def _on_finer_meshes(first: Any, options: SolveOptions, budget: Budget, remark: str) -> Any:
     """The result on the finest mesh, with the time of all."""
     results = [first]
 
@@ -219,8 +221,10 @@ def _on_finer_meshes(first: Any, options: SolveOptions, budget: Budget, said: st
     finest = refined(first, options.refine, again)
     if options.between is not None and finest.solved:
         finest = dataclasses.replace(again(finest.problem, finest, options.between), meshes=finest.meshes)
-    times = {name: sum(getattr(each, name) for each in results) for name in ("compile_seconds", "solve_seconds")}
-    message = finest.message if finest.message.endswith(said) else finest.message + said
+    times = {
+        name: sum(getattr(solved_one, name) for solved_one in results) for name in ("compile_seconds", "solve_seconds")
+    }
+    message = finest.message if finest.message.endswith(remark) else finest.message + remark
     return dataclasses.replace(finest, message=message, **times)
 
 
@@ -256,11 +260,11 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
     return many_results(problem, tried)
 
 
-def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, given: Given) -> list[dict[str, Array]]:
+def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, instance: Given) -> list[dict[str, Array]]:
     """Sizes of the controls of each phase, continuous ones too, by name, as they are measured at a start."""
-    units, found = core.units(point, given), []
+    units, by_phase = core.units(point, instance), []
     for part, segment, sizes in zip(problem.parts, problem.shooting.segments, units.parts):
-        held, states = segment.shooting.local.controls.slices, segment.shooting.dynamics.group.slices
-        of_held = {name: sizes.u[columns] for name, columns in held.items()}
-        found.append(of_held | {name: sizes.d[states[name]] for name in part.continuous.smooth})
-    return found
+        columns_of, states = segment.shooting.local.controls.slices, segment.shooting.dynamics.group.slices
+        of_held = {name: sizes.u[columns] for name, columns in columns_of.items()}
+        by_phase.append(of_held | {name: sizes.d[states[name]] for name in part.continuous.smooth})
+    return by_phase

@@ -30,6 +30,7 @@ class Started(NamedTuple):
 def started(
     problem: Any,
     guess: Mapping[Any, Any] | None = None,
+    *,
     initial: Mapping[Any, Any] | None = None,
     final: Mapping[Any, Any] | None = None,
     params: Mapping[Any, Any] | None = None,
@@ -64,7 +65,7 @@ def started(
         durations = np.array([time for _, time in times])
         begin = _start(problem, values, ends, guesses, durations, limits, sizes or [{}] * len(problem.parts))
     initials, finals = (
-        tuple(part.filled(getattr(own, side)) for part, own in zip(problem.parts, ends))
+        tuple(part.filled(getattr(side_ends, side)) for part, side_ends in zip(problem.parts, ends))
         for side in ("initial", "final")
     )
     fixed = finals[0] if problem.alone else PhaseEnds(initials, finals)
@@ -107,7 +108,7 @@ def _start(
     """The guesses of the phases; states without one go between what is known of them at the ends of phases."""
     if problem.alone:
         return problem.parts[0].start(guesses[0], ends[0], params, durations, limits, sizes[0])
-    guess = {name: value for own in guesses for name, value in own.items()}
+    guess = {name: value for phase_guess in guesses for name, value in phase_guess.items()}
     free = {box.name: guess[box.name] for box in problem.border.boxes if box.name in guess}
     us = np.zeros((problem.shooting.intervals, problem.shooting.m))
     known = [_with_stated(side, part.stated_values(params)) for side, part in zip(ends, problem.parts)]
@@ -158,10 +159,10 @@ def _goes_on(problem: Any, join: int, state: State) -> bool:
     return isinstance(source, State) and source.key() == state.key()
 
 
-def _with_stated(ends: Ends, stated: tuple[dict[str, Array], dict[str, Array]]) -> Ends:
+def _with_stated(ends: Ends, end_values: tuple[dict[str, Array], dict[str, Array]]) -> Ends:
     """Ends, with what conditions say where they are free."""
     initial, final = (
         {name: with_stated(value, values.get(name)) for name, value in side.items()}
-        for side, values in zip((ends.initial, ends.final), stated)
+        for side, values in zip((ends.initial, ends.final), end_values)
     )
     return dataclasses.replace(ends, initial=initial, final=final)

@@ -80,8 +80,8 @@ class StatedPhase:
     def _bridge(self, objective: Objective, rows: Mapping[int, Any], within: InPhase) -> None:
         """Apply the bridges in turn."""
         phase, dynamics = self.phase, self.phase.dynamics
-        stated = Statement(dynamics, objective, rows, continuous_controls(phase.controls, dynamics.controls))
-        self.node_slacks = NodeSlacks(stated, f"{within.name}: " if within.name else "")
+        statement = Statement(dynamics, objective, rows, continuous_controls(phase.controls, dynamics.controls))
+        self.node_slacks = NodeSlacks(statement, f"{within.name}: " if within.name else "")
         self.functionals = LiftedFunctionals(self.node_slacks.statement, within)
         self.continuous = ContinuousControls(self.functionals.statement, self.mesh, within.first)
         self.path_bounds = PathBounds(self.continuous.statement, dynamics.system.soft, self.continuous.put)
@@ -168,8 +168,10 @@ class StatedPhase:
     @property
     def soft(self) -> set[str]:
         """The names of soft constraints, entry by entry."""
-        along = self.path_bounds.soft.items()
-        return {row for name, own in along for row in entry_names(name, own.constraint.shape)} | self.node_slacks.rows
+        on_path = self.path_bounds.soft.items()
+        return {
+            row for name, soft in on_path for row in entry_names(name, soft.constraint.shape)
+        } | self.node_slacks.rows
 
     @property
     def order(self) -> int:
@@ -221,8 +223,8 @@ class StatedPhase:
             sides.append({**known, **{name_of(key): value for key, value in (values or {}).items()}})
         ends = ends_of(self.dynamics.states, sides[0], sides[1])
         for what in ("initial", "final"):
-            fixed, stated = (getattr(side, f"{what}_fixed") for side in (ends, self.ends))
-            changed = next((name for name in fixed if (fixed[name] != stated[name]).any()), None)
+            fixed, before = (getattr(side, f"{what}_fixed") for side in (ends, self.ends))
+            changed = next((name for name in fixed if (fixed[name] != before[name]).any()), None)
             if changed is not None:
                 value = getattr(ends, what)[changed]
                 raise TrajectoryError(
@@ -281,8 +283,8 @@ class StatedPhase:
         first, last = self.stated_values(params)
         path = Path(self.shooting.times(durations), {}, {}, params, sizes)
         for s in self.dynamics.states:
-            sides, stated = (ends.initial[s.name], ends.final[s.name]), (first.get(s.name), last.get(s.name))
-            path.xs[s.name] = state_guess(s, guess.get(s.name), *sides, self.mesh.shares, stated)
+            sides, end_values = (ends.initial[s.name], ends.final[s.name]), (first.get(s.name), last.get(s.name))
+            path.xs[s.name] = state_guess(s, guess.get(s.name), *sides, self.mesh.shares, end_values)
         count, controls = self.nodes - 1, self.dynamics.controls
         path.us |= {c.name: control_guess(c, guess.get(c.name), count) for c in controls}
         for bridge in self.bridges:

@@ -6,7 +6,7 @@ import dataclasses
 import enum
 import itertools
 from collections.abc import Collection, Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
@@ -143,9 +143,9 @@ class PathRows:
 
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
-        whole = {name for name, mask in fixed.items() if mask.all()}
+        fixed_states = {name for name, mask in fixed.items() if mask.all()}
         alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
-        rows = [reads in alone and states <= whole for reads, states in zip(self.reads, self.states)]
+        rows = [reads in alone and states <= fixed_states for reads, states in zip(self.reads, self.states)]
         boxes = [b.reads in (Reads.STATE, Reads.ENDS) and bool(fixed[b.leaf][b.entry]) for b in self.bounds]
         return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
@@ -157,61 +157,66 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
     """
     functions = dynamics._functions
     residuals: list[Expr] = []
-    names: list[str] = []
-    equality: list[bool] = []
-    reads: list[Reads] = []
-    states: list[frozenset[str]] = []
-    timed: list[bool] = []
-    loose: list[bool] = []
+    rows: list[_Row] = []
     cones = {name for name, _ in norms.rows}
-    asked_for = [
-        (name, *each)
-        for kind, own in functions.constraints.items()
-        for name, residual in own.items()
-        for each in norms.asked(name, residual, kind == "equality")
+    every = [
+        (name, *stands_for)
+        for kind, constraints in functions.constraints.items()
+        for name, residual in constraints.items()
+        for stands_for in norms.asked(name, residual, kind == "equality")
     ]
-    for name, residual, is_equality in asked_for:
-        asked = limited(name, residual, is_equality)
-        stated = [residual] if is_equality else without_norms(residual) if asked.any() else []
-        if any(row is not residual for row in stated):
+    for name, residual, is_equality in [*every, *((name, row, False) for name, row in norms.rows)]:
+        finite = limited(name, residual, is_equality)
+        smooth = [residual] if is_equality else without_norms(residual) if finite.any() else []
+        if any(row is not residual for row in smooth):
             cones |= set(entry_names(name, residual.shape))
-        for row in stated:
-            entries, leaves = int(asked.sum()), list(leaves_of(row))
-            left = row if asked.all() else row[np.nonzero(asked)]
+        for row in smooth:
+            left = row if finite.all() else row[np.nonzero(finite)]
             residuals.append(left if is_equality else without_end(left))
-            names += itertools.compress(entry_names(name, row.shape), asked.ravel())
-            equality += [is_equality] * entries
-            reads += [_reads(leaves)] * entries
-            states += [frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))] * entries
-            timed += [any(isinstance(leaf, Time) for leaf in leaves)] * entries
-            loose += [any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)] * entries
-    for name, row in norms.rows:
-        residuals.append(without_end(row))
-        names.append(name)
-        equality.append(False)
-        reads.append(Reads.CONTROL)
-        states.append(frozenset())
-        timed.append(False)
-        loose.append(any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves_of(row)))
+            entries = itertools.compress(entry_names(name, row.shape), finite.ravel())
+            rows += [_row(entry, list(leaves_of(row)), is_equality, free) for entry in entries]
     bounds = tuple(
         dataclasses.replace(b, reads=Reads.ENDS) if b.leaf in straight else b
         for b in bounds_of((*dynamics.states, *dynamics.controls, *norms.controls))
     )
     boxes, named = [b.name for b in bounds], functions.constraint_names
+    rows += [_Row(b.name, False, b.reads, frozenset([b.leaf]), False, False) for b in bounds]
+    names, equality, reads, states, timed, loose = zip(*rows) if rows else [()] * 6
     shown = [np.repeat([False, True], [len(named["inequality"]), len(named["equality"])]), np.zeros(len(boxes), bool)]
     return PathRows(
         residuals=tuple(residuals),
-        names=(*names, *boxes),
+        names=names,
         cones=frozenset(cones),
-        equality=np.array([*equality, *[False] * len(boxes)], bool),
-        reads=(*reads, *(b.reads for b in bounds)),
-        states=(*states, *(frozenset([b.leaf]) for b in bounds)),
-        timed=np.array([*timed, *[False] * len(boxes)], bool),
-        free=np.array([*loose, *[False] * len(boxes)], bool),
+        equality=np.array(equality, bool),
+        reads=reads,
+        states=states,
+        timed=np.array(timed, bool),
+        free=np.array(loose, bool),
         bounds=bounds,
         shown=(*named["inequality"], *named["equality"], *boxes),
         shown_equality=np.concatenate(shown),
     )
+
+
+class _Row(NamedTuple):
+    """A row along the path; see `PathRows`."""
+
+    name: str
+    equality: bool
+    reads: Reads
+    states: frozenset[str]
+    timed: bool
+    free: bool
+
+
+def _row(name: str, leaves: Sequence[Leaf], is_equality: bool, free: Collection[str]) -> _Row:
+    states = frozenset(leaf.name for leaf in leaves if isinstance(leaf, State))
+    timed = any(isinstance(leaf, Time) for leaf in leaves)
+    is_free = any(isinstance(leaf, Parameter) and leaf.name in free for leaf in leaves)
+    reads = Reads.STATE if states or timed else Reads.NOTHING
+    if any(isinstance(leaf, Control) for leaf in leaves):
+        reads = Reads.BOTH if states or timed else Reads.CONTROL
+    return _Row(name, is_equality, reads, states, timed, is_free)
 
 
 def limited(place: str, residual: Expr, is_equality: bool) -> Array:
@@ -235,24 +240,17 @@ def without_end(residual: Expr) -> Expr:
     return Where(residual <= -np.finfo(float).max, -1.0, residual)
 
 
-def _reads(leaves: Sequence[Leaf]) -> Reads:
-    kinds = [type(leaf) for leaf in leaves]
-    if Control not in kinds:
-        return Reads.STATE if State in kinds or Time in kinds else Reads.NOTHING
-    return Reads.BOTH if State in kinds or Time in kinds else Reads.CONTROL
-
-
 def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
     """Every finite side of the leaves' boxes."""
-    found = []
+    bounds = []
     for leaf in leaves:
         reads = Reads.CONTROL if isinstance(leaf, Control) else Reads.STATE
         for sign, limits in ((1.0, leaf.max), (-1.0, leaf.min)):
             places = enumerate(entry_names(leaf.name, leaf.shape))
             for (entry, place), limit in zip(places, [] if limits is None else limits.ravel()):
                 if np.isfinite(limit):
-                    found.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
-    return found
+                    bounds.append(Bound(leaf.name, entry, sign, float(limit), place, reads))
+    return bounds
 
 
 def violations(rows: Array, equality: Array) -> Array:
@@ -262,10 +260,10 @@ def violations(rows: Array, equality: Array) -> Array:
 
 def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
     """The largest size of each name; names may repeat."""
-    found: dict[str, float] = {}
+    largest: dict[str, float] = {}
     for name, size in zip(names, sizes):
-        found[name] = max(found.get(name, 0.0), float(size))
-    return found
+        largest[name] = max(largest.get(name, 0.0), float(size))
+    return largest
 
 
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:

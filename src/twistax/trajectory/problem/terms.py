@@ -52,7 +52,7 @@ def without_norms(residual: Expr) -> list[Expr]:
     if residual.shape != () or len(norms) != 1 or norms[0][0] == 0.0:
         return [residual]
     ((factor, norm),) = norms
-    bound = sum_of([(-own / factor, part) for own, part in terms if part is not norm]).canonicalize()
+    bound = sum_of([(-coefficient / factor, part) for coefficient, part in terms if part is not norm]).canonicalize()
     number = float(bound.value) if isinstance(bound, Constant) else None
     if factor < 0.0 and (number is None or number < 0.0):
         return [residual]
@@ -80,9 +80,9 @@ def continuous_bound(size: Expr, s: Control) -> Expr:
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
     """Expressions of controls and parameters for every row of the controls."""
     rows = max((len(values) for values in us.values()), default=1)
-    found = PointValues.of(sizes)(np.zeros(rows), {}, us, params)
+    values = PointValues.of(sizes)(np.zeros(rows), {}, us, params)
     ends = np.cumsum([math.prod(size.shape) for size in sizes])
-    parts = zip(np.split(found, ends[:-1], axis=1), sizes, strict=True)
+    parts = zip(np.split(values, ends[:-1], axis=1), sizes, strict=True)
     return [part.reshape(rows, *size.shape) for part, size in parts]
 
 
@@ -90,11 +90,11 @@ def bounds_along(
     bounds: Mapping[str, Expr], us: Mapping[str, np.ndarray], params: Mapping[str, Any]
 ) -> dict[str, np.ndarray]:
     """Sizes that controls bound, by name, along controls that have a row for each interval or for each node."""
-    found = {}
+    values = {}
     for name, size in bounds.items():
         read = {leaf.name for leaf in leaves_of(size) if isinstance(leaf, Control)}
-        (found[name],) = values_of([size], {leaf: us[leaf] for leaf in read}, params)
-    return found
+        (values[name],) = values_of([size], {leaf: us[leaf] for leaf in read}, params)
+    return values
 
 
 def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
@@ -138,21 +138,21 @@ def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:
     if isinstance(expr, (Mul, Div)):
         parts = expr.children()
         numbers = [p for p in parts if isinstance(p, Constant) and p.shape == ()]
-        others = [p for p in parts if all(p is not n for n in numbers)]
+        rest = [p for p in parts if all(p is not n for n in numbers)]
         if isinstance(expr, Div) and (not numbers or numbers[0] is not parts[1]):
             return [(factor, expr)]
-        if len(others) == 1:
+        if len(rest) == 1:
             size = float(np.prod([float(n.value) for n in numbers]))
-            return linear_terms(others[0], factor / size if isinstance(expr, Div) else factor * size)
+            return linear_terms(rest[0], factor / size if isinstance(expr, Div) else factor * size)
     return [(factor, expr)]
 
 
 def sum_of(terms: list[Term]) -> Expr:
     """The sum again."""
-    found: Expr = Constant(0.0)
+    total: Expr = Constant(0.0)
     for factor, part in terms:
-        found = found + factor * part
-    return found
+        total = total + factor * part
+    return total
 
 
 def is_norm(expr: Expr) -> bool:

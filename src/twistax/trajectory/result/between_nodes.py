@@ -34,7 +34,7 @@ _SAMPLES, _ROUNDS, _MORE = 40, 12, 1.2
 def hold_between_nodes(
     problem: Any,
     outcome: Outcome,
-    given: Given,
+    instance: Given,
     params: dict[str, Array],
     run: Callable[[WarmStart, Given], Outcome],
     between: float,
@@ -48,22 +48,23 @@ def hold_between_nodes(
         run: solves again.
         staged: the problem for the core, which rolls out.
     """
-    data = staged.numbers.vector(given)
+    data = staged.numbers.vector(instance)
     rollouts = [
-        Rollout(own, part.transcription.rolling(_SAMPLES), staged.border.size, data)
-        for own, part in zip(staged.parts, problem.parts, strict=True)
+        Rollout(values, part.transcription.rolling(_SAMPLES), staged.border.size, data)
+        for values, part in zip(staged.parts, problem.parts, strict=True)
     ]
-    whole, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))
+    shooting, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))
     margins = [np.zeros((part.shooting.intervals, len(part.path.names))) for part, _ in parts]
     iterations = outcome.iterations
     for left in reversed(range(_ROUNDS + 1)):
-        own = params_of(problem.border, outcome, params)
+        values = params_of(problem.border, outcome, params)
         scales = np.asarray(outcome.scales.rows)
         excess = [
-            _excess(part, segment.of(outcome.point), own, rollout) for (part, segment), rollout in zip(parts, rollouts)
+            _excess(part, segment.of(outcome.point), values, rollout)
+            for (part, segment), rollout in zip(parts, rollouts)
         ]
         shares = [
-            over / part.shooting.row_scales(whole.rows_of(segment, scales)).min(axis=0)
+            over / part.shooting.row_scales(shooting.rows_of(segment, scales)).min(axis=0)
             for over, (part, segment) in zip(excess, parts)
         ]
         if max(float(share.max(initial=0.0)) for share in shares) <= between:
@@ -74,7 +75,7 @@ def hold_between_nodes(
         point = jax.tree.map(np.asarray, outcome.point)
         start = WarmStart(problem, point, outcome.dynamics, outcome.rows, outcome.scales, params)
         spread = [part.shooting.spread_over_points(margin) for (part, _), margin in zip(parts, margins)]
-        again = run(start, given._replace(margins=whole.whole_rows(spread)))
+        again = run(start, instance._replace(margins=shooting.whole_rows(spread)))
         iterations += again.iterations
         if again.status is not Status.SOLVED:
             break

@@ -71,7 +71,7 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
     def __repr__(self) -> str:
         parts = []
         for status, count in Counter(self.status).most_common():
-            which = [str(k) for k, own in enumerate(self.status) if own is status]
+            which = [str(k) for k, status_of in enumerate(self.status) if status_of is status]
             named = "" if status is Status.SOLVED else f" (case {', '.join([*which[:8], *['...'][: len(which) > 8]])})"
             parts.append(f"{count} {status.name}{named}")
         return f"{type(self).__name__}({len(self)} cases: {', '.join(parts)}; solve {self.solve_seconds:.1f} s)"
@@ -97,7 +97,7 @@ def many_results(problem: Any, tried: Sequence[Tried]) -> TrajectoryResults:
         cost=problem.sign * np.array([o.cost for o in outcomes]),
         violation=np.array([o.violation for o in outcomes]),
         iterations=np.array([o.iterations for o in outcomes]),
-        params={name: np.stack([own[name] for own in params]) for name in params[0]},
+        params={name: np.stack([values[name] for values in params]) for name in params[0]},
         optimality=dict(zip(names, np.array([o.errors for o in outcomes]).T, strict=True)),
         compile_seconds=sum(case.compile_seconds for case in tried),
         solve_seconds=sum(case.solve_seconds for case in tried),

@@ -16,14 +16,13 @@ from ...precision import in_double
 
 if TYPE_CHECKING:
     from ...view import Scene
-    from .trajectory import Trajectory
 
 #: So many multipliers are shown, of the constraints that matter most.
 _MOST = 10
 
 
 def drawn(
-    parts: Sequence[Trajectory],
+    parts: Sequence[Any],
     names: Sequence[str] | None,
     units: Mapping[str, str] | None,
     title: str = "",
@@ -34,59 +33,59 @@ def drawn(
     systems = [part.problem.phase.dynamics for part in parts]
     leaves: dict[str, Any] = {e.name: e for system in systems for e in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
-    found = [
+    shown_panels = [
         panel
         for name in chosen(names, there, units)
         for panel in _panels(parts, leaves[name], (units or {}).get(name, ""))
     ]
     sizes = {name: float(np.abs(values).max()) for name, values in (multipliers or {}).items()}
-    return draw(found, title, dict(list(sizes.items())[:_MOST]))
+    return draw(shown_panels, title, dict(list(sizes.items())[:_MOST]))
 
 
-def animated(parts: Sequence[Trajectory], path: Any, choices: Mapping[str, Any]) -> Scene:
+def animated(parts: Sequence[Any], path: Any, choices: Mapping[str, Any]) -> Scene:
     """The scene of one trajectory, or of several that follow each other; see `Trajectory.show`."""
     from ...view.motion import Motion, joined, shown
 
-    found = [_motion(part) for part in parts]
-    ts, xs, us = zip(*found)
+    motions = [_motion(part) for part in parts]
+    ts, xs, us = zip(*motions)
 
     def outputs() -> dict[str, Array]:
-        return joined([_outputs(part, *own) for part, own in zip(parts, found, strict=True)])
+        return joined([_outputs(part, *motion) for part, motion in zip(parts, motions, strict=True)])
 
     params = {name: value for part in parts for name, value in part.params.items()}
     return shown(Motion(np.concatenate(ts), joined(xs), (lambda: joined(us), outputs), params), path, **choices)
 
 
-def _motion(part: Trajectory) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]:
+def _motion(part: Any) -> tuple[Array, Mapping[str, Array], Mapping[str, Array]]:
     """Times, states and controls of a dense rollout, or at the nodes where it does not reach its end."""
     try:
-        along = part.dense
+        rollout = part.dense
     except (IntegrationError, TrajectoryError):
         count = len(part.ts)
         return part.ts, part.xs, {n: np.concatenate([us, us[-1:]])[:count] for n, us in part.us.items()}
-    return along.ts, along.xs, along.us
+    return rollout.ts, rollout.xs, rollout.us
 
 
-def _outputs(part: Trajectory, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array]) -> Mapping[str, Array]:
+def _outputs(part: Any, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array]) -> Mapping[str, Array]:
     """The outputs of the system as it was given, along a motion."""
     dynamics = part.problem.phase.dynamics
     params = {leaf.name: part.params[leaf.name] for leaf in dynamics.parameters if leaf.name in part.params}
     with in_double():
-        found = jax.vmap(lambda t, x, u: dynamics.outputs(t, x, u, params))(ts, dict(xs), dict(us))
-    return {name: np.asarray(value) for name, value in found.items()}
+        outputs = jax.vmap(lambda t, x, u: dynamics.outputs(t, x, u, params))(ts, dict(xs), dict(us))
+    return {name: np.asarray(value) for name, value in outputs.items()}
 
 
-def _panels(parts: Sequence[Trajectory], leaf: State | Control, unit: str) -> list[Panel]:
+def _panels(parts: Sequence[Any], leaf: State | Control, unit: str) -> list[Panel]:
     """States have dots at the nodes and the line of a rollout; controls go on from node to node as they are."""
-    marks, curves, held = [], [], False
+    marks, curves, is_held = [], [], False
     for part in parts:
         values = part.xs.get(leaf.name, part.us.get(leaf.name))
         if values is None:
             continue
         marks.append((part.ts[: len(values)], values))
         if leaf.name in part.us:
-            held = len(values) < len(part.ts)
-            curves.append((part.ts, np.concatenate([values, values[-1:]]) if held else values))
+            is_held = len(values) < len(part.ts)
+            curves.append((part.ts, np.concatenate([values, values[-1:]]) if is_held else values))
         else:
             curves += _rollout(part, leaf.name)
     group = leaf.group if isinstance(leaf, State) else None
@@ -94,15 +93,15 @@ def _panels(parts: Sequence[Trajectory], leaf: State | Control, unit: str) -> li
     limits = sorted({float(x) for side in (leaf.min, leaf.max) if side is not None for x in np.ravel(side)})
     shown = [limit for limit in limits if np.isfinite(limit)]
     return [
-        dot._replace(marks=dot.curve, curve=lines[i].curve if curves else None, steps=held, limits=shown)
+        dot._replace(marks=dot.curve, curve=lines[i].curve if curves else None, steps=is_held, limits=shown)
         for i, dot in enumerate(dots)
     ]
 
 
-def _rollout(part: Trajectory, name: str) -> list[tuple[Array, Array]]:
+def _rollout(part: Any, name: str) -> list[tuple[Array, Array]]:
     """A state along a dense rollout of the controls, where it reaches its end."""
     try:
-        along = part.dense
+        rollout = part.dense
     except (IntegrationError, TrajectoryError):
         return []
-    return [(along.ts, along.xs[name])]
+    return [(rollout.ts, rollout.xs[name])]

@@ -118,7 +118,7 @@ class Quality:
         Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
         order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
         """
-        return {own.name: own.moves for own in self._undetermined}
+        return {entry.name: entry.moves for entry in self._undetermined}
 
     @functools.cached_property
     def _undetermined(self) -> list[Undetermined]:
@@ -126,9 +126,9 @@ class Quality:
         if not self.solved or any(part.hessian is not None for part in problem.parts):
             return []
         with in_double():
-            given = problem.started().given._replace(params=warm.params)
-            staged = problem.core(_LOOKED_AT, warm.point, given).staged
-            return undetermined(staged, warm, given, [part.continuous.derivatives for part in problem.parts])
+            instance = problem.started().given._replace(params=warm.params)
+            staged = problem.core(_LOOKED_AT, warm.point, instance).staged
+            return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
@@ -189,8 +189,8 @@ def _rolled_out(result: Any) -> list[str]:
         IntegrationError: the rollout diverges.
     """
     missed = "; ".join(
-        f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in own.items())}"
-        for name, own in result.mesh_error.items()
+        f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in misses.items())}"
+        for name, misses in result.mesh_error.items()
     )
     broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
     return [
@@ -201,9 +201,9 @@ def _rolled_out(result: Any) -> list[str]:
 
 def _open(every: list[Undetermined], sign: float) -> str:
     """Which controls are not determined, and what would determine them."""
-    named = ", ".join(f"{own.name} (in {own.intervals} of {len(own.moves)} intervals)" for own in every)
+    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.moves)} intervals)" for entry in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
-        f"{own.weight:g} * {own.entry}**2" for own in every
+        f"{entry.weight:g} * {entry.entry}**2" for entry in every
     )
     return (
         f"the optimum does not determine {named}: other values cost the same; "
@@ -211,12 +211,12 @@ def _open(every: list[Undetermined], sign: float) -> str:
     )
 
 
-def _mesh(own: Accuracy, status: Status) -> str:
+def _mesh(accuracy: Accuracy, status: Status) -> str:
     """How far dynamics and nodes are apart, where most, and what to do where that is much."""
-    line = f"largest miss of an interval, in scales of the states: {own.error:.1e} {own.place}"
+    line = f"largest miss of an interval, in scales of the states: {accuracy.error:.1e} {accuracy.place}"
     if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
-        line += f"; a mesh without error changes the objective by about {own.change:.2g}"
-    return line + (f"; the mesh is too coarse for this path: {_FINER}" if own.coarse else "")
+        line += f"; a mesh without error changes the objective by about {accuracy.change:.2g}"
+    return line + (f"; the mesh is too coarse for this path: {_FINER}" if accuracy.coarse else "")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -294,8 +294,8 @@ def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dic
 def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
     """The names of rows whose multipliers, scaled, are not nothing."""
     names, sizes = shooting.names, np.abs(outcome.scaled_rows)
-    found = largest_by_name([str(name) for name in names], sizes)
-    return tuple(sorted((name for name, size in found.items() if size > _ACTIVE), key=lambda n: -found[n]))
+    largest = largest_by_name([str(name) for name in names], sizes)
+    return tuple(sorted((name for name, size in largest.items() if size > _ACTIVE), key=lambda n: -largest[n]))
 
 
 def _message(
@@ -319,44 +319,49 @@ def _message(
         stage, column = divmod(int(dynamics.argmax()), shooting.n)
         size = abs(float(outcome.values.defects[stage, column]))
         worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
-    told = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
+    sentence = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
     if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STOPPED, Status.STALLED):
         errors = outcome.errors
-        held = f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
-        told += f"; in scales, stationarity is {errors.stationarity:.1e}, {held} and the gap {errors.gap:.1e}"
-    return f"{outcome.status}. {told}."
+        feasibility = (
+            f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
+        )
+        sentence += (
+            f"; in scales, stationarity is {errors.stationarity:.1e}, {feasibility} and the gap {errors.gap:.1e}"
+        )
+    return f"{outcome.status}. {sentence}."
 
 
 def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
     """Sentences on a row without slope, on a mesh that is too coarse, and on limits between nodes."""
-    found, own = list[str](), outcome.accuracy
+    sentences, accuracy = list[str](), outcome.accuracy
     if outcome.flat is not None:
         name, place, size = outcome.flat
-        found.append(
+        sentences.append(
             f"The multiplier of {name!r} {place} is {size:.1e} in scales: it has no slope there. "
             "State it with a slope where it holds, as v == 0 in place of v**2 <= 0."
         )
-    if own is None:
-        return found
-    if own.coarse and own.factor > 1.0:
-        found.append(
-            f"The method is not stable on this mesh: {own.unstable_place} each step multiplies a mode of the equations "
-            f"that does not grow by {own.factor:.2g}, so the optimum of this mesh avoids what moves it: {_FINER}."
-        )
-    elif own.coarse:
-        found.append(
-            f"Integrated closely, the interval {own.place} misses its end by {own.error:.2g} in scales of the states, "
-            f"and the objective is off by about {own.share:.1g} of its size, where {own.tolerance:g} is allowed: "
+    if accuracy is None:
+        return sentences
+    if accuracy.coarse and accuracy.factor > 1.0:
+        sentences.append(
+            f"The method is not stable on this mesh: {accuracy.unstable_place} each step multiplies a mode of the "
+            f"equations that does not grow by {accuracy.factor:.2g}, so the optimum of this mesh avoids what moves it: "
             f"{_FINER}."
         )
-    if own.exceeded:
+    elif accuracy.coarse:
+        sentences.append(
+            f"Integrated closely, the interval {accuracy.place} misses its end by {accuracy.error:.2g} in scales of "
+            f"the states, and the objective is off by about {accuracy.share:.1g} of its size, where "
+            f"{accuracy.tolerance:g} is allowed: {_FINER}."
+        )
+    if accuracy.exceeded:
         named = [
             f"{name!r} by {it.by:.2g} {it.place} ({it.share / tolerance:.2g} times the tolerance)"
-            for name, it in own.exceeded.items()
+            for name, it in accuracy.exceeded.items()
         ]
         more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
-        found.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
-    return found
+        sentences.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
+    return sentences
 
 
 def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
@@ -364,9 +369,9 @@ def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
     if outcome.status is not Status.NON_FINITE:
         return ""
     for part, segment in zip(problem.parts, problem.shooting.segments):
-        found = singular(part, segment.of(outcome.point), params, outcome.point.border)
-        if found is not None:
-            return f" {problem.shooting.named(segment, found)}."
+        expression = singular(part, segment.of(outcome.point), params, outcome.point.border)
+        if expression is not None:
+            return f" {problem.shooting.named(segment, expression)}."
     return ""
 
 

@@ -62,8 +62,8 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
     """
     result, meshes, change = first, [], np.inf
     while True:
-        own = result.accuracy
-        largest = np.nan if own is None else own.error
+        accuracy = result.accuracy
+        largest = np.nan if accuracy is None else accuracy.error
         seconds = result.compile_seconds + result.solve_seconds
         parts = result.problem.parts
         count = sum(part.nodes for part in parts), max(part.transcription.substeps for part in parts)
@@ -71,11 +71,11 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
         if result.status not in (Status.SOLVED, Status.COARSE):
             message = f"{result.message} refine= went no further: it goes on from SOLVED and COARSE alone."
             return dataclasses.replace(result, message=message, meshes=tuple(meshes))
-        size = max(abs(result.cost), 1e-6 * (0.0 if own is None else own.size))
-        rests = change <= tolerance * size
-        if rests and largest <= tolerance:
+        size = max(abs(result.cost), 1e-6 * (0.0 if accuracy is None else accuracy.size))
+        is_settled = change <= tolerance * size
+        if is_settled and largest <= tolerance:
             return dataclasses.replace(result, meshes=tuple(meshes))
-        finer = _finer(result, own.intervals, tolerance, rests)
+        finer = _finer(result, accuracy.intervals, tolerance, is_settled)
         if finer is None or len(meshes) >= _MESHES:
             message = f"{Status.COARSE}. {_unrefined(result, meshes, tolerance, change / size)}"
             return dataclasses.replace(result, status=Status.COARSE, message=message, meshes=tuple(meshes))
@@ -109,25 +109,25 @@ def _states(trajectory: Trajectory) -> dict[str, Array]:
     return trajectory.xs | trajectory.added
 
 
-def _finer(result: Any, errors: Sequence[Array], tolerance: float, rests: bool) -> tuple[Any, WarmStart] | None:
+def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: bool) -> tuple[Any, WarmStart] | None:
     """The problem on the next meshes with a start for it; None where these would be too large."""
     problem, segments = result.problem, result.problem.shooting.segments
     meshes, splits = [], []
-    for trajectory, segment, own in zip(_trajectories(result), segments, errors):
+    for trajectory, segment, interval_errors in zip(_trajectories(result), segments, errors):
         part = trajectory.problem
         transcription, mesh = part.transcription, part.mesh
-        wrong = ~(own <= tolerance)
-        split = np.zeros(len(own), bool)
-        if rests and wrong.any() and transcription.substeps < _SUBSTEPS:
+        wrong = ~(interval_errors <= tolerance)
+        split = np.zeros(len(interval_errors), bool)
+        if is_settled and wrong.any() and transcription.substeps < _SUBSTEPS:
             transcription = dataclasses.replace(transcription, substeps=2 * transcription.substeps)
-        elif not rests or wrong.any():
+        elif not is_settled or wrong.any():
             split = wrong | _marked(trajectory, segment.of(result.warm.point))
         middles = (mesh.shares[:-1] + 0.5 * mesh.widths)[split]
         shares = np.sort(np.concatenate([mesh.shares, middles]))
         numbers = np.arange(part.nodes) + np.append(0, np.cumsum(split))
         meshes.append(Remeshed(Mesh(shares, free=mesh.free or False), transcription, numbers))
         splits.append(split)
-    if sum(own.mesh.nodes for own in meshes) > _NODES:
+    if sum(interval_errors.mesh.nodes for interval_errors in meshes) > _NODES:
         return None
     again = problem.on(meshes)
     return again, _start(again, result, splits)
@@ -139,15 +139,15 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
     Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.
     """
     lengths = np.diff(ts) / (ts[-1] - ts[0])
-    found = np.zeros(len(us))
+    changes = np.zeros(len(us))
     for name, place in part.shooting.local.controls.slices.items():
         if name == part.continuous.pace:
             continue
         jumps = np.pad(np.abs(np.diff(us[:, place], axis=0)), ((1, 1), (0, 0)))
         change = np.maximum(jumps[:-1], jumps[1:]) * lengths[:, None] ** part.continuous.rates.get(name, 0)
         most = change.max(axis=0)
-        found += ((change / np.where(most > 0.0, most, 1.0)) ** 2).sum(axis=1) * lengths
-    return found
+        changes += ((change / np.where(most > 0.0, most, 1.0)) ** 2).sum(axis=1) * lengths
+    return changes
 
 
 def _marked(trajectory: Trajectory, point: Point) -> Array:
@@ -156,12 +156,12 @@ def _marked(trajectory: Trajectory, point: Point) -> Array:
     None of a phase without controls.
     """
     changes = _changes(trajectory.problem, np.asarray(point.us), trajectory.ts)
-    order, found = np.argsort(-changes), np.zeros(len(changes), bool)
+    order, marked = np.argsort(-changes), np.zeros(len(changes), bool)
     if trajectory.problem.shooting.m:
         total = np.cumsum(changes[order])
         count = int(np.searchsorted(total, _SHARE * total[-1])) + 1
-        found[order[: max(count, int(np.ceil(_LEAST * len(changes))))]] = True
-    return found
+        marked[order[: max(count, int(np.ceil(_LEAST * len(changes))))]] = True
+    return marked
 
 
 def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
@@ -171,18 +171,18 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
     split = np.zeros(old.intervals, bool)
     xs, rows, sizes = [], [], []
     pairs = zip(old.segments, new.segments, _trajectories(result), result.accuracy.middles, splits, strict=True)
-    for before, after, trajectory, middle, own in pairs:
-        split[before.stages] = own
+    for before, after, trajectory, middle, split_here in pairs:
+        split[before.stages] = split_here
         states = _states(trajectory)
-        if own.any():
-            at = np.flatnonzero(own)
+        if split_here.any():
+            at = np.flatnonzero(split_here)
             states = {name: np.insert(a, at + 1, middle[name][at], axis=0) for name, a in states.items()}
         xs.append(states)
-        moved = _Moved(before, after, own)
+        moved = _Moved(before, after, split_here)
         rows.append(moved.of(old.rows_of(before, np.asarray(warm.rows)), 0.5))
         sizes.append(moved.of(old.rows_of(before, np.asarray(scales.rows))))
     parent = np.repeat(np.arange(old.intervals), 1 + split)
-    whole = new.whole_rows(sizes)
+    row_scales = new.whole_rows(sizes)
     alone = old.segments[0].alone
     return WarmStart(
         problem,
@@ -192,7 +192,7 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
         scales._replace(
             d=np.asarray(scales.d)[np.append(0, parent + 1)],
             u=np.asarray(scales.u)[parent],
-            rows=np.where(whole > 0.0, whole, 1.0),
+            rows=np.where(row_scales > 0.0, row_scales, 1.0),
         ),
         warm.params,
     )
@@ -220,10 +220,10 @@ class _Moved:
         Without a share each has what the whole has, or what the row before it has.
         """
         inner, end = np.split(rows, [self._old.intervals * self._old.rows_per_interval])
-        found = inner.reshape(self._old.intervals, -1)[self._parent][:, self._source]
+        moved = inner.reshape(self._old.intervals, -1)[self._parent][:, self._source]
         if share is not None:
-            found = found * np.where(self._same, np.where(self._split[self._parent], share, 1.0)[:, None], 0.0)
-        return np.concatenate([found.ravel(), end])
+            moved = moved * np.where(self._same, np.where(self._split[self._parent], share, 1.0)[:, None], 0.0)
+        return np.concatenate([moved.ravel(), end])
 
 
 def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -18,9 +18,6 @@ from ...integrators.ambient import Ambient
 from ..problem.statement import largest_by_name, violations
 from ..strategy.integration import Rollout
 from ..transcription.points import Point
-
-if TYPE_CHECKING:
-    from .trajectory import Trajectory
 
 
 @dataclasses.dataclass(frozen=True)
@@ -52,7 +49,7 @@ class Replay:
     final: dict[str, float]
 
 
-def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: float) -> Replay:
+def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> Replay:
     """The rollout of a trajectory; see `Trajectory.replay`. Without a method the solver's core rolls out if it can."""
     _need_finite(result)
     back = np.flatnonzero(np.diff(result.ts) < 0.0)
@@ -62,7 +59,7 @@ def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: flo
             "  fix: solve until the limits of free node times hold"
         )
     if method is None and result.solve is not None:
-        xs = _by_the_core(result, *result.solve, steps)
+        xs = _by_the_core(result, steps)
         if all(np.isfinite(values).all() for values in xs.values()):
             return _judged(result, xs, steps)
     method = result.problem.transcription.replaying if method is None else method
@@ -71,7 +68,7 @@ def replayed(result: Trajectory, method: Any, steps: int, rtol: float, atol: flo
     return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
 
 
-def _need_finite(result: Trajectory) -> None:
+def _need_finite(result: Any) -> None:
     """Raise TrajectoryError unless all of its states, controls and times are finite: nothing goes on from elsewhere."""
     for name, values in {**result.xs, **result.added, **result.us, "the time": result.ts}.items():
         wrong = np.flatnonzero(~np.isfinite(np.reshape(values, (len(values), -1))).all(axis=1))
@@ -82,7 +79,7 @@ def _need_finite(result: Trajectory) -> None:
             )
 
 
-def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Array]:
+def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
     """All states along a rollout. Equal intervals are one integration, others one each."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
@@ -91,30 +88,30 @@ def rolled_out(result: Trajectory, method: Method, steps: int) -> dict[str, Arra
     parts = [{name: values[None] for name, values in x.items()}]
     together = count if problem.mesh.is_even else 1
     for k in range(0, count, together):
-        own = slice(k * steps, (k + together) * steps + 1)
+        window = slice(k * steps, (k + together) * steps + 1)
         solution = integrate(
             problem.dynamics,
             x,
-            t0=float(ts[own][0]),
-            t1=float(ts[own][-1]),
+            t0=float(ts[window][0]),
+            t1=float(ts[window][-1]),
             steps=together * steps,
             method=method,
             u={n: ZeroOrderHold(result.ts[k : k + together], a[k : k + together]) for n, a in us.items()},
             params=params,
-            save_at=ts[own][1:],
+            save_at=ts[window][1:],
         )
         parts.append({name: np.asarray(values) for name, values in solution.xs.items()})
         x = {name: values[-1] for name, values in parts[-1].items()}
     return {name: np.concatenate([part[name] for part in parts]) for name in x}
 
 
-def _by_the_core(result: Trajectory, whole: Any, border: Array, steps: int) -> dict[str, Array]:
+def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     """The same by the solver's core, which compiles nothing for other numbers: not finite from where it fails."""
-    problem, held = result.problem, lifted(result).us
-    columns = [np.reshape(held[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
+    problem, us, (solved, border) = result.problem, lifted(result).us, result.solve
+    columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
-    started = whole.started(params=fixed)
-    staged = whole.core(1e-6, started.point, started.given).staged
+    started = solved.started(params=fixed)
+    staged = solved.core(1e-6, started.point, started.given).staged
     start, planned = _start(result), result.xs | result.added
     xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
@@ -123,12 +120,12 @@ def _by_the_core(result: Trajectory, whole: Any, border: Array, steps: int) -> d
     return Rollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 
 
-def _start(result: Trajectory) -> dict[str, Array]:
+def _start(result: Any) -> dict[str, Array]:
     """The first node, with what was added to the states."""
     return {name: np.asarray(values[0]) for name, values in lifted(result).xs.items()}
 
 
-def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
+def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
     import diffrax
 
     if not isinstance(solver, diffrax.AbstractSolver):
@@ -160,8 +157,8 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
     @jax.jit
     def rollout(y: Any, ts: Any, us: Any) -> Any:
         end, (parts, good) = jax.lax.scan(interval, y, (ts[:-1], ts[1:], us))
-        whole = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
-        return jax.vmap(ambient.from_ambient)(whole), good
+        states = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
+        return jax.vmap(ambient.from_ambient)(states), good
 
     start = ambient.to_ambient(_start(result))
     xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, held_of(result)))
@@ -171,25 +168,25 @@ def _rollout_ambient(result: Trajectory, solver: Any, steps: int, rtol: float, a
     return {name: np.asarray(values) for name, values in xs.items()}
 
 
-def lifted(result: Trajectory) -> Any:
+def lifted(result: Any) -> Any:
     """States and held controls of the system that is integrated; bounds on norms are as tight as they can be."""
     return result.problem.lifted(result.ts, result.xs | result.added, result.us, result.params)
 
 
-def held_of(result: Trajectory) -> dict[str, Array]:
+def held_of(result: Any) -> dict[str, Array]:
     """The held controls of the system that is integrated."""
     controls = result.problem.dynamics.controls
-    held = lifted(result).us
-    return {c.name: held[c.name] for c in controls}
+    lifted_us = lifted(result).us
+    return {c.name: lifted_us[c.name] for c in controls}
 
 
-def times_along(result: Trajectory, steps: int) -> Array:
+def times_along(result: Any, steps: int) -> Array:
     """(intervals * steps + 1,), equally spaced within each interval."""
     inner = np.linspace(result.ts[:-1], result.ts[1:], steps, endpoint=False, axis=1)
     return np.append(inner.ravel(), result.ts[-1])
 
 
-def _judged(result: Trajectory, xs: dict[str, Array], steps: int) -> Replay:
+def _judged(result: Any, xs: dict[str, Array], steps: int) -> Replay:
     problem, ts = result.problem, times_along(result, steps)
     intervals = problem.nodes - 1
     holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
@@ -226,12 +223,12 @@ def _curved_difference(group: Group, a: jax.Array, b: jax.Array) -> jax.Array:
 def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
     misses = {}
     for part in group.parts:
-        apart = reached[part.place] - planned[part.place] if part.sized else vector[list(part.entries)]
-        misses["angle" if part.unit == "rad" else part.name] = float(np.linalg.norm(apart))
+        difference = reached[part.place] - planned[part.place] if part.sized else vector[list(part.entries)]
+        misses["angle" if part.unit == "rad" else part.name] = float(np.linalg.norm(difference))
     return misses
 
 
-def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> Array:
+def _shown_along(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> Array:
     """The path rows as users wrote them along a rollout."""
     problem = result.problem
     if not problem.path.shown:
@@ -239,15 +236,15 @@ def _shown_along(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
     # Each interval is looked at with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
-    held = {name: np.repeat(values, steps + 1, axis=0) for name, values in lifted(result).us.items()}
-    return np.asarray(problem.shown_rows(ts[window.ravel()], points, held, result.params))
+    controls = {name: np.repeat(values, steps + 1, axis=0) for name, values in lifted(result).us.items()}
+    return np.asarray(problem.shown_rows(ts[window.ravel()], points, controls, result.params))
 
 
-def _node_violations(result: Trajectory, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
-    problem, found = result.problem, dict[str, float]()
+def _node_violations(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+    problem, largest = result.problem, dict[str, float]()
     for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
         here = {name: values[k * steps] for name, values in xs.items()}
         params = {**result.params, **problem.node_slacks.without}
         values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, params))
-        found |= largest_by_name(rows.names, violations(values, rows.equality))
-    return found
+        largest |= largest_by_name(rows.names, violations(values, rows.equality))
+    return largest

@@ -28,17 +28,17 @@ def singular(problem: StatedPhase, point: Point, params: Mapping[str, Any], dura
     The first one is that whose operands are finite: 1 / v where v is zero. A node before the last has the control after
     it, the last one the control before it.
     """
-    own, ts = problem.shooting, problem.shooting.times(np.asarray(durations))
-    exprs = own.local.expressions
-    controls = own.local.controls.split(np.asarray(point.us))
-    for k in (0, own.intervals):
+    shooting, ts = problem.shooting, problem.shooting.times(np.asarray(durations))
+    exprs = shooting.local.expressions
+    controls = shooting.local.controls.split(np.asarray(point.us))
+    for k in (0, shooting.intervals):
         x = {name: jnp.asarray(a[k]) for name, a in point.xs.items()}
-        u = {name: jnp.asarray(a[min(k, own.intervals - 1)]) for name, a in controls.items()}
+        u = {name: jnp.asarray(a[min(k, shooting.intervals - 1)]) for name, a in controls.items()}
         with in_double():
             inputs = Inputs(jnp.asarray(ts[k]), x, u, {n: jnp.asarray(a) for n, a in params.items()}, jnp.float64)
-            found = _first([*exprs.rates, *exprs.rows, *exprs.running], inputs)
-        if found is not None:
-            what, node = found
+            expression = _first([*exprs.rates, *exprs.rows, *exprs.running], inputs)
+        if expression is not None:
+            what, node = expression
             at = {leaf.name: {**x, **u}[leaf.name] for leaf in leaves_of(node) if isinstance(leaf, (State, Control))}
             where = ", ".join(f"{name} is {_shown(a)}" for name, a in at.items())
             return f"{what} at node {k}, where {where}. {_remedy(problem, k)}"
@@ -52,14 +52,14 @@ def _first(roots: list[Expr], inputs: Inputs) -> tuple[str, Expr] | None:
     slopes: tuple[str, Expr] | None = None
     for node in walk(roots, Expr.children, Expr.key):
         below = [values[child.key()] for child in node.children()]
-        whole = isinstance(node, Leaf) or len(node.eager_children()) < len(below)
-        value = evaluate_all([node], read)[0] if whole else node.evaluate(*below)
+        is_whole = isinstance(node, Leaf) or len(node.eager_children()) < len(below)
+        value = evaluate_all([node], read)[0] if is_whole else node.evaluate(*below)
         values[node.key()] = value
         text = repr(node) if len(repr(node)) <= _SHOWN else f"{repr(node)[:_SHOWN]}..."
         if not jnp.isfinite(value).all():
             return f"{text} is {_shown(value)}", node
         numbers = [k for k, a in enumerate(below) if jnp.issubdtype(a.dtype, jnp.floating)]
-        if slopes is None and numbers and not whole and jnp.issubdtype(value.dtype, jnp.floating):
+        if slopes is None and numbers and not is_whole and jnp.issubdtype(value.dtype, jnp.floating):
             jacobian = jax.jacfwd(node.evaluate, argnums=tuple(numbers))(*below)
             if not all(jnp.isfinite(a).all() for a in jacobian):
                 slopes = f"the slope of {text} is not finite", node

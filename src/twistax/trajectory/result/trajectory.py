@@ -58,12 +58,12 @@ class Trajectory:
     @property
     def integrals(self) -> dict[str, Array]:
         """`Integral(...)` -> from the beginning until each node."""
-        reduced, found = self.problem.functionals, dict[str, Array]()
+        reduced, integrals = self.problem.functionals, dict[str, Array]()
         for name in reduced.integrals:
             # What bounds of norms stand for is told by a rollout with the norms themselves.
-            along = self.dense.integrals[name] if name in reduced.loose else self.added[name]
-            found[name] = along[:: (len(along) - 1) // (len(self.ts) - 1)]
-        return found
+            rollout = self.dense.integrals[name] if name in reduced.loose else self.added[name]
+            integrals[name] = rollout[:: (len(rollout) - 1) // (len(self.ts) - 1)]
+        return integrals
 
     @functools.cached_property
     def dense(self) -> Replay:
@@ -147,28 +147,30 @@ def times_of(problem: StatedPhase, point: Point) -> Array:
 def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
     """By the names of rows."""
     shooting = problem.shooting
-    found = {f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()}
+    multipliers = {
+        f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()
+    }
     for name in dict.fromkeys(shooting.names[shooting.exists]):
-        found[name] = outcome.rows[shooting.exists & (shooting.names == name)]
-    return found
+        multipliers[name] = outcome.rows[shooting.exists & (shooting.names == name)]
+    return multipliers
 
 
 def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
     """At the nodes, in the constraints' own units."""
     shooting, path, point = problem.shooting, problem.path, outcome.point
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
-    found = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
+    largest = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
     if path.shown:
         ts = times_of(problem, point)
-        held = shooting.local.controls.split(np.asarray(point.us))
+        controls = shooting.local.controls.split(np.asarray(point.us))
         ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
         sizes = [
-            violations(np.asarray(problem.shown_rows(t, x, held, params)), path.shown_equality).max(axis=0)
+            violations(np.asarray(problem.shown_rows(t, x, controls, params)), path.shown_equality).max(axis=0)
             for x, t in ends
         ]
-        found |= largest_by_name(path.shown, np.maximum(*sizes))
-    own = shooting.own
-    lost = violations(np.asarray(outcome.values.rows), shooting.equality)
-    found |= largest_by_name([str(name) for name in shooting.names[own]], lost[own])
+        largest |= largest_by_name(path.shown, np.maximum(*sizes))
+    at_nodes = shooting.own
+    sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
+    largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}
-    return found | problem.node_slacks.violations(problem.conditions, xs, times_of(problem, point), params)
+    return largest | problem.node_slacks.violations(problem.conditions, xs, times_of(problem, point), params)

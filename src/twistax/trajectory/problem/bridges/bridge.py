@@ -50,8 +50,10 @@ class Statement(NamedTuple):
             None if final is None else put(final, True), running=None if running is None else put(running, False)
         )
         rows = {
-            k: {name: type(c)(put(c.lhs, k == self.last), put(c.rhs, k == self.last)) for name, c in own.items()}
-            for k, own in self.rows.items()
+            k: {
+                name: type(c)(put(c.lhs, k == self.last), put(c.rhs, k == self.last)) for name, c in constraints.items()
+            }
+            for k, constraints in self.rows.items()
         }
         return self._replace(objective=objective, rows=rows)
 

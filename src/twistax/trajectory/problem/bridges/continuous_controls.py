@@ -49,10 +49,10 @@ class ContinuousControls(Bridge):
     """
 
     def __init__(self, statement: Statement, mesh: Mesh, first: bool) -> None:
-        dynamics, ways = statement.dynamics, continuous_controls(statement.controls, statement.dynamics.controls)
+        dynamics, continuous = statement.dynamics, continuous_controls(statement.controls, statement.dynamics.controls)
         rates = rates_among(dynamics.controls)
         self.controls = [c for c in dynamics.controls if c.name not in rates]
-        self._mesh, self._smooth = mesh, {c.name: c for c in self.controls if c.name in ways}
+        self._mesh, self._smooth = mesh, {c.name: c for c in self.controls if c.name in continuous}
         self.pace = None if mesh.free is None else _PACE
         self.at_join: dict[str, Expr] = {_CLOCK: Time()} if self.pace else {}
         #: Of every continuous control itself and its derivatives, the last one held.
@@ -61,15 +61,15 @@ class ContinuousControls(Bridge):
         self.bounds: dict[str, Expr] = {}
         self._exchange: dict[str, Expr] = {}
         rows: dict[str, Constraint] = {}
-        if ways:
-            running, bounds = _with_bounds(statement.objective, set(ways))
+        if continuous:
+            running, bounds = _with_bounds(statement.objective, set(continuous))
             self._smooth |= {s.name: s for s, _ in bounds}
             rows = {s.name: continuous_bound(size, s) <= 0.0 for s, size in bounds}
             self.bounds = {s.name: size for s, size in bounds}
             objective = type(statement.objective)(statement.objective.final, running=running)
             statement = statement._replace(objective=objective)
             for name, leaf in self._smooth.items():
-                self._add(leaf, ways.get(name, Linear()))
+                self._add(leaf, continuous.get(name, Linear()))
         clock = State(_CLOCK, initial=0.0 if first else None)
         if self.pace:
             self._exchange[Time().key()] = clock
@@ -84,11 +84,11 @@ class ContinuousControls(Bridge):
             statement = statement._replace(rows={**statement.rows, statement.last: at_end})
         self.statement = statement
 
-    def _add(self, leaf: Control, way: Spline) -> None:
+    def _add(self, leaf: Control, spline: Spline) -> None:
         """A continuous control as states."""
-        states, held = self._chains[leaf.name] = way.leaves(leaf)
-        self.rates[held.name] = len(states)
-        self._exchange |= {leaf.key(): states[0], held.key(): held}
+        states, last = self._chains[leaf.name] = spline.leaves(leaf)
+        self.rates[last.name] = len(states)
+        self._exchange |= {leaf.key(): states[0], last.key(): last}
         self._exchange |= {Control(s.name, s.shape).key(): s for s in states[1:]}
 
     def put(self, expr: Expr, last: bool = False) -> Expr:
@@ -99,9 +99,9 @@ class ContinuousControls(Bridge):
     def _compiled(self, dynamics: Dynamics, rows: Mapping[str, Constraint], clock: State) -> Dynamics:
         """The system with continuous controls as states, and its own time if nodes are free."""
         rates: dict[State, Any] = {}
-        for states, held in self._chains.values():
-            rates |= zip(states, [*states[1:], held])
-        controls = [held for _, held in self._chains.values()]
+        for states, last in self._chains.values():
+            rates |= zip(states, [*states[1:], last])
+        controls = [last for _, last in self._chains.values()]
         if self._mesh.free is not None:
             low, high = self._mesh.free
             rates[clock] = 1.0
@@ -117,8 +117,8 @@ class ContinuousControls(Bridge):
     def derivatives(self) -> dict[str, str]:
         """Name of a held derivative of a continuous control -> what it is, in the language."""
         return {
-            held.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
-            for name, (states, held) in self._chains.items()
+            last.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
+            for name, (states, last) in self._chains.items()
         }
 
     # ---- between what users see and what is solved ------------------------------------------------------------------
@@ -133,29 +133,29 @@ class ContinuousControls(Bridge):
 
     def held(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Array]:
         """The held controls of the restated system, from what users see and all states at the nodes."""
-        found = {name: values for name, values in us.items() if name not in self._smooth}
+        controls = {name: values for name, values in us.items() if name not in self._smooth}
         steps = np.diff(ts)
-        for states, held in self._chains.values():
-            moves = np.diff(xs[states[-1].name], axis=0)
-            found[held.name] = moves / steps.reshape(-1, *[1] * (moves.ndim - 1))
+        for states, last in self._chains.values():
+            changes = np.diff(xs[states[-1].name], axis=0)
+            controls[last.name] = changes / steps.reshape(-1, *[1] * (changes.ndim - 1))
         if self.pace is not None:
-            found[_PACE] = steps / ((ts[-1] - ts[0]) * self._mesh.widths)
-        return found
+            controls[_PACE] = steps / ((ts[-1] - ts[0]) * self._mesh.widths)
+        return controls
 
     def over_time(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Any]:
         """The controls that users see as tables over time, from them and all states at the nodes."""
-        found: dict[str, Any] = {}
-        held = self.held(ts, us, xs)
+        tables: dict[str, Any] = {}
+        derivatives = self.held(ts, us, xs)
         for name, values in us.items():
             states, last = self._chains.get(name, ([], None))
             if last is None:
-                found[name] = ZeroOrderHold(ts[:-1], values)
+                tables[name] = ZeroOrderHold(ts[:-1], values)
             elif len(states) == 1:
-                found[name] = FirstOrderHold(ts, values)
+                tables[name] = FirstOrderHold(ts, values)
             else:
-                rows = [values[:-1], *(xs[s.name][:-1] for s in states[1:]), held[last.name]]
-                found[name] = PiecewisePolynomial(ts[:-1], np.stack(rows, axis=1))
-        return found
+                rows = [values[:-1], *(xs[s.name][:-1] for s in states[1:]), derivatives[last.name]]
+                tables[name] = PiecewisePolynomial(ts[:-1], np.stack(rows, axis=1))
+        return tables
 
     def complete(self, guess: Path) -> None:
         guess.add_bounds(self.bounds)
@@ -167,9 +167,9 @@ class ContinuousControls(Bridge):
         path.xs |= {name: values for name, values in path.us.items() if name in self._smooth}
         path.us = self.held(path.ts, path.us, path.xs)
 
-    def at_rest(self, held: dict[str, Any]) -> dict[str, Any]:
+    def at_rest(self, controls: dict[str, Any]) -> dict[str, Any]:
         """Held controls under which linear ones stay as they are, and splines go on as their derivatives say."""
-        return {name: 0.0 * values if name in self.rates else values for name, values in held.items()}
+        return {name: 0.0 * values if name in self.rates else values for name, values in controls.items()}
 
 
 def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:

@@ -156,10 +156,10 @@ class LiftedFunctionals(Bridge):
         self._taken.add(name)
         if isinstance(leaf, Extreme):
             bound = Parameter(name)
-            own = operand <= bound if leaf.sign > 0.0 else operand >= bound
+            limit = operand <= bound if leaf.sign > 0.0 else operand >= bound
             shown = leaf.operand <= leaf if leaf.sign > 0.0 else leaf.operand >= leaf
             row = free_name(repr(shown), self._rows.keys() | dynamics.system.constraints.keys())
-            self._rows[row], self.extremes[row] = own, (leaf, name)
+            self._rows[row], self.extremes[row] = limit, (leaf, name)
             self._exchange[leaf.key()] = bound
         elif isinstance(leaf, Integral):
             state = State(name, leaf.shape, initial=np.zeros(leaf.shape))
@@ -219,11 +219,11 @@ def _check_places(statement: Statement) -> None:
 
 def functionals_of(*exprs: Expr) -> list[Functional]:
     """The functionals that expressions read, each once, also those inside of others."""
-    found: dict[str, Functional] = {}
+    functionals: dict[str, Functional] = {}
     for leaf in _functionals(exprs):
-        found.setdefault(leaf.key(), leaf)
-        found |= {inner.key(): inner for inner in functionals_of(leaf.operand)}
-    return list(found.values())
+        functionals.setdefault(leaf.key(), leaf)
+        functionals |= {inner.key(): inner for inner in functionals_of(leaf.operand)}
+    return list(functionals.values())
 
 
 def _functionals(exprs: Iterable[Expr]) -> list[Functional]:
@@ -264,9 +264,9 @@ def _with_running(objective: Objective) -> Objective:
     if objective.final is None or not any(isinstance(leaf, Integral) for leaf in _functionals([objective.final])):
         return objective
     terms = linear_terms(objective.final.canonicalize())
-    whole = [(factor, part.operand) for factor, part in terms if isinstance(part, Integral)]
+    integrals = [(factor, part.operand) for factor, part in terms if isinstance(part, Integral)]
     rest = [(factor, part) for factor, part in terms if not isinstance(part, Integral)]
-    if not whole:
+    if not integrals:
         return objective
-    running = sum_of(whole) if objective.running is None else objective.running + sum_of(whole)
+    running = sum_of(integrals) if objective.running is None else objective.running + sum_of(integrals)
     return type(objective)(sum_of(rest).canonicalize() if rest else None, running=running.canonicalize())

@@ -63,12 +63,12 @@ class NodeSlacks(Bridge):
         price = objective.final
         for node, constraints in statement.rows.items():
             place = place_of(node, statement.last)
-            for name, asked in constraints.items():
-                if isinstance(asked, Soft):
-                    added = objective.sign * self._soften(place, name, asked, front, rows[node])
+            for name, constraint in constraints.items():
+                if isinstance(constraint, Soft):
+                    added = objective.sign * self._soften(place, name, constraint, front, rows[node])
                     price = added if price is None else price + added
                 else:
-                    rows[node][name] = asked
+                    rows[node][name] = constraint
         if self.slacks:
             objective = type(objective)(price, running=objective.running)
         self.statement = statement._replace(objective=objective, rows=rows)
@@ -186,16 +186,16 @@ class PathBounds(Bridge):
         Bounds are a little above what they bound. A slack is the same all along, for the guess is none of the
         violations of an optimum.
         """
-        intervals, found = len(guess.ts) - 1, []
+        intervals, columns = len(guess.ts) - 1, []
         if self._sizes:
-            found = [above(values)[:, None] for values in values_of(self._sizes, guess.sized().us, guess.params)]
+            columns = [above(values)[:, None] for values in values_of(self._sizes, guess.sized().us, guess.params)]
         shown = phase.shown_along(guess) if self.slacks else np.zeros((0, 0))
         for name, slack in self.slacks.items():
             places = [phase.path.shown.index(row) for row in entry_names(name, slack.shape)]
             values, is_equality = shown[:, places], isinstance(self.soft[name].constraint, Equality)
             most = values[np.argmax(_size(values, is_equality), axis=0), np.arange(len(places))]
-            found.append(np.tile(_start(most, is_equality), (intervals, 1)))
-        return found
+            columns.append(np.tile(_start(most, is_equality), (intervals, 1)))
+        return columns
 
     def forward(self, path: Path) -> None:
         path.us |= {c.name: np.zeros((len(path.ts) - 1, *c.shape)) for c in self.controls}
