@@ -265,7 +265,7 @@ def test_nothing_is_rolled_out_from_what_is_not_finite() -> None:
 
     result = lagging().solve(mesh_tolerance=np.inf)
     xs = dict(result.xs) | {"z": np.where(np.arange(21) == 3, np.nan, result.xs["z"])}
-    broken = dataclasses.replace(result, xs=xs)
+    broken = dataclasses.replace(result, phases=(dataclasses.replace(result.phases[0], xs=xs),))
     for read in ("mesh_error", "between_nodes", "dense", "extremes"):
         with pytest.raises(tx.TrajectoryError, match="'z' is not finite at node 3"):
             getattr(broken, read)

@@ -46,7 +46,7 @@ def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[NonlinearProgr
     guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
     with in_double():
         started = problem.started(guess, final_time_guess=3.0)
-        staged = problem._core(1e-6, started.point, started.given).staged
+        staged = problem.core(1e-6, started.point, started.given).staged
         program = NonlinearProgram(staged, started.given, with_copies=copies)
         start = program.start(started.point, started.given, None)
     return program, start.x + 0.3 * rng.normal(size=program.size)
@@ -168,7 +168,7 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
     assert pushing.solve(solver=solver).solved
     process = made._process
     del made, own
-    pushing.built()
+    pushing.forget()
     gc.collect()
     assert process.poll() is not None
 

@@ -222,7 +222,7 @@ def test_all_derivatives_of_joined_phases(seed: int) -> None:
     problem, rng = rich(), np.random.default_rng(seed)
     with in_double():
         started = problem.started()
-        staged = problem._core(1e-6, started.point, started.given).staged
+        staged = problem.core(1e-6, started.point, started.given).staged
         program = NonlinearProgram(staged, started.given, with_copies=False)
         x = program.start(started.point, started.given, None).x
         border = program._copies[0]

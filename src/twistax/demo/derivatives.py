@@ -10,8 +10,8 @@ import numpy as np
 
 import twistax as tx
 
+from ..linear.discretize import Controls, value_and_jacobian
 from ..scenes.powered_descent import Array
-from ..trajectory.discretize import Controls, value_and_jacobian
 from ..trajectory.transcription.vectors import declared_scales
 
 #: The largest difference allowed.

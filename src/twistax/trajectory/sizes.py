@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from .controls import rate_name
+from .problem.controls import rate_name
 from .transcription.points import Point
 from .transcription.shooting import Shooting
 

@@ -27,7 +27,7 @@ def reduced_bends(result: Any) -> Array:
     problem, warm = result.problem, result.warm
     with in_double():
         given = problem.started().given
-        core = problem._core(1e-6, warm.point, given)
+        core = problem.core(1e-6, warm.point, given)
         program: NonlinearProgram = core.made.setdefault(
             "second order", NonlinearProgram(core.staged, given, with_copies=False)
         )

@@ -19,7 +19,7 @@ from ...solver.core import Solution, Units
 from ...solver.core import Status as CoreStatus
 from ...solver.members import MEASURES, Solves
 from ...solver.options import Options
-from ..problem import Problem
+from ..problem.problem import Problem
 from ..strategy.core_solver import CoreSolver
 from ..strategy.measure import COST
 from ..strategy.status import Status

@@ -27,7 +27,7 @@ from ...solver.kernels import Argument, SmoothKernels
 from ...solver.members import Moves
 from ...solver.options import Options
 from ...solver.transcription import Transcription
-from ..problem import Problem
+from ..problem.problem import Problem
 from ..start_units import StartUnits
 from ..strategy.core_solver import CoreSolver
 from ..transcription.jax_values import JaxValues

@@ -15,7 +15,7 @@ from ...errors import InputError, ShapeError, TrajectoryError
 from ...jax_inside import in_double, is_traced, quick_compile
 from ...system import name_of
 from ..hessians.options import by_updates
-from ..problem import Problem
+from ..problem.problem import Problem
 from ..strategy.accuracy import MESH
 from ..strategy.core_solver import CoreSolver
 from ..strategy.status import Status
@@ -89,7 +89,7 @@ def solution(
     if len(getattr(problem, "parts", ())) != 1:
         raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
     if by_updates(problem.parts):  # derivatives need exact ones
-        problem = problem.stated_with(hessian=None)
+        problem = problem.with_phases([{"hessian": None}])
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
     return _Differentiable(problem, options, tolerance)
 
@@ -139,7 +139,7 @@ class _Differentiable:
         with in_double():
             result = problem.solve(**options, tolerance=self._tolerance)
             started = problem.started(options["guess"])
-            core = problem._core(self._tolerance, started.point, started.given)
+            core = problem.core(self._tolerance, started.point, started.given)
             start = result.warm.point if result.solved else started.point
             call = CoreCall(problem, core, start, started.given, options["max_iterations"])
         return _Reference(core, started.given, call, result.message if result.status is Status.COARSE else "")
@@ -192,10 +192,11 @@ class _SolutionFor:
     def _solution(self, optimum: Optimum) -> Solution:
         problem, point = self._problem, self._conditions.point(optimum.z)
         controls = problem.shooting.local.controls.split(point.us)
+        xs, us = problem.seen(point.xs, controls)
         return Solution(
             problem.objective.sign * optimum.cost,
-            {s.name: point.xs[s.name] for s in problem.reduced.states},
-            problem.restated.us(point.xs, controls),
+            xs,
+            us,
             point.border[0],
             problem.border.params(point.border),
             optimum.solved,
@@ -248,7 +249,7 @@ class _SolutionFor:
         values: Any = {name: getattr(numbers, name) or None for name in ("params", "initial", "final")}
         values |= numbers.final_time
         started, tolerance = self._problem.started(**values), self._reference.core.tolerance
-        core = self._problem._core(tolerance, started.point, started.given)  # of this thread
+        core = self._problem.core(tolerance, started.point, started.given)  # of this thread
         inputs = self._inputs(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
         judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])

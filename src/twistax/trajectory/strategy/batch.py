@@ -2,29 +2,28 @@
 
 from __future__ import annotations
 
-import operator
 import threading
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
+from typing import Any
 
 import jax
 import numpy as np
 
 from ...jax_inside import in_double
 from ...solver.processors import processors
-from ..transcription.points import Given, Point
 from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome
 from .strategies import solved
 
 
-def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_tolerance: float) -> list[Outcome]:
-    """The outcomes of all cases, arrays with a leading axis."""
-    points, givens = jax.tree.map(np.asarray, (points, givens))
+def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
+    """The outcomes of all cases, each with the `point` where it starts and what is `given`."""
     of_thread = threading.local()
 
-    def outcome(case: int) -> Outcome:
-        point, instance = jax.tree.map(operator.itemgetter(case), (points, givens))
+    def outcome(case: Any) -> Outcome:
+        point, instance = jax.tree.map(np.asarray, (case.point, case.given))
         if not hasattr(of_thread, "solver"):
             of_thread.solver = solver.alone(instance)
         core: CoreSolver = of_thread.solver
@@ -34,4 +33,4 @@ def solve_all(solver: CoreSolver, points: Point, givens: Given, most: int, mesh_
             )
 
     with ThreadPoolExecutor(processors()) as pool:
-        return list(pool.map(outcome, range(len(points.us))))
+        return list(pool.map(outcome, cases))

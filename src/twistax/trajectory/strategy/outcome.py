@@ -6,6 +6,8 @@ import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
+import jax
+import numpy as np
 from numpy import ndarray as Array
 
 from ..start_units import StartUnits
@@ -55,6 +57,14 @@ class Outcome:
     units: StartUnits | None = None  # of the solver
     flat: FlatRow | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better
+    refusal: str = ""  # why it was not solved
+
+    def refused(self, refusal: str) -> Outcome:
+        """That of a case which was not solved, of the same shapes: all numbers are NaN."""
+        others = ("status", "iterations", "accuracy", "units", "flat", "saddle", "refusal")
+        numbers = {name: value for name, value in self._asdict().items() if name not in others}
+        nothing = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)
+        return Outcome(**nothing, status=Status.REFUSED, iterations=0, refusal=refusal)
 
     @property
     def cost(self) -> float:

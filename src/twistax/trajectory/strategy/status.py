@@ -26,6 +26,7 @@ class Status(enum.Enum):
     STOPPED = "the callback ended the search before the first-order conditions held"
     STALLED = "the search found nothing better, but the first-order conditions do not hold"
     NON_FINITE = "the problem has values or slopes that are not finite"
+    REFUSED = "the arguments of this case do not fit the problem, so it was not solved"
 
     def __str__(self) -> str:
         return f"{self.name}: {self.value}"

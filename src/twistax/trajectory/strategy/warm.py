@@ -57,12 +57,12 @@ class WarmStart:
             raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
         # Linear controls stay as they are.
         split = shooting.local.controls.split
-        still = {name: np.asarray(a) for name, a in problem.restated.at_rest(split(np.ones(shooting.m))).items()}
+        still = {name: np.asarray(a) for name, a in problem.continuous.at_rest(split(np.ones(shooting.m))).items()}
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
         us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():
-            instance = problem.started(begin=point).given._replace(params=self.params)
-            staged = problem.staged(point, instance)
+            instance = self.problem.started(begin=point).given._replace(params=self.params)
+            staged = self.problem.core(1e-6, point, instance).staged
             last, data = staged.parts[0], staged.numbers.vector(instance)
             rollout = Rollout(last, problem.transcription, staged.border.size, data)
             nodes = list(last.point.joined(point.xs, 1))

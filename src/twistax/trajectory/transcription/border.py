@@ -16,9 +16,9 @@ from numpy import ndarray as Array
 from ...checks import listed, number, reals, short
 from ...errors import ModelError, TrajectoryError
 from ...expr import Control, Parameter
+from ...linear.discretize import Controls
 from ...system import entry_names, name_of
 from ...units import same_unit, seconds
-from ..discretize import Controls
 
 #: Limits of a time that are further apart than this leave it open how long things take, but for the order of magnitude.
 _WIDE = 100.0 * (1.0 + 1e-9)

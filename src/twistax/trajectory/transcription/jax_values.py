@@ -18,7 +18,7 @@ from ...scalar.backends import XLA, chosen
 from ...scalar.fast import fast
 from ...scalar.targets.llvm.backend import Auto, Native, installed
 from ...solver.transcription import Method
-from ...system.functions import Arrays
+from ...system.dynamics import Arrays
 from .points import Given, Point, Values
 from .shooting import Shooting
 

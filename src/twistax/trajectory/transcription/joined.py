@@ -22,8 +22,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...expr import Expr, Inputs, evaluate_all
-from ...system.functions import Arrays
-from ..statement import PathRows
+from ...system.dynamics import Arrays
+from ..problem.statement import PathRows
 from .points import Step
 from .shooting import Segment, Shooting, Transcribed
 

@@ -15,7 +15,7 @@ from ...expr.fields import freeze
 from ...expr.transformations.without_numbers import Structure
 from ...solver.kernels import Argument, SmoothKernels
 from ...solver.transcription import JoinKernels, PhaseKernels
-from ..conditions import Conditions
+from ..problem.conditions import Conditions
 from .joined import Join
 from .points import Given
 from .shooting import Shooting

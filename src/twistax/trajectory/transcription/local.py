@@ -16,12 +16,11 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...expr import Constant, Expr, Inputs, evaluate_all
-from ...system.dynamics import Dynamics
-from ...system.functions import Arrays
-from ..conditions import Conditions
-from ..cones import NormControls
-from ..discretize import Controls
-from ..statement import Objective, PathRows
+from ...linear.discretize import Controls
+from ...system.dynamics import Arrays, Dynamics
+from ..problem.bridges.path_bounds import PathBounds
+from ..problem.conditions import Conditions
+from ..problem.statement import Objective, PathRows
 from .point_values import PointValues
 
 
@@ -47,7 +46,12 @@ class Local:
     """
 
     def __init__(
-        self, dynamics: Dynamics, path: PathRows, objective: Objective, norms: NormControls, final: Conditions
+        self,
+        dynamics: Dynamics,
+        path: PathRows,
+        objective: Objective,
+        norms: PathBounds,
+        final: Conditions,
     ) -> None:
         self._dynamics, self._path, self._final = dynamics, path, final
         one = lambda expr: () if expr is None else (expr,)  # noqa: E731

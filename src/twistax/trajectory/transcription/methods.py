@@ -12,8 +12,8 @@ from ...checks import whole
 from ...errors import TrajectoryError
 from ...integrators import RKMK, ImplicitRKMK, Method
 from ...integrators.tableaus import DOP853, RK4, CollocationTableau
+from ...linear.discretize import method_of
 from ...solver.transcription import Method as Scheme
-from ..discretize import method_of
 
 #: Steps of a close integration of an interval at least, for limits are checked at their ends; an even number.
 _LOOKS = 8

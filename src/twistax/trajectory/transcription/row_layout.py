@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..conditions import Conditions, Ends
-from ..statement import PathRows
+from ..problem.conditions import Conditions, Ends
+from ..problem.statement import PathRows
 from .border import Border
 
 

@@ -23,12 +23,11 @@ from numpy import ndarray as Array
 
 from ...expr import Control, Inputs, State
 from ...system import entry_names
-from ...system.dynamics import Dynamics
-from ...system.functions import Arrays
-from ..by_node import ByNode
-from ..conditions import Conditions, Ends
-from ..cones import NormControls
-from ..statement import Objective, PathRows
+from ...system.dynamics import Arrays, Dynamics
+from ..problem.bridges.path_bounds import PathBounds
+from ..problem.by_node import ByNode
+from ..problem.conditions import Conditions, Ends
+from ..problem.statement import Objective, PathRows
 from .border import Border
 from .local import Expressions, Local
 from .mesh import Mesh
@@ -142,7 +141,7 @@ class Shooting(Transcribed):
         transcription: MultipleShooting | Collocation,
         mesh: Mesh,
         path: PathRows,
-        norms: NormControls,
+        norms: PathBounds,
         ends: Ends,
         final: Conditions,
         at_nodes: Mapping[int, Conditions],
@@ -158,7 +157,7 @@ class Shooting(Transcribed):
         self.phase, self.is_last = phase, phase == border.phases - 1
         leaves: list[State | Control] = [*dynamics.states, *dynamics.controls, *norms.controls]
         self.leaves = {leaf.name: leaf for leaf in leaves}
-        self.slacks = frozenset(slack.name for slack in getattr(norms, "slacks", {}).values())
+        self.slacks = frozenset(slack.name for slack in norms.slacks.values())
         self.local = Local(dynamics, path, objective, norms, final)
         self.n, self.m = dynamics.dimension, self.local.controls.dimension
         self.size = self.n + self.m + border.size

@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Phase, PhaseKernels
-from ..conditions import Conditions
+from ..problem.conditions import Conditions
 from .kernels import point_of
 from .shooting import Segment, Shooting
 
