@@ -126,7 +126,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/solution.py",
+        "integrators/results/solution.py",
         (
             "the last row is one of the batch",
             "at = np.ndim(self.ts) - 1",
@@ -196,7 +196,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- joined phases -----------------------------------------------------------------------------------------------
     *_at(
-        "integrators/phases.py",
+        "integrators/phases/integrate_phases.py",
         (
             "a phase begins when the one before would have ended at the latest",
             "t, end = solution.ts[-1], {",
@@ -212,7 +212,7 @@ MUTATIONS: list[Mutation] = [
     ),
     # ---- progress ----------------------------------------------------------------------------------------------------
     *_at(
-        "integrators/meter.py",
+        "integrators/loop/progress_callback.py",
         (
             "a part beyond the stop",
             "jnp.minimum(stop, at(now)[0] + part)",
@@ -222,7 +222,7 @@ MUTATIONS: list[Mutation] = [
         ("who asked is kept", "del _ASKED[number]", "pass", "integrators/test_meter.py"),
     ),
     *_at(
-        "integrators/adaptive.py",
+        "integrators/loop/adaptive_steps.py",
         (
             "the share of a leg, not of the way",
             "(now.t - self.t0) / (self.stops.limits[-1] - self.t0)",
@@ -1219,7 +1219,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/adaptive.py",
+        "integrators/loop/adaptive_steps.py",
         (
             "steps are never taken back",
             "good = square <= 1.0",
@@ -1240,7 +1240,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/charts.py",
+        "integrators/charts/chart.py",
         (
             "ambient position in the body's axes",
             "(*quaternions.rate(y[:4], omega[-3:]), *_in_world(y[:4], omega[:-3]))",
@@ -1249,7 +1249,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/commutator_free.py",
+        "integrators/methods/commutator_free.py",
         (
             "exponentials in the other order",
             "b=[[1 / 4, 1 / 6, 1 / 6, -1 / 12], [-1 / 12, 1 / 6, 1 / 6, 1 / 4]]",
@@ -1258,7 +1258,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/magnus.py",
+        "integrators/methods/magnus.py",
         (
             "sign of the bracket",
             "+ sqrt(3.0) / 12.0 * h * h * group.bracket(A[0], A[1])",
@@ -1267,7 +1267,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/events.py",
+        "integrators/events/conditions.py",
         (
             "rising for falling",
             "(falls & (wanted <= 0)) | (rises & (wanted >= 0))",
@@ -1288,7 +1288,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/search.py",
+        "integrators/events/search.py",
         (
             "an extremum near zero is not looked for",
             "return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))",
@@ -1309,7 +1309,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/crossings.py",
+        "integrators/events/crossings.py",
         (
             "crossings after the end",
             "& ~((before == steps) & (s > end))",
@@ -1330,7 +1330,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/meeting.py",
+        "integrators/events/event_end.py",
         (
             "times of crossings do not move",
             "lambda slope, change: change / slope(jnp.ones_like(change)),",
@@ -1339,7 +1339,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/grid.py",
+        "integrators/loop/grid.py",
         (
             "jumps inside of fixed steps",
             "present = (end > 0.0) & ((end < steps) | (~on_end & (end <= steps))) & ~again",
@@ -1363,7 +1363,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/adaptive.py",
+        "integrators/loop/adaptive_steps.py",
         (
             "an event halts after its step",
             "hit = code != after.code",
@@ -1402,7 +1402,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/bracket.py",
+        "integrators/events/root_finding.py",
         (
             "the half of a bracket without the root",
             "same = jnp.sign(fx) == jnp.sign(fa)",
@@ -1411,7 +1411,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/along.py",
+        "integrators/results/outputs.py",
         (
             "controls before a jump",
             "for h in (small, -small))",
@@ -1426,7 +1426,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/interpolant.py",
+        "integrators/methods/interpolant.py",
         (
             "a lower order of polynomials",
             "for order in range(tableau.order, 3, -1):",
@@ -1435,7 +1435,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/rows.py",
+        "integrators/loop/saving.py",
         (
             "as many rows as times",
             "    room = 64\n",
@@ -1465,7 +1465,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/events.py",
+        "integrators/events/conditions.py",
         (
             "tables in the first step, not in the moment after the start",
             "self.values(stepper, t, s, t + s, moved)",
@@ -1534,7 +1534,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/solution.py",
+        "integrators/results/solution.py",
         (
             "state of the step before",
             "k = jnp.clip(before, 0, last)",
@@ -1543,7 +1543,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/rollout.py",
+        "integrators/loop/rollout.py",
         (
             "one step beyond the count",
             "jnp.where(k < count, new, old), step(y, own), y)",
@@ -1564,7 +1564,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/implicit_rkmk.py",
+        "integrators/methods/implicit_rkmk.py",
         (
             "stages not around the middle",
             "Z - half[None, :]",
@@ -1573,7 +1573,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/implicit_rkmk.py",
+        "integrators/methods/implicit_rkmk.py",
         (
             "transpose of the tangent's equations",
             "jnp.linalg.solve(columns.T, b.reshape(-1))",
@@ -1582,7 +1582,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/newton.py",
+        "integrators/methods/newton.py",
         (
             "imaginary part of the solution",
             "found += [x, -y]",
@@ -1603,7 +1603,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/compensated.py",
+        "integrators/charts/compensated.py",
         (
             "the error of a sum is lost",
             "(fixed_a - (fixed_s - rest)) + (fixed_b - rest)",
@@ -1612,7 +1612,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/unreached.py",
+        "integrators/loop/unreached.py",
         (
             "a failure has no derivative forward",
             "return jnp.where(wide(value), value, jnp.nan)",
@@ -1627,7 +1627,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/rollout.py",
+        "integrators/loop/rollout.py",
         (
             "what no step has read has no derivative",
             "a + nothing.astype(a.dtype)",
@@ -1636,7 +1636,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/failures.py",
+        "integrators/loop/failures.py",
         (
             "an error evaluates its step by JAX",
             "on_host(_end, stepper, t, h, x)",
@@ -1998,7 +1998,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/projected.py",
+        "integrators/methods/projected.py",
         (
             "steps are not brought back",
             "_CORRECTIONS = 2",

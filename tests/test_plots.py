@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.solution import Stats
+from twistax.integrators.results.solution import Stats
 from twistax.trajectory.result import Trajectory
 
 TIMES = np.linspace(0.0, 4.0, 9)

@@ -20,8 +20,7 @@ from numpy.typing import NDArray
 from .checks import callable_with, instance, path_of, reals, short, whole
 from .chunks import Chunks, Columns, InMemory, OnDisk
 from .errors import InputError
-from .integrators import Result, Solution
-from .integrators.steps import ended_well
+from .integrators import Result, Solution, ended_well
 from .progress import Progress
 
 __all__ = ["Statistics", "Sweep", "sweep"]

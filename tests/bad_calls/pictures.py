@@ -6,7 +6,7 @@ import numpy as np
 from table import bad
 
 import twistax as tx
-from twistax.integrators.solution import Stats
+from twistax.integrators.results.solution import Stats
 from twistax.mechanics import Chain, Link, SpatialInertia, joints
 
 view = tx.view

@@ -15,7 +15,7 @@ import pytest
 import twistax as tx
 from twistax.checks import real_array, reals
 from twistax.expr.fields import Operand, freeze
-from twistax.integrators.links import linked
+from twistax.integrators.phases.links import linked
 from twistax.lowering.inputs import cast
 
 s, v = tx.State("s"), tx.State("v", shape=(3,))

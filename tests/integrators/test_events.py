@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.events import _of_expression
+from twistax.integrators.events.conditions import _of_expression
 
 WEIGHT = 9.81
 SPIN = np.array([0.0, 0.0, 1.2])

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators import failures
+from twistax.integrators.loop import failures
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, spatial_momentum
 
 RADAU = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.newton import inverse
+from twistax.integrators.methods.newton import inverse
 from twistax.tableaus import GAUSS_LEGENDRE4, IMPLICIT, RADAU_IIA3, RADAU_IIA5, RADAU_IIA9, CollocationTableau
 
 BY_NAME = pytest.mark.parametrize("tableau", IMPLICIT, ids=lambda tableau: tableau.name)

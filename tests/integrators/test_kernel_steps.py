@@ -11,7 +11,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
+from twistax.integrators.loop.kernels import KernelSteps
 from twistax.lowering import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")

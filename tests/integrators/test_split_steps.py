@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
+from twistax.integrators.loop.kernels import KernelSteps
 
 TIMES, VALUES = np.array([0.0, 0.3, 0.7]), np.array([1.0, -2.0, 0.5])
 TABLE = {"F": tx.ZeroOrderHold(TIMES, VALUES)}

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.rkmk import stage_slopes
+from twistax.integrators.methods.rkmk import stage_slopes
 from twistax.integrators.tableaus import ButcherTableau, Rows
 from twistax.lowering.small_call import held, small_call
 

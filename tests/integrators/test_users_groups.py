@@ -17,7 +17,7 @@ import twistax as tx
 from registered import concrete_classes
 from twistax.groups import ElementPart, Group
 from twistax.integrators import Method
-from twistax.integrators.projected import Projected
+from twistax.integrators.methods.projected import Projected
 from users_groups import SE2, SIM2, SO2, Similarity
 
 GROUPS: list[Group] = [SO2(), SE2, SIM2]

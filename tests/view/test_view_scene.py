@@ -16,7 +16,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
-from twistax.integrators.solution import Stats
+from twistax.integrators.results.solution import Stats
 from twistax.mechanics import Chain, Link, SpatialInertia, joints
 from twistax.view.motion import Motion, shown
 from twistax.view.scene import Scene

@@ -24,26 +24,26 @@ from ..lowering import Dynamics
 from ..lowering.dynamics import need_compiled
 from ..lowering.inputs import is_finite, need_held, precision
 from ..lowering.written import on_any_mesh
-from .adaptive import AdaptiveSteps
-from .charts import Ambient
+from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
-from .events import watch_of
-from .failures import failure, numbers
-from .interpolant import Between
-from .meter import asked_for, metered
+from .events.conditions import watch_of
+from .loop.adaptive_steps import AdaptiveSteps
+from .loop.failures import failure, numbers
+from .loop.fixed_steps import FixedSteps, Steps, ended_well
+from .loop.outcome import Result
+from .loop.progress_callback import asked_for, metered
+from .loop.rollout import Rollout, rollout
+from .loop.saving import Stops, filled, limits_of
+from .loop.unreached import nan_unless
 from .method import Method, Stepper
-from .projected import need_start_on_manifold, projected
-from .rkmk import RKMK
-from .rollout import Rollout, rollout
-from .rows import Stops, filled, limits_of
-from .run import Result
-from .solution import Crossings, Dense, Solution, Stats
+from .methods.interpolant import Between
+from .methods.projected import need_start_on_manifold, projected
+from .methods.rkmk import RKMK
+from .results.solution import Crossings, Dense, Solution, Stats
 from .step_control import StepControl
-from .steps import FixedSteps, Steps, ended_well
 from .tableaus import DOP853, RK4
 from .times import check_saves, direction_of, fixed_steps, span_of
 from .tolerances import tolerances_of
-from .unreached import nan_unless
 
 
 def integrate(

@@ -15,8 +15,8 @@ from ..jax_inside import spread
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.written import on_any_mesh
-from .charts import Blocks, StateCoordinates, StoredState
-from .compensated import compensated
+from .charts.chart import Blocks, StateCoordinates, StoredState
+from .charts.compensated import compensated
 from .controls import Signals
 from .tolerances import Tolerances
 

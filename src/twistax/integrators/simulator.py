@@ -19,10 +19,10 @@ from ..lowering import Dynamics
 from ..lowering.inputs import read_values
 from .controls import Table
 from .integrate import integrate, need_element, planned, solution_of
+from .loop.rollout import handed_over, in_few_arrays
 from .method import flattened
-from .projected import need_start_on_manifold
-from .rollout import handed_over, in_few_arrays
-from .solution import Solution
+from .methods.projected import need_start_on_manifold
+from .results.solution import Solution
 
 #: What a call may change, and the options of `integrate` that stay.
 _GIVEN = ("x0", "u", "params")

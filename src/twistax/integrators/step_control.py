@@ -13,7 +13,7 @@ from ..checks import number
 from ..errors import ModelError
 from ..lowering.small_call import held
 from ..units import same_unit, seconds
-from .charts import Blocks
+from .charts.chart import Blocks
 from .method import Stepper
 from .tolerances import Tolerances
 

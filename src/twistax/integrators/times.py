@@ -12,8 +12,8 @@ from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..units import Quantity, same_unit, seconds
-from .grid import Splits, slack, splits_of
-from .steps import FixedSteps, Saves
+from .loop.fixed_steps import FixedSteps, Saves
+from .loop.grid import Splits, slack, splits_of
 
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:

@@ -16,7 +16,7 @@ from ..expr import State
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import cast
-from .charts import Blocks, StateCoordinates
+from .charts.chart import Blocks, StateCoordinates
 
 #: No tolerance is finer than this many times the precision of the numbers.
 _FINEST = 10.0

@@ -20,9 +20,9 @@ from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays, need_compiled
 from ..ambient import Arguments, read_arguments
-from ..charts import Blocks, Chart, Exponential, SplitExponential, chart_of
+from ..charts.chart import Blocks, Chart, Exponential, SplitExponential, chart_of
 from ..method import Stepper
-from ..rkmk import RKMK
+from ..methods.rkmk import RKMK
 from ..step_control import StepControl, first_step
 from ..tableaus import EULER
 from ..tolerances import Tolerances, tolerances_of

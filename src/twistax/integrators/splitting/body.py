@@ -17,7 +17,7 @@ from ...groups import Group, SpecialEuclidean, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
+from ..charts.chart import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
 from .inertia import BodyInertia, arrays, rigid, rotational
 
 

@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import ModelError
 from ...groups import quaternions
 from ...groups.arrays import Components, add, cross, dot, matrix, scale, unpack, vector
-from ..charts import conjugate
+from ..charts.chart import conjugate
 
 #: A constant, which costs nothing where it is zero, or a traced number.
 Number: TypeAlias = jax.Array | float

@@ -1,0 +1,299 @@
+"""Integration of phases: systems one after another, joined where events or times end them."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, number, short
+from ...errors import InputError, IntegrationError, ModelError, in_phase
+from ...jax_inside import is_traced, is_tracing
+from ...lowering import Dynamics
+from ...lowering.dynamics import need_compiled
+from ...lowering.inputs import precision
+from ...system import free_name
+from ...units import same_unit, seconds
+from ..events.conditions import Event
+from ..integrate import integrate
+from ..loop.fixed_steps import ended_well
+from ..loop.outcome import Result
+from ..loop.progress_callback import Told, asked_for
+from ..loop.unreached import nan_unless
+from ..method import Method
+from ..methods.interpolant import Between
+from ..results.solution import Solution
+from ..step_control import StepControl
+from ..times import check_saves
+from .links import Link, check_link, linked
+from .phased_solution import PhasedSolution
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Phase:
+    """One phase of a flight: `tx.integrate_phases([tx.Phase(...), tx.Phase(...)], x0, ...)`.
+
+    Phases with one system and equal options compile once, whatever their parameters, durations and starts.
+
+    Args:
+        dynamics: a compiled system.
+        duration: how long the phase takes, s; with an event, how long at most.
+        t1: the time when it ends, or ends at the latest, s, in place of `duration`.
+        event: a `tx.Event`, or a list of them, whose first root ends the phase. Without any the phase ends by time. A
+            phase that does not meet its event is a failure.
+        params: values of parameters in this phase, over those of the whole.
+        u: the controls of this phase, in place of those of the whole; times of tables are those of the whole.
+        jumps, dt, steps, rtol, atol, method, control: as for `tx.integrate`, in place of those of the whole.
+        name: what results and messages call it; "phase 0", "phase 1", ... unless given.
+
+    Raises:
+        InputError, ModelError: for what makes no sense, by `integrate_phases`, with the phase in front.
+    """
+
+    dynamics: Dynamics
+    _: dataclasses.KW_ONLY
+    duration: Any = None
+    t1: Any = None
+    event: Any = None
+    params: Mapping[str, Any] | None = None
+    u: Any = None
+    jumps: Any = None
+    dt: Any = None
+    steps: int | None = None
+    rtol: Any = None
+    atol: Any = None
+    method: Method | None = None
+    control: StepControl | None = None
+    name: str | None = None
+
+
+def integrate_phases(
+    phases: Sequence[Phase],
+    x0: Mapping[str, Any],
+    links: Sequence[Link] | None = None,
+    *,
+    t0: Any = 0.0,
+    dt: Any = None,
+    steps: int | None = None,
+    rtol: Any = None,
+    atol: Any = None,
+    method: Method | None = None,
+    control: StepControl | None = None,
+    u: Any = None,
+    params: Mapping[str, Any] | None = None,
+    save_at: Any = None,
+    between: Between = Between.STEP,
+    dense: bool = False,
+    throw: bool = True,
+    progress: Any = None,
+) -> PhasedSolution:
+    """Integrate phases one after another: a stage burns out and is dropped, a ball bounces, a chute opens.
+
+    Time goes on from phase to phase. States of the same name and kind go on, too, but for what `links` says.
+    Derivatives are right through every switch: the time of an event moves with what it depends on, and with it the
+    start of the next phase.
+
+    Args:
+        phases: one or more `tx.Phase`, each with a system of its own or with the same.
+        x0: the start of the first phase, a dict by state name.
+        links: for every join, one fewer than phases: a dict from states of the next phase to numbers or to expressions
+            of the last states of the phase before, of its parameters and of time; or a traceable function
+            f(t, x, params) that returns such a dict; or None. Values of a group are elements of it.
+        t0: the start of the first phase in s.
+        dt, steps, rtol, atol, method, control, between, dense: as for `tx.integrate`, for every phase.
+        u: the controls of every phase: a dict, of which each phase takes those it has, or a function of t.
+        params: parameter values of all phases, by name. Those that links read, too.
+        save_at: sorted times, s. Those before the start are refused, those after the end left out. Without any: the
+            ends of phases alone.
+        throw: raise when a phase ends early or does not meet its event. Otherwise the phases up to there are returned,
+            with `result`.
+        progress: as for `tx.integrate`; each phase is an equal share of the way.
+
+    Returns:
+        `PhasedSolution`: a `Solution` for each phase, and what they have in common as one. Where something is traced,
+        states that were not reached are NaN.
+
+    Raises:
+        InputError, ModelError: what `tx.integrate` raises, with the phase in front; a parameter that no phase has.
+        IntegrationError: a phase ended early, or without its event. Names the phase, by number and name.
+    """
+    names, labels = _named(phases)
+    params, controls = dict(params or {}), u
+    joins = _checked(phases, labels, links, params, controls)
+    dtype, on_grid = precision(x0, params), False
+    same_unit("t0", t0, seconds)
+    if save_at is not None:
+        known = not is_traced((t0, save_at))
+        first = float(number("t0", t0, "a finite time in s")) if known else 0.0
+        check_saves(save_at, (first, max(first, float(np.max(save_at, initial=first)))) if known else None)
+        # Which rows a phase has is known only where its times are.
+        on_grid = is_tracing()
+    told = None if progress is None else asked_for(progress)
+    t, x = t0, x0
+    done: list[Solution] = []
+    begun: list[Any] = []
+    starts: list[Mapping[str, Any]] = []
+    code: Any = Result.SUCCESS.value
+    for index, (phase, label) in enumerate(zip(phases, labels, strict=True)):
+        with in_phase(label):
+            limit = _limit(phase, t)
+            own = params if phase.params is None else params | dict(phase.params)
+            has = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
+            rest = {leaf.name for leaf in phase.dynamics.controls}
+            shared = {k: v for k, v in controls.items() if k in rest} if isinstance(controls, Mapping) else controls
+            solution = integrate(
+                phase.dynamics,
+                x,
+                t0=t,
+                t1=limit,
+                dt=_first(phase.dt, dt),
+                steps=_first(phase.steps, steps),
+                rtol=_first(phase.rtol, rtol),
+                atol=_first(phase.atol, atol),
+                method=_first(phase.method, method),
+                control=_first(phase.control, control),
+                jumps=phase.jumps,
+                u=_first(phase.u, shared),
+                params={name: value for name, value in own.items() if name in has},
+                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, _by_event(phase)),
+                between=between,
+                dense=dense,
+                event=phase.event,
+                throw=throw,
+                progress=None if told is None else _share(told, index, len(phases)),
+            )
+            if _by_event(phase):
+                solution = _met(solution, limit, throw)
+        begun, starts, done = [*begun, t], [*starts, x], [*done, solution]
+        good = ended_well(solution.code)
+        code = solution.code if not index else jnp.where(ended_well(code), solution.code, code)
+        if not is_traced(solution.code) and not good:
+            break
+        if index < len(phases) - 1:
+            with in_phase(label):
+                t, end = solution.ts[-1], {name: value[-1] for name, value in solution.xs.items()}
+                if is_traced(solution.code):
+                    t, end = nan_unless(good, (t, end))
+                else:
+                    t = t if is_traced(t) else np.asarray(t)
+                x = linked(f"links[{index}]", joins[index], phase.dynamics, phases[index + 1].dynamics, t, end, own)
+    if told is not None and not is_traced(done[-1].ts):
+        told(float(done[-1].ts[-1]), 1.0)
+    times = tuple(jnp.asarray(time, done[0].ts.dtype) for time in begun)
+    asked = None if save_at is None else jnp.asarray(save_at, done[0].ts.dtype)
+    begins = tuple({name: jnp.asarray(value) for name, value in start.items()} for start in starts)
+    return PhasedSolution(tuple(done), begins, times, code, asked, tuple(names[: len(done)]), on_grid)
+
+
+def _first(own: Any, shared: Any) -> Any:
+    return shared if own is None else own
+
+
+def _share(told: Told, index: int, count: int) -> Told:
+    """What tells how far a phase is, of the whole."""
+    return lambda t, share: told(t, (index + share) / count)
+
+
+def _named(phases: Any) -> tuple[list[str], list[str]]:
+    """The names of phases, and what messages call them."""
+    if not isinstance(phases, (list, tuple)) or not phases:
+        raise InputError(f"integrate_phases expects a list of tx.Phase(...), got {short(phases)}")
+    names: list[str] = []
+    labels: list[str] = []
+    for index, phase in enumerate(phases):
+        if not isinstance(phase, Phase):
+            raise InputError(f"integrate_phases expects a list of tx.Phase(...); number {index} is {short(phase)}")
+        if not isinstance(phase.name, str | None):
+            raise InputError(f"phase {index}: name must be a text, got {short(phase.name)}")
+        names.append(free_name(phase.name or f"phase {index}", names))
+        labels.append(f"phase {index}, {phase.name!r}" if phase.name else f"phase {index}")
+    return names, labels
+
+
+def _checked(
+    phases: Sequence[Phase], labels: list[str], links: Any, params: Mapping[str, Any], controls: Any
+) -> list[Link]:
+    """The link of every join, after a look at all that can be known before anything is integrated."""
+    count = len(phases) - 1
+    if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
+        raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
+    found: list[Link] = list(links or [None] * count)
+    for phase, label in zip(phases, labels, strict=True):
+        with in_phase(label):
+            need_compiled("Phase", phase.dynamics)
+            if (phase.duration is None) == (phase.t1 is None):
+                what = "neither" if phase.t1 is None else "both"
+                raise InputError(
+                    f"a phase expects duration or t1, got {what}.\n"
+                    "  fix: with an event, duration is how long to wait for it at most"
+                )
+            for what, values in (("duration", phase.duration), ("t1", phase.t1)):
+                same_unit(what, values, seconds)
+                if values is not None:
+                    number(what, values, "a finite time in s" if what == "t1" else "a finite length of time in s")
+            if not isinstance(phase.params, Mapping | None):
+                raise InputError(f"params expects a dict by name, got {short(phase.params)}")
+    known = {leaf.name for phase in phases for leaf in phase.dynamics.parameters}
+    for index, link in enumerate(found):
+        known |= check_link(f"links[{index}]", link, phases[index].dynamics, phases[index + 1].dynamics)
+    wanted = {leaf.name for phase in phases for leaf in phase.dynamics.controls}
+    given = controls if isinstance(controls, Mapping) else {}
+    for what, values, there in (("params", params, known), ("u", given, wanted)):
+        unknown = [name for name in values if name not in there]
+        # What a function reads is not known.
+        if unknown and not (what == "params" and any(map(callable, found))):
+            raise InputError(f"unknown key {unknown[0]!r} in {what}; all phases have: {listed(there, unknown[0])}")
+    return found
+
+
+def _by_event(phase: Phase) -> bool:
+    """Whether an event ends the phase."""
+    events = phase.event if isinstance(phase.event, (list, tuple)) else [phase.event]
+    return any(isinstance(event, Event) and event.terminal for event in events)
+
+
+def _limit(phase: Phase, t: Any) -> Any:
+    """When the phase ends at the latest. Raises InputError for an end before its start; NaN where that is traced."""
+    if is_traced((t, phase.t1, phase.duration)):
+        t = jnp.asarray(t)
+        end = t + jnp.asarray(phase.duration, t.dtype) if phase.t1 is None else jnp.asarray(phase.t1, t.dtype)
+        return jnp.where(end < t, jnp.nan, end)
+    end = float(t) + float(phase.duration) if phase.t1 is None else phase.t1
+    if float(end) < float(t):
+        raise InputError(
+            f"the phase ends at {float(end):g}, before its start at {float(t):g}.\n"
+            "  fix: phases go forward in time; tx.integrate alone goes backward"
+        )
+    return end
+
+
+def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event: bool) -> Any:
+    """The saved times of a phase: its start, those within, and its end, which an event adds itself.
+
+    On a grid every phase has rows for all times; those that it does not cover lie on its start or its end.
+    """
+    array: Any = jnp if on_grid else np
+    start, end, times = (array.asarray(value, dtype) for value in (t, limit, save_at))
+    times = array.clip(times, start, end) if on_grid else times[(times > start) & (times < end)]
+    return array.concatenate([start[None], times, *([] if by_event else [end[None]])])
+
+
+def _met(solution: Solution, limit: Any, throw: bool) -> Solution:
+    """A phase that reached its last time without its event has not ended well. Raises IntegrationError."""
+    missed = solution.code == Result.SUCCESS.value
+    if is_traced(solution.code):
+        return dataclasses.replace(solution, code=jnp.where(missed, Result.NO_EVENT.value, solution.code))
+    if not missed:
+        return solution
+    if throw:
+        sizes = ", ".join(f"|{k}| = {np.abs(np.asarray(v[-1])).max(initial=0.0):.3g}" for k, v in solution.xs.items())
+        raise IntegrationError(
+            f"no event was met up to t = {float(limit):.6g} s, where the phase ends at the latest.\n"
+            "  likely cause: the condition keeps its sign, or crosses zero in the other direction\n"
+            f"  last state: {sizes} (largest entries)\n"
+            "  fix: a longer duration, or look at the event; throw=False keeps the solution up to here"
+        )
+    return dataclasses.replace(solution, code=Result.NO_EVENT.value)
