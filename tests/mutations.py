@@ -1180,7 +1180,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/tolerances.py",
+        "integrators/step_control.py",
         (
             "error without the size of the state",
             "self.atol[name] + self.rtol * typical",
@@ -1339,7 +1339,7 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/loop/grid.py",
+        "integrators/loop/fixed_steps.py",
         (
             "jumps inside of fixed steps",
             "present = (end > 0.0) & ((end < steps) | (~on_end & (end <= steps))) & ~again",

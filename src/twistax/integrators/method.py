@@ -14,11 +14,12 @@ from ..errors import ModelError
 from ..jax_inside import spread
 from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
+from ..lowering.small_call import held
 from ..lowering.written import on_any_mesh
 from .charts.chart import Blocks, StateCoordinates, StoredState
 from .charts.compensated import compensated
 from .controls import Signals
-from .tolerances import Tolerances
+from .step_control import Tolerances
 
 #: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
 Carry: TypeAlias = Any
@@ -306,6 +307,35 @@ class Stepper:
     def between(self, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
         """The stored state at a share of a step of length h from y, of a method that has a polynomial."""
         return self.method.between(self.dynamics, y, self.clock(h), slopes, share)
+
+    def first_step(
+        self, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: Any, room: Any
+    ) -> jax.Array:
+        """A step whose error should be near the tolerance, judged by the rate and by a short Euler step.
+
+        Pure and traceable; `fallback` where the rates say nothing.
+
+        Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.4,
+        starting step size.
+        """
+        local, order = self.coordinates, self.method.error_order
+
+        def size(e: Blocks) -> jax.Array:
+            return jnp.sqrt(tolerances.mean_square(local, e, y, y))
+
+        slope = held(local.first_slope(y, rate))
+        reach, speed = tolerances.reach(local, y), size(slope)
+        short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
+        # Controls beyond the end may not be defined.
+        short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
+        z = jax.tree.map(lambda k: self.clock(short) * k, slope)
+        moved = held(local.move(y, z))
+        later = local.slope(z, moved, held(self.rate(t + short, moved, 1e-3 * short)))
+        bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
+        largest = jnp.maximum(speed, bend)
+        h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))
+        h = jnp.minimum(100.0 * short, h)
+        return jnp.where(jnp.isfinite(h) & (h > 0.0), h, fallback)
 
 
 def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -18,15 +17,16 @@ from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import read_values
 from .controls import Table
-from .integrate import integrate, need_element, planned, solution_of
+from .integrate import integrated, solution_of
 from .loop.rollout import handed_over, in_few_arrays
 from .method import flattened
 from .methods.projected import need_start_on_manifold
+from .options import Options, need_element, plan_of
 from .results.solution import Solution
 
 #: What a call may change, and the options of `integrate` that stay.
 _GIVEN = ("x0", "u", "params")
-_OPTIONS = tuple(name for name in inspect.signature(planned).parameters if name not in ("dynamics", *_GIVEN))
+_OPTIONS = tuple(f.name for f in dataclasses.fields(Options) if f.name not in ("throw", "progress", *_GIVEN))
 
 
 def simulator(
@@ -51,7 +51,7 @@ def simulator(
     for name in options:
         if name not in _OPTIONS:
             raise InputError(f"simulator has no option {name!r}; there are: {listed(_OPTIONS, name)}")
-    return Simulator(dynamics, {"x0": x0, "u": u, "params": params}, throw, options)
+    return Simulator(dynamics, x0, Options(u=u, params=params, throw=throw, **options))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -71,15 +71,15 @@ class Simulator:
         dynamics: the compiled system.
     """
 
-    def __init__(self, dynamics: Dynamics, given: dict[str, Any], throw: bool, options: dict[str, Any]) -> None:
+    def __init__(self, dynamics: Dynamics, x0: Any, options: Options) -> None:
         self.dynamics = dynamics
-        self._given, self._options, self._throw = given, options, throw
-        plan = planned(dynamics, **given, **options)
+        self._x0, self._options = x0, options
+        plan = plan_of(dynamics, x0, options)
         if plan.traced:
             raise InputError(
                 "simulator expects numbers, got a traced JAX value.\n  fix: tx.integrate inside of jit, vmap and grad"
             )
-        self._stepper, self._steps, self._end_only = plan.stepper, plan.steps, options.get("save_at") is None
+        self._stepper, self._steps = plan.stepper, plan.steps
         self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
         self._run, leaves, structure = flattened(in_few_arrays, plan.stepper, plan.steps, plan.x)
         self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
@@ -138,7 +138,8 @@ class Simulator:
         if self.dynamics.system.corrections and changed:
             self._need_manifold(stepper, changed.get("x0", {}))
         found = handed_over(self._run(*leaves))
-        return solution_of(stepper, self._steps, found, self._ts, self._end_only, self._throw)
+        options = self._options
+        return solution_of(stepper, self._steps, found, self._ts, options.save_at is None, options.throw)
 
     def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
         """The values, checked and cast, and put in their places."""
@@ -148,7 +149,7 @@ class Simulator:
         for name, value in values.items():
             slot = slots.get(name)
             if slot is None:
-                fixed = ", and the function u stays" if kind == "u" and callable(self._given["u"]) else ""
+                fixed = ", and the function u stays" if kind == "u" and callable(self._options.u) else ""
                 raise InputError(
                     f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
                 )
@@ -187,9 +188,9 @@ class Simulator:
         need_start_on_manifold(self.dynamics, Inputs(t0, {**before, **x}, u, stepper.params, self._dtype))
 
     def _traced(self, given: dict[str, Any]) -> Solution:
-        whole = dict(self._given)
+        whole = {"x0": self._x0, "u": self._options.u, "params": self._options.params}
         for kind, values in given.items():
             if values is not None:
                 whole[kind] = {**(whole[kind] or {}), **values} if isinstance(whole[kind], Mapping | None) else values
         x0 = whole.pop("x0")
-        return integrate(self.dynamics, x0, **whole, **self._options, throw=self._throw)
+        return integrated(self.dynamics, x0, dataclasses.replace(self._options, **whole))

@@ -12,8 +12,7 @@ from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
 from ..units import Quantity, same_unit, seconds
-from .loop.fixed_steps import FixedSteps, Saves
-from .loop.grid import Splits, slack, splits_of
+from .loop.fixed_steps import FixedSteps, Saves, Splits, slack, splits_of
 
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
@@ -61,31 +60,22 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
 
 
 def fixed_steps(
-    t0: Any,
-    t1: Any,
-    span: Any,
-    dt: Any,
-    steps: Any,
-    save_at: Any,
-    count: Any,
-    dtype: Any,
-    *,
-    bounded: bool,
-    dense: bool,
-    watch: Any,
-    limits: Any,
+    start: Any, end: Any, span: Any, options: Any, save_at: Any, limits: Any, *, count: Any, bounded: bool, watch: Any
 ) -> FixedSteps:
-    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
+    """Equal steps from start to end, their distance by dt rounded to whole ones, at least one, or `steps` of them.
 
     All times are those of the clock of the loop over steps, which goes forward.
 
     Args:
-        count: how many of the saved times are asked for.
-        bounded: their number is to be structure too.
-        limits: the times where a step must end, in order, the last one t1.
+        span: the times where they are known numbers.
+        options: `dt`, `steps` and `dense`.
+        limits: the times where a step must end, in order, the last one the end.
+        count: how many of the saved times are asked for; the rest is padding.
+        bounded: whether the number of steps is part of the structure.
     Raises:
         InputError: neither dt nor steps, or both, or times that are not known.
     """
+    dt, steps, dtype = options.dt, options.steps, start.dtype
     if (dt is None) == (steps is None):
         raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
     if steps is None:
@@ -99,7 +89,7 @@ def fixed_steps(
     else:
         steps = _countable(whole("steps", steps))
     array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
-    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
+    start, end = array.asarray(start), array.asarray(end)
     h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
     splits, more = splits_of(limits[:-1], start, h, steps)
     at = None
@@ -109,8 +99,8 @@ def fixed_steps(
         at = _beyond_jumps(at, splits, start, h)._replace(count=count)
     array = jnp if is_traced(more) else np
     # What jumps add is a number; the bound has room for all of them.
-    most = steps + np.size(limits) - 1 if bounded or dense else None
-    return FixedSteps(start, h, array.asarray(steps + more), at, most, dense, watch, splits=splits)
+    most = steps + np.size(limits) - 1 if bounded else None
+    return FixedSteps(start, h, array.asarray(steps + more), at, most, options.dense, watch, splits=splits)
 
 
 def _countable(steps: Any) -> Any:

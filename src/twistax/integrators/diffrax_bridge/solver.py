@@ -23,9 +23,8 @@ from ..ambient import Arguments, read_arguments
 from ..charts.chart import Blocks, Chart, Exponential, SplitExponential, chart_of
 from ..method import Stepper
 from ..methods.rkmk import RKMK
-from ..step_control import StepControl, first_step
+from ..step_control import StepControl, Tolerances, tolerances_of
 from ..tableaus import EULER
-from ..tolerances import Tolerances, tolerances_of
 from .frame import Frame, LieTerms, Part, explicit_step, parts_of
 
 
@@ -321,7 +320,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
             stepper = Stepper(dynamics, method, given.signals, given.params)
             y = frame.local.enter(given.x)
             rate = stepper.rate(given.t, y, jnp.sign(room) * 1e-6 * length)
-            h = first_step(stepper, tolerances, given.t, y, rate, 1e-3 * length, length)
+            h = stepper.first_step(tolerances, given.t, y, rate, 1e-3 * length, length)
             dt0 = jax.lax.stop_gradient(jnp.minimum(h, length)).astype(jnp.result_type(t0))
         t_end, pid = self.pid.init(terms, t0, t1, given.x, dt0, args, func, error_order)
         return t_end, _State(pid, tolerances, frame)

@@ -18,8 +18,7 @@ from ..charts.chart import Blocks
 from ..events.search import Stride, halted_code, watched_along
 from ..method import Carry, Stepper
 from ..methods.interpolant import Between
-from ..step_control import Errors, StepControl, first_step
-from ..tolerances import Tolerances
+from ..step_control import Errors, StepControl, Tolerances
 from .fixed_steps import Steps, all_finite, zeros_like
 from .kernels import Packed, beside, kernel_tries
 from .outcome import Halt, Outcome, Part, Result, Run, Saved, Watched
@@ -216,7 +215,7 @@ class AdaptiveSteps(Steps):
         room = self.stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
         rate = stepper.rate(self.t0, y, jnp.minimum(guess, self._limit(self.t0) - self.t0))
-        chosen = first_step(stepper, self.tolerances, self.t0, y, rate, guess, room)
+        chosen = stepper.first_step(self.tolerances, self.t0, y, rate, guess, room)
         begun = stepper.method.begin(stepper.dynamics, y, rate)
         return Packed.of(begun), jnp.where(self.first > 0.0, self.first, chosen)
 

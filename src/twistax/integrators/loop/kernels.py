@@ -19,7 +19,6 @@ from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.small_call import inside_small_call, small_call
 from ..charts.chart import Blocks
 from ..method import Attempt, Carry, Stepper
-from .grid import Grid
 
 Now = TypeVar("Now")
 Result = TypeVar("Result")
@@ -92,7 +91,7 @@ class KernelSteps(NamedTuple):
     evaluations: int  # of the right-hand side in a step
 
     def run(
-        self, stepper: Stepper, grid: Grid, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
+        self, stepper: Stepper, grid: Any, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
     ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
         leaves, structure = jax.tree.flatten(state)
@@ -101,7 +100,7 @@ class KernelSteps(NamedTuple):
 
 
 def kernel_steps(
-    stepper: Stepper, grid: Grid, number: jax.Array, state: tuple[Blocks, Carry, Any]
+    stepper: Stepper, grid: Any, number: jax.Array, state: tuple[Blocks, Carry, Any]
 ) -> KernelSteps | None:
     """Steps of a grid in one kernel; `number` is that of a step, for its type.
 

@@ -18,8 +18,8 @@ from ...lowering.small_call import small_call
 from ..charts.chart import Blocks, Chart, Exponential, chart_of
 from ..loop.fixed_steps import all_finite
 from ..method import Attempt, Carry, ChartMethod, VectorField
+from ..step_control import Tolerances
 from ..tableaus import CollocationTableau
-from ..tolerances import Tolerances
 from .newton import Factors, Parts, combined, newton
 
 #: Newton steps before a step is given up: where it may be taken back, and where it may not.

@@ -16,7 +16,7 @@ from ...lowering import Dynamics
 from ...lowering.projection import increments
 from ..charts.chart import Blocks
 from ..method import Attempt, Carry, Method, VectorField
-from ..tolerances import Tolerances
+from ..step_control import Tolerances
 
 #: Steps of Newton's: a step ends as far from the manifold as its error is, d; it is brought to about d^2, then d^4.
 _CORRECTIONS = 2

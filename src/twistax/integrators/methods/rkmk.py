@@ -20,8 +20,8 @@ from ...lowering.dynamics import Arrays
 from ...lowering.small_call import held, inside_small_call
 from ..charts.chart import Blocks, Chart, Exponential, chart_of
 from ..method import Attempt, Carry, ChartMethod, VectorField
+from ..step_control import Tolerances
 from ..tableaus import ButcherTableau, Rows
-from ..tolerances import Tolerances
 from .interpolant import interpolant
 
 Aside = TypeVar("Aside")

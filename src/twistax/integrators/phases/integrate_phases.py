@@ -18,22 +18,20 @@ from ...lowering.inputs import precision
 from ...system import free_name
 from ...units import same_unit, seconds
 from ..events.conditions import Event
-from ..integrate import integrate
+from ..integrate import integrated
 from ..loop.fixed_steps import ended_well
 from ..loop.outcome import Result
 from ..loop.progress_callback import Told, asked_for
 from ..loop.unreached import nan_unless
-from ..method import Method
-from ..methods.interpolant import Between
+from ..options import FlightOptions, Options, StepOptions, with_options
 from ..results.solution import Solution
-from ..step_control import StepControl
 from ..times import check_saves
 from .links import Link, check_link, linked
 from .phased_solution import PhasedSolution
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Phase:
+class Phase(StepOptions):
     """One phase of a flight: `tx.integrate_phases([tx.Phase(...), tx.Phase(...)], x0, ...)`.
 
     Phases with one system and equal options compile once, whatever their parameters, durations and starts.
@@ -61,35 +59,18 @@ class Phase:
     params: Mapping[str, Any] | None = None
     u: Any = None
     jumps: Any = None
-    dt: Any = None
-    steps: int | None = None
-    rtol: Any = None
-    atol: Any = None
-    method: Method | None = None
-    control: StepControl | None = None
     name: str | None = None
 
 
-def integrate_phases(
-    phases: Sequence[Phase],
-    x0: Mapping[str, Any],
-    links: Sequence[Link] | None = None,
-    *,
-    t0: Any = 0.0,
-    dt: Any = None,
-    steps: int | None = None,
-    rtol: Any = None,
-    atol: Any = None,
-    method: Method | None = None,
-    control: StepControl | None = None,
-    u: Any = None,
-    params: Mapping[str, Any] | None = None,
-    save_at: Any = None,
-    between: Between = Between.STEP,
-    dense: bool = False,
-    throw: bool = True,
-    progress: Any = None,
-) -> PhasedSolution:
+@dataclasses.dataclass(frozen=True, eq=False)
+class PhasesOptions(FlightOptions):
+    """What `tx.integrate_phases` takes besides the phases and the start."""
+
+    links: Sequence[Link] | None = None
+
+
+@with_options(PhasesOptions)
+def integrate_phases(phases: Sequence[Phase], x0: Mapping[str, Any], options: PhasesOptions) -> PhasedSolution:
     """Integrate phases one after another: a stage burns out and is dropped, a ball bounces, a chute opens.
 
     Time goes on from phase to phase. States of the same name and kind go on, too, but for what `links` says.
@@ -120,76 +101,97 @@ def integrate_phases(
         InputError, ModelError: what `tx.integrate` raises, with the phase in front; a parameter that no phase has.
         IntegrationError: a phase ended early, or without its event. Names the phase, by number and name.
     """
-    names, labels = _named(phases)
-    params, controls = dict(params or {}), u
-    joins = _checked(phases, labels, links, params, controls)
-    dtype, on_grid = precision(x0, params), False
-    same_unit("t0", t0, seconds)
-    if save_at is not None:
-        known = not is_traced((t0, save_at))
-        first = float(number("t0", t0, "a finite time in s")) if known else 0.0
-        check_saves(save_at, (first, max(first, float(np.max(save_at, initial=first)))) if known else None)
+    return _Flight(phases, options).flown(x0)
+
+
+class _Flight:
+    """An integration of phases that was checked."""
+
+    def __init__(self, phases: Sequence[Phase], options: PhasesOptions) -> None:
+        self.phases, self.options = phases, options
+        self.names, self.labels = _named(phases)
+        self.params = dict(options.params or {})
+        self.joins = _checked(phases, self.labels, options.links, self.params, options.u)
+        self.callback = None if options.progress is None else asked_for(options.progress)
         # Which rows a phase has is known only where its times are.
-        on_grid = is_tracing()
-    told = None if progress is None else asked_for(progress)
-    t, x = t0, x0
-    done: list[Solution] = []
-    begun: list[Any] = []
-    starts: list[Mapping[str, Any]] = []
-    code: Any = Result.SUCCESS.value
-    for index, (phase, label) in enumerate(zip(phases, labels, strict=True)):
-        with in_phase(label):
-            limit = _limit(phase, t)
-            own = params if phase.params is None else params | dict(phase.params)
-            has = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
-            rest = {leaf.name for leaf in phase.dynamics.controls}
-            shared = {k: v for k, v in controls.items() if k in rest} if isinstance(controls, Mapping) else controls
-            solution = integrate(
-                phase.dynamics,
-                x,
-                t0=t,
-                t1=limit,
-                dt=_first(phase.dt, dt),
-                steps=_first(phase.steps, steps),
-                rtol=_first(phase.rtol, rtol),
-                atol=_first(phase.atol, atol),
-                method=_first(phase.method, method),
-                control=_first(phase.control, control),
-                jumps=phase.jumps,
-                u=_first(phase.u, shared),
-                params={name: value for name, value in own.items() if name in has},
-                save_at=None if save_at is None else _rows(save_at, t, limit, dtype, on_grid, _by_event(phase)),
-                between=between,
-                dense=dense,
-                event=phase.event,
-                throw=throw,
-                progress=None if told is None else _share(told, index, len(phases)),
-            )
-            if _by_event(phase):
-                solution = _met(solution, limit, throw)
-        begun, starts, done = [*begun, t], [*starts, x], [*done, solution]
-        good = ended_well(solution.code)
-        code = solution.code if not index else jnp.where(ended_well(code), solution.code, code)
-        if not is_traced(solution.code) and not good:
-            break
-        if index < len(phases) - 1:
+        self.on_grid = options.save_at is not None and is_tracing()
+
+    def flown(self, x0: Mapping[str, Any]) -> PhasedSolution:
+        options, phases, save_at = self.options, self.phases, self.options.save_at
+        dtype = precision(x0, self.params)
+        same_unit("t0", options.t0, seconds)
+        if save_at is not None:
+            known = not is_traced((options.t0, save_at))
+            first = float(number("t0", options.t0, "a finite time in s")) if known else 0.0
+            check_saves(save_at, (first, max(first, float(np.max(save_at, initial=first)))) if known else None)
+        t, x = options.t0, x0
+        solutions: list[Solution] = []
+        begins: list[tuple[Any, Mapping[str, Any]]] = []
+        code: Any = Result.SUCCESS.value
+        for index, label in enumerate(self.labels):
             with in_phase(label):
-                t, end = solution.ts[-1], {name: value[-1] for name, value in solution.xs.items()}
-                if is_traced(solution.code):
-                    t, end = nan_unless(good, (t, end))
-                else:
-                    t = t if is_traced(t) else np.asarray(t)
-                x = linked(f"links[{index}]", joins[index], phase.dynamics, phases[index + 1].dynamics, t, end, own)
-    if told is not None and not is_traced(done[-1].ts):
-        told(float(done[-1].ts[-1]), 1.0)
-    times = tuple(jnp.asarray(time, done[0].ts.dtype) for time in begun)
-    asked = None if save_at is None else jnp.asarray(save_at, done[0].ts.dtype)
-    begins = tuple({name: jnp.asarray(value) for name, value in start.items()} for start in starts)
-    return PhasedSolution(tuple(done), begins, times, code, asked, tuple(names[: len(done)]), on_grid)
+                solution = self._one(index, t, x, dtype)
+            begins, solutions = [*begins, (t, x)], [*solutions, solution]
+            good = ended_well(solution.code)
+            code = solution.code if not index else jnp.where(ended_well(code), solution.code, code)
+            if not is_traced(solution.code) and not good:
+                break
+            if index < len(phases) - 1:
+                with in_phase(label):
+                    t, x = self._next(index, solution, good)
+        if self.callback is not None and not is_traced(solutions[-1].ts):
+            self.callback(float(solutions[-1].ts[-1]), 1.0)
+        dtype = solutions[0].ts.dtype
+        t_starts = tuple(jnp.asarray(t, dtype) for t, _ in begins)
+        starts = tuple({name: jnp.asarray(value) for name, value in x.items()} for _, x in begins)
+        save_at = None if save_at is None else jnp.asarray(save_at, dtype)
+        names = tuple(self.names[: len(solutions)])
+        return PhasedSolution(tuple(solutions), starts, t_starts, code, save_at, names, self.on_grid)
 
+    def _one(self, index: int, t: Any, x: Mapping[str, Any], dtype: Any) -> Solution:
+        """The solution of a phase from its start."""
+        phase, options = self.phases[index], self.options
+        limit, save_at, progress = _limit(phase, t), options.save_at, None
+        known = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
+        names = {leaf.name for leaf in phase.dynamics.controls}
+        u = options.u
+        if isinstance(u, Mapping):
+            u = {name: value for name, value in u.items() if name in names}
+        if save_at is not None:
+            save_at = _rows(save_at, t, limit, dtype, self.on_grid, _by_event(phase))
+        if self.callback is not None:
+            progress = _share(self.callback, index, len(self.phases))
+        taken = Options(
+            t0=t,
+            t1=limit,
+            **phase.over(options),
+            jumps=phase.jumps,
+            u=u if phase.u is None else phase.u,
+            params={name: value for name, value in self._params(phase).items() if name in known},
+            save_at=save_at,
+            between=options.between,
+            dense=options.dense,
+            event=phase.event,
+            throw=options.throw,
+            progress=progress,
+        )
+        solution = integrated(phase.dynamics, x, taken)
+        return _met(solution, limit, options.throw) if _by_event(phase) else solution
 
-def _first(own: Any, shared: Any) -> Any:
-    return shared if own is None else own
+    def _params(self, phase: Phase) -> dict[str, Any]:
+        return self.params | dict(phase.params or {})
+
+    def _next(self, index: int, solution: Solution, good: Any) -> tuple[Any, dict[str, Any]]:
+        """Time and states with which the next phase begins."""
+        t, end = solution.ts[-1], {name: value[-1] for name, value in solution.xs.items()}
+        if is_traced(solution.code):
+            t, end = nan_unless(good, (t, end))
+        else:
+            t = t if is_traced(t) else np.asarray(t)
+        before, after = self.phases[index], self.phases[index + 1]
+        params = self._params(before)
+        x = linked(f"links[{index}]", self.joins[index], before.dynamics, after.dynamics, t, end, params)
+        return t, x
 
 
 def _share(told: Told, index: int, count: int) -> Told:
