@@ -3,7 +3,7 @@
 from .controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from .events.conditions import AtStart, Event
 from .integrate import integrate
-from .loop.fixed_steps import ended_well
+from .loop.loop import ended_well
 from .loop.outcome import Result
 from .method import Method, VectorField
 from .methods.commutator_free import CommutatorFree

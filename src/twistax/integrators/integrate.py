@@ -20,7 +20,7 @@ from ..jax_inside import is_traced, is_tracing
 from ..lowering import Dynamics
 from ..lowering.written import on_any_mesh
 from .loop.failures import failure, numbers
-from .loop.fixed_steps import Steps, ended_well
+from .loop.loop import Steps, ended_well
 from .loop.outcome import Result
 from .loop.progress_callback import asked_for, metered
 from .loop.rollout import Rollout, rollout

@@ -25,14 +25,13 @@ from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import Watch, watch_of
 from .loop.adaptive_steps import AdaptiveSteps
 from .loop.fixed_steps import FixedSteps
-from .loop.saving import Stops, filled, limits_of
 from .method import Method, Stepper
 from .methods.interpolant import Between
 from .methods.projected import need_start_on_manifold, projected
 from .methods.rkmk import RKMK
 from .step_control import StepControl, tolerances_of
 from .tableaus import DOP853, RK4
-from .times import check_saves, direction_of, fixed_steps, span_of
+from .times import Stops, check_saves, direction_of, filled, fixed_steps, limits_of, span_of
 
 First = TypeVar("First")
 Second = TypeVar("Second")

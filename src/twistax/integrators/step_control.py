@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -20,6 +20,8 @@ from ..lowering.inputs import cast
 from ..units import same_unit, seconds
 from .charts.chart import Blocks, StateCoordinates
 
+#: A step that leaves less than this share of itself to the next limit goes there at once.
+_STRETCH = 0.01
 #: Errors below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
 
@@ -29,6 +31,15 @@ class Errors(NamedTuple):
 
     last: jax.Array
     before: jax.Array
+
+
+class Length(NamedTuple):
+    """A step to try."""
+
+    end: jax.Array  # the time of its end
+    h: jax.Array  # its length
+    planned: jax.Array  # the length it would have without the next limit
+    least: jax.Array  # the shortest length
 
 
 @dataclasses.dataclass(frozen=True)
@@ -91,6 +102,18 @@ class StepControl:
             value = getattr(self, field, None)
             raise ModelError(f"StepControl: {field} must be {what}" + ("" if value is None else f", got {value!r}"))
 
+    def length(self, t: jax.Array, h: jax.Array, limit: jax.Array) -> Length:
+        """The next step: as planned, h, but no shorter than times are resolved, and up to the next limit at most."""
+        room = limit - t
+        least = jnp.maximum(8.0 * float(jnp.finfo(t.dtype).eps) * jnp.abs(t), self.dtmin or 0.0)
+        planned = jnp.maximum(h, least)
+        if self.dtmax is not None:
+            planned = jnp.minimum(planned, self.dtmax)
+        # No crumbs before a limit: the last two steps share what is left.
+        shared = jnp.where(2.0 * planned > room, 0.5 * room, planned)
+        step = jnp.where((1.0 + _STRETCH) * planned >= room, room, shared)
+        return Length(jnp.where(step == room, limit, t + step), step, planned, least)
+
     def grown(self, square: jax.Array, past: Errors, rejected: jax.Array, order: int) -> tuple[jax.Array, Errors]:
         """The factor on h after a step that is taken, and the errors to remember. `square` is e_n squared."""
         now = _log(square)
@@ -129,6 +152,15 @@ class Tolerances(NamedTuple):
     def mean_square(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
         """The mean square of `scaled`: up to one where a difference is allowed."""
         return jnp.mean(jnp.square(self.scaled(local, e, before, after)))
+
+    def square(self, local: StateCoordinates, errors: Sequence[Blocks], before: Blocks, after: Blocks) -> jax.Array:
+        """The square of the error of a step in the same units; two estimates are weighed as in the program DOP853."""
+        squares = [self.mean_square(local, e, before, after) for e in errors]
+        if len(squares) == 1:
+            return squares[0]
+        first, second = squares
+        weight = first + 0.01 * second
+        return jnp.where(weight > 0.0, first * first / jnp.where(weight > 0.0, weight, 1.0), 0.0)
 
     def by_state(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> dict[str, jax.Array]:
         """The largest entry of each state's difference, in the same units."""

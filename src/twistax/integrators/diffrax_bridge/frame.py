@@ -20,7 +20,7 @@ from ...lowering.dynamics import Arrays, need_compiled
 from ...lowering.small_call import small_call
 from ..ambient import Ambient, Arguments, read_arguments
 from ..charts.chart import Blocks, Chart, StateCoordinates, coordinates_of
-from ..loop.fixed_steps import all_finite
+from ..loop.loop import all_finite
 from ..methods.rkmk import stage_slopes
 from ..tableaus import Rows, lower_triangle
 

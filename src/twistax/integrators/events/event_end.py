@@ -9,8 +9,8 @@ import jax
 import jax.numpy as jnp
 
 from ..charts.chart import Blocks
+from ..loop.loop import put
 from ..loop.outcome import Part, Result, Run, Saved, Trail
-from ..loop.saving import put
 from ..method import Stepper
 from .conditions import Watch
 from .crossings import Crossed

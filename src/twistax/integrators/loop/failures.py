@@ -18,7 +18,7 @@ from ...lowering.inputs import is_finite
 from ...lowering.on_host import on_host
 from ..charts.chart import Exponential
 from ..method import Stepper
-from .fixed_steps import Steps
+from .loop import Steps
 from .outcome import Outcome, Result
 
 #: A rotation by this in a step, in rad, is the likely cause of a failure: stages may rotate further than the start.

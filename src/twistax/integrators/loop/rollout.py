@@ -18,10 +18,9 @@ from ..charts.chart import Blocks
 from ..events.crossings import CrossingRows, crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
-from .fixed_steps import Steps, all_finite, ended_well
 from .kernels import Packed, advance_again, beside, opened
+from .loop import Steps, all_finite, ended_well, first_rows
 from .outcome import Outcome, Part, Result, Run, Saved, Trail
-from .saving import first_rows
 from .unreached import nan_unless, nothing_of
 
 

@@ -16,7 +16,7 @@ from ...jax_inside import opened
 from ...lowering import XLA, Dynamics
 from ...lowering.small_call import small_call
 from ..charts.chart import Blocks, Chart, Exponential, chart_of
-from ..loop.fixed_steps import all_finite
+from ..loop.loop import all_finite
 from ..method import Attempt, Carry, ChartMethod, VectorField
 from ..step_control import Tolerances
 from ..tableaus import CollocationTableau

@@ -19,7 +19,7 @@ from ...system import free_name
 from ...units import same_unit, seconds
 from ..events.conditions import Event
 from ..integrate import integrated
-from ..loop.fixed_steps import ended_well
+from ..loop.loop import ended_well
 from ..loop.outcome import Result
 from ..loop.progress_callback import Told, asked_for
 from ..loop.unreached import nan_unless

@@ -16,9 +16,9 @@ from ...errors import InputError
 from ...expr import Inputs
 from ...jax_inside import is_traced
 from ...lowering.dynamics import Arrays
-from ..loop.saving import room_for
 from ..loop.unreached import nan_unless
 from ..method import Stepper, jitted
+from ..times import room_for
 
 
 def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:

@@ -15,7 +15,7 @@ from ...checks import instance, listed, path_of, short
 from ...errors import InputError, ModelError, ShapeError
 from ...groups import ElementPart, euler, quaternion
 from ...layout import Column, Layout
-from ..loop.saving import room_for
+from ..times import room_for
 
 if TYPE_CHECKING:
     from .solution import Solution
