@@ -26,11 +26,11 @@ _SHORT = 64
 
 def _floats(place: str, value: Any) -> jax.Array:
     """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
-    given = real_array(place, value)
-    dtype = given.dtype if jnp.issubdtype(given.dtype, jnp.floating) else float
+    array = real_array(place, value)
+    dtype = array.dtype if jnp.issubdtype(array.dtype, jnp.floating) else float
     # What the precision cannot hold becomes infinite, and is refused as that.
-    with contextlib.nullcontext() if is_traced(given) else jax.ensure_compile_time_eval(), np.errstate(over="ignore"):
-        return jnp.asarray(given, jax.dtypes.canonicalize_dtype(dtype))
+    with contextlib.nullcontext() if is_traced(array) else jax.ensure_compile_time_eval(), np.errstate(over="ignore"):
+        return jnp.asarray(array, jax.dtypes.canonicalize_dtype(dtype))
 
 
 def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
@@ -208,11 +208,11 @@ class PiecewisePolynomial(Table):
         return super().first[0]
 
     def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
-        own, since = self.values[row], time - self.ts[row]
-        found = own[-1]
+        coefficients, since = self.values[row], time - self.ts[row]
+        result = coefficients[-1]
         for order in range(self.values.shape[1] - 1, 0, -1):
-            found = own[order - 1] + since / order * found
-        return found
+            result = coefficients[order - 1] + since / order * result
+        return result
 
 
 class FirstOrderHold(Table):
@@ -251,17 +251,17 @@ class ByName:
         """The times at which tables jump."""
         return [value.jumps for value in self.values.values() if isinstance(value, Table)]
 
-    def prepared(self, held: Mapping[str, Any], dtype: Any) -> ByName:
+    def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> ByName:
         """The same controls in the precision of the state; `held` has the arrays already cast."""
-        return ByName({n: v.astype(dtype) if isinstance(v, Table) else held[n] for n, v in self.values.items()})
+        return ByName({n: v.astype(dtype) if isinstance(v, Table) else arrays[n] for n, v in self.values.items()})
 
     def during(
         self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
     ) -> Callable[[jax.Array], Arrays]:
         """The prepared controls as a function of the times within the step from t to t + h, as of a `Table`."""
         tables = {name: value.during(t, h, within) for name, value in self.values.items() if isinstance(value, Table)}
-        held = {name: value for name, value in self.values.items() if name not in tables}
-        return lambda time: held | {name: value(time) for name, value in tables.items()}
+        constants = {name: value for name, value in self.values.items() if name not in tables}
+        return lambda time: constants | {name: value(time) for name, value in tables.items()}
 
 
 class OfTime:
@@ -292,7 +292,7 @@ class OfTime:
             function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
-    def prepared(self, held: Mapping[str, Any], dtype: Any) -> OfTime:
+    def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
         return self
 

@@ -110,14 +110,16 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
     return solution_of(stepper, steps, result, plan.ts, options.save_at is None, options.throw)
 
 
-def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:
+def _inside(result: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:
     """NON_FINITE for traced times that would be refused if they were known, and NaN for the states there."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
-    code = found.outcome.code
+    code = result.outcome.code
     code = jnp.where(ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
-    return found._replace(xs=nan_unless(inside, found.xs), outcome=found.outcome._replace(code=code))
+    return dataclasses.replace(
+        result, xs=nan_unless(inside, result.xs), outcome=dataclasses.replace(result.outcome, code=code)
+    )
 
 
 def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
@@ -126,17 +128,17 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
     return array.append(ts, t), joined
 
 
-def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
+def solution_of(stepper: Stepper, steps: Steps, rolled: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, xs, known = found.outcome, found.xs, not is_traced(found.outcome)
+    outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)
-    code, tried, accepted, evaluations, _, _ = outcome
+    code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)
     stats = Stats(tried, accepted, tried - accepted, evaluations)
     result = Result(int(code)) if known else code
     if known and throw and not ended_well(result):
-        raise failure(*numbers((stepper, steps, outcome, found.end or xs)))
+        raise failure(*numbers((stepper, steps, outcome, rolled.end or xs)))
     t_end = stepper.clock(outcome.t)
     if not known:
         t_end = nan_unless(ended_well(outcome.code), t_end)
@@ -149,27 +151,27 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
             ts = jnp.where(outcome.code == Result.SUCCESS.value, ts[-1], t_end)[None]
     else:
         # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
-        unknown = is_traced((found, ts))
+        unknown = is_traced((rolled, ts))
         array: Any = jnp if unknown else np
         kept = len(ts)
         if known and result is not Result.SUCCESS:
-            kept = int(np.cumprod(np.asarray(found.reached)[:kept]).sum())
+            kept = int(np.cumprod(np.asarray(rolled.reached)[:kept]).sum())
         ts, xs = ts[:kept], {name: array.asarray(value)[:kept] for name, value in xs.items()}
         if watching:
-            end = found.end or {}
+            end = rolled.end or {}
             if not known:
                 end = nan_unless(ended_well(outcome.code), end)
             ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, t_end, end)
         xs = xs if unknown else jax.device_put(xs)
-    dense = None if found.trail is None else Dense(stepper, found.trail)
+    dense = None if rolled.trail is None else Dense(stepper, rolled.trail)
     return Solution(
         ts if isinstance(ts, jax.Array) else jax.device_put(ts),
         xs,
         stats,
         result,
         dense,
-        found.event,
+        rolled.event,
         stepper,
-        found.at_start,
-        None if found.crossings is None else Crossings.of(found.crossings),
+        rolled.at_start,
+        None if rolled.crossings is None else Crossings.of(rolled.crossings),
     )

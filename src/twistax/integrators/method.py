@@ -45,16 +45,18 @@ class VectorField(NamedTuple):
         return self.dynamics._functions.vector_field(self.clock(t), x, self.controls(t), self.params)
 
 
-class Attempt(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Attempt:
     """A step that may be taken back."""
 
-    y: Blocks  # the stored state at its end
-    carry: Carry  # what the next step begins with
+    y: Any  # the stored state at its end
+    carry: Any  # what the next step begins with
     #: Estimates of the error of the step, in the coordinates around its start; the first one of lowest order but one,
     #: the second, where a method has two, of lowest order. None where steps are fixed.
-    errors: tuple[Blocks, ...]
+    errors: Any
     evaluations: Any  # of the right-hand side, a number or an array
-    solved: jax.Array | None = None  # whether the equations of the step were solved; None where it has none
+    solved: Any = None  # whether the equations of the step were solved; None where it has none
     slopes: Any = None  # what `between` reads, where the method has it
 
 

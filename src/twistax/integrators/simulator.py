@@ -84,9 +84,9 @@ class Simulator:
         self._run, leaves, structure = flattened(in_few_arrays, plan.stepper, plan.steps, plan.x)
         self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
         stepper, _, x = jax.tree.unflatten(structure, range(len(leaves)))
-        held: Any = plan.stepper.signals
-        by_name = getattr(held, "values", {}), getattr(stepper.signals, "values", {})
-        found = (
+        signals: Any = plan.stepper.signals
+        by_name = getattr(signals, "values", {}), getattr(stepper.signals, "values", {})
+        inputs = (
             (dynamics.states, plan.x, x),
             (dynamics.controls, *by_name),
             (dynamics.parameters, plan.stepper.params, stepper.params),
@@ -99,7 +99,7 @@ class Simulator:
                 for leaf in leaves
                 if leaf.name in at
             }
-            for kind, (leaves, values, at) in zip(_GIVEN, found, strict=True)
+            for kind, (leaves, values, at) in zip(_GIVEN, inputs, strict=True)
         }
         self._start = jnp.asarray(plan.t0), plan.x
 
@@ -122,11 +122,11 @@ class Simulator:
                 than before, in its kind, length or times; a function, or anything in place of one.
             IntegrationError: as `tx.integrate`.
         """
-        given = {"x0": x0, "u": u, "params": params}
-        if is_traced(tuple(given.values())):
-            return self._traced(given)
+        changes = {"x0": x0, "u": u, "params": params}
+        if is_traced(tuple(changes.values())):
+            return self._traced(changes)
         leaves, changed = list(self._leaves), dict[str, dict[str, Any]]()
-        for kind, values in given.items():
+        for kind, values in changes.items():
             if values is not None:
                 changed[kind] = self._placed(kind, values, leaves)
         stepper = self._stepper
@@ -137,13 +137,13 @@ class Simulator:
             stepper = dataclasses.replace(stepper, params=stepper.params | changed["params"])
         if self.dynamics.system.corrections and changed:
             self._need_manifold(stepper, changed.get("x0", {}))
-        found = handed_over(self._run(*leaves))
+        result = handed_over(self._run(*leaves))
         options = self._options
-        return solution_of(stepper, self._steps, found, self._ts, options.save_at is None, options.throw)
+        return solution_of(stepper, self._steps, result, self._ts, options.save_at is None, options.throw)
 
     def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
         """The values, checked and cast, and put in their places."""
-        slots, found = self._slots[kind], {}
+        slots, placed = self._slots[kind], {}
         if not isinstance(values, Mapping):
             raise InputError(f"{kind} must be a dict from names to values, got {short(values)}")
         for name, value in values.items():
@@ -154,12 +154,12 @@ class Simulator:
                     f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
                 )
             if isinstance(slot.value, Table) or isinstance(value, Table):
-                found[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
-                for k, leaf in zip(slot.places, jax.tree.leaves(found[name]), strict=True):
+                placed[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
+                for k, leaf in zip(slot.places, jax.tree.leaves(placed[name]), strict=True):
                     leaves[k] = leaf
             else:
-                found[name] = leaves[slot.places[0]] = self._array(kind, slot, value)
-        return found
+                placed[name] = leaves[slot.places[0]] = self._array(kind, slot, value)
+        return placed
 
     def _array(self, kind: str, slot: _Slot, value: Any) -> Any:
         as_before = isinstance(value, (np.ndarray, jax.Array)) and value.dtype == self._dtype
@@ -187,10 +187,12 @@ class Simulator:
         u = stepper.signals.during(self.dynamics, t0, jnp.zeros_like(t0))(t0)
         need_start_on_manifold(self.dynamics, Inputs(t0, {**before, **x}, u, stepper.params, self._dtype))
 
-    def _traced(self, given: dict[str, Any]) -> Solution:
-        whole = {"x0": self._x0, "u": self._options.u, "params": self._options.params}
-        for kind, values in given.items():
+    def _traced(self, changes: dict[str, Any]) -> Solution:
+        arguments = {"x0": self._x0, "u": self._options.u, "params": self._options.params}
+        for kind, values in changes.items():
             if values is not None:
-                whole[kind] = {**(whole[kind] or {}), **values} if isinstance(whole[kind], Mapping | None) else values
-        x0 = whole.pop("x0")
-        return integrated(self.dynamics, x0, dataclasses.replace(self._options, **whole))
+                arguments[kind] = (
+                    {**(arguments[kind] or {}), **values} if isinstance(arguments[kind], Mapping | None) else values
+                )
+        x0 = arguments.pop("x0")
+        return integrated(self.dynamics, x0, dataclasses.replace(self._options, **arguments))

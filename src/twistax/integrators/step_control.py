@@ -212,16 +212,16 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
             )
     atol = rtol if atol is None else atol
     names = [state.name for state in dynamics.states]
-    given = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
-    for name in given:
+    by_state = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
+    for name in by_state:
         if name not in names:
             raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
     for name in names:
-        if name not in given:
+        if name not in by_state:
             raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
     return Tolerances(
         relative,
-        {state.name: _absolute(state, given[state.name], dtype) for state in dynamics.states},
+        {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
         {
             s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
             for s in dynamics.states

@@ -296,12 +296,12 @@ def _stored(kind: str) -> list[dict[str, Any]]:
     def row(text: str) -> list[float]:
         return [float(Fraction(number)) for number in text.split()]
 
-    found = []
+    tableaus = []
     for data in json.loads(Path(__file__).with_name("tableaus.json").read_text())[kind].values():
         fields = {field: row(value) if field in _WEIGHTS else value for field, value in data.items()}
         del fields["what"], fields["source"]
-        found.append(fields | {"a": [row(text) for text in data["a"]]})
-    return found
+        tableaus.append(fields | {"a": [row(text) for text in data["a"]]})
+    return tableaus
 
 
 #: Every explicit tableau, by order.

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -40,12 +41,12 @@ def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
     """Check saved times as far as they are known; returns whether they are. Raises InputError."""
     same_unit("save_at", save_at, seconds)
-    given = real_array("save_at", save_at)
-    if given.ndim != 1 or given.size == 0:
-        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")
-    if span is None or is_traced(given):
+    array = real_array("save_at", save_at)
+    if array.ndim != 1 or array.size == 0:
+        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {array.shape}")
+    if span is None or is_traced(array):
         return False
-    times = np.asarray(given, float)
+    times = np.asarray(array, float)
     start, end = span
     if not np.isfinite(times).all():
         raise InputError(f"save_at expects finite times, got {short(times)}")
@@ -98,7 +99,7 @@ def fixed_steps(
     if save_at is not None:
         known = span is not None and not is_traced(save_at)
         at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
-        at = _beyond_jumps(at, splits, start, h)._replace(count=count)
+        at = dataclasses.replace(_beyond_jumps(at, splits, start, h), count=count)
     array = jnp if is_traced(more) else np
     # What jumps add is a number; the bound has room for all of them.
     most = steps + np.size(limits) - 1 if bounded else None
@@ -124,7 +125,7 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
     position = (times - start) / length
     nearest = np.rint(position)
     # What counts as on the grid allows for the precision the times came in.
-    eps = float(np.finfo(given).eps) if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    eps = float(np.finfo(dtype_in).eps) if (dtype_in := np.asarray(save_at).dtype).kind == "f" else 0.0
     near = slack(np.maximum(np.abs(times), abs(start)), length, eps) / length
     snapped = np.abs(position - nearest) <= near
     index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
@@ -153,7 +154,7 @@ def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves
     near = slack(ts, h, float(np.finfo(times.dtype).eps))
     past = array.searchsorted(times, ts + near, side="right")
     there = array.searchsorted(times, ts - near, side="left") < past
-    return at._replace(index=at.index + past.astype(slots.dtype), on=there | at.on)
+    return dataclasses.replace(at, index=at.index + past.astype(slots.dtype), on=there | at.on)
 
 
 #: So many numbers are written in no time.
@@ -196,11 +197,15 @@ def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) ->
     """
     if jumps is not None:
         same_unit("jumps", jumps, seconds)
-        given = real_array("jumps", jumps)
-        falls = not is_traced(given) and given.ndim == 1 and bool((np.diff(np.asarray(given)) < 0).any())
-        if given.ndim != 1 or not is_finite(given) or falls:
+        array_of_jumps = real_array("jumps", jumps)
+        falls = (
+            not is_traced(array_of_jumps)
+            and array_of_jumps.ndim == 1
+            and bool((np.diff(np.asarray(array_of_jumps)) < 0).any())
+        )
+        if array_of_jumps.ndim != 1 or not is_finite(array_of_jumps) or falls:
             raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
-        need_held("jumps", given, t0.dtype)
+        need_held("jumps", array_of_jumps, t0.dtype)
     known = [*signals.jumps, *([] if jumps is None else [jumps])]
     # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
     array: Any = jnp if is_traced((t0, t1, known)) else np

@@ -351,8 +351,8 @@ class _Maps:
         if self.commutators is None:
             return held(inverse_coefficients(x))
         terms = self.commutators // 2
-        found = inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
-        return held(found) if terms > 2 else (held(found[0]), found[1])
+        coefficients = inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
+        return held(coefficients) if terms > 2 else (held(coefficients[0]), coefficients[1])
 
 
 class Chart(ABC):
@@ -440,12 +440,12 @@ class SplitExponential(Exponential):
         return _Split(_Maps(self.commutators), group)
 
 
-def chart_of(owner: str, given: Any, default: Chart) -> Chart:
+def chart_of(owner: str, chart: Any, default: Chart) -> Chart:
     """The chart that was given to a method, or the default one. Raises ModelError for what is not a chart."""
-    if given is None:
+    if chart is None:
         return default
-    instance(owner, given, Chart, "a chart like tx.charts.Exponential()", ModelError)
-    return given
+    instance(owner, chart, Chart, "a chart like tx.charts.Exponential()", ModelError)
+    return chart
 
 
 # ---- a whole state ------------------------------------------------------------------------------------------------

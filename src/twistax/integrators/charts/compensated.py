@@ -46,7 +46,7 @@ class Compensated(Coordinates):
         return self._plain.value(self._high(y))
 
     def move(self, y: Block, z: Block) -> Block:
-        return self._added(y, lambda own: self._plain.shift(own, z), lambda: self._plain.move(y, z))
+        return self._added(y, lambda high: self._plain.shift(high, z), lambda: self._plain.move(y, z))
 
     def settle(self, moved: Block) -> Block:
         return self._added(moved, self._plain.settling, lambda: self._plain.settle(moved))

@@ -118,9 +118,9 @@ class Frame:
         """The state in its matrices, for errors and plain rates."""
         return Ambient(self.dynamics, quaternion=False)
 
-    def rate(self, dynamics: Dynamics, given: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
+    def rate(self, dynamics: Dynamics, arguments: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
         """The rate at given.t and given.x for controls within the step from t to t + h."""
-        rates = given.rates(dynamics, t, h)
+        rates = arguments.rates(dynamics, t, h)
         return self.local.rate({name: rate.reshape(-1) for name, rate in rates.items()})
 
     def packed(self, x: Arrays) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
@@ -156,7 +156,7 @@ class Stepped(NamedTuple):
 
 
 def explicit_step(
-    frame: Frame, tableau: diffrax.ButcherTableau, given: Arguments, h: jax.Array, rate: jax.Array | None
+    frame: Frame, tableau: diffrax.ButcherTableau, arguments: Arguments, h: jax.Array, rate: jax.Array | None
 ) -> Stepped:
     """The step of an explicit Runge-Kutta solver of diffrax, as one small function where that is known to work.
 
@@ -166,11 +166,11 @@ def explicit_step(
     """
     stages, local = Rows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
-    def plainly(given: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
-        start = local.enter(given.x)
+    def plainly(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
+        start = local.enter(arguments.x)
 
         def rate_of(time: jax.Array, y: Blocks) -> Blocks:
-            return frame.rate(frame.dynamics, given._replace(t=time, x=local.value(y)), given.t, h)
+            return frame.rate(frame.dynamics, dataclasses.replace(arguments, t=time, x=local.value(y)), arguments.t, h)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
             moved = local.move(start, z)
@@ -178,12 +178,14 @@ def explicit_step(
             return local.slope(z, moved, rate), ravel_pytree(rate)[0]
 
         if known is None:
-            first = rate_of(given.t, start)
+            first = rate_of(arguments.t, start)
         else:
             groups = frame.dynamics.group.factors
             still = {name: jnp.zeros(group.dimension, known.dtype) for name, group in groups.items()}
             first = ravel_pytree(local.rate(still))[1](known)
-        slopes, last = stage_slopes(stages, slope, local.first_slope(start, first), ravel_pytree(first)[0], given.t, h)
+        slopes, last = stage_slopes(
+            stages, slope, local.first_slope(start, first), ravel_pytree(first)[0], arguments.t, h
+        )
         z = slopes.combine(tableau.b_sol, h)
         end = local.settle(local.move(start, z))
         x = local.value(end)
@@ -192,4 +194,4 @@ def explicit_step(
 
     step = jax.custom_jvp(lambda *operands: small_call(plainly, *operands))
     step.defjvp(lambda primals, tangents: jax.jvp(plainly, primals, tangents))
-    return step(given, h, rate)
+    return step(arguments, h, rate)

@@ -150,8 +150,8 @@ class _OfExpression:
     expr: Expr = dataclasses.field(compare=False)
 
     def __call__(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *levels: Any) -> jax.Array:
-        own = {_level(number): jnp.asarray(value) for number, value in enumerate(levels)}
-        inputs = Inputs(t, x, u, {**params, **own}, t.dtype)
+        level_values = {_level(number): jnp.asarray(value) for number, value in enumerate(levels)}
+        inputs = Inputs(t, x, u, {**params, **level_values}, t.dtype)
         (value,) = evaluate_all([self.expr], lambda leaf: leaf.read(inputs))
         return value
 
@@ -177,8 +177,10 @@ class Watch:
         """(m,) the conditions at a time and a stored state, within the step of length h from start."""
         start, h, t = stepper.clock(start), stepper.clock(h), stepper.clock(t)
         x, u = stepper.stored.value(opened(y)), stepper.field(start, h).controls(t)
-        found = [f(t, x, u, stepper.params, *own) for f, own in zip(self.functions, self.inputs, strict=True)]
-        return jnp.stack([jnp.asarray(value, t.dtype) for value in found])
+        conditions = [
+            f(t, x, u, stepper.params, *inputs) for f, inputs in zip(self.functions, self.inputs, strict=True)
+        ]
+        return jnp.stack([jnp.asarray(value, t.dtype) for value in conditions])
 
     def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Packed) -> Watched:
         """At the start of an integration whose first step is about h.
@@ -187,13 +189,13 @@ class Watch:
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, held, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(s))
+        values, met, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(s))
         none = Halt.none(t)
         halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
         crossed = None
         if not all(self.terminal):
             crossed = CrossingTable.begun(self.room, t, h, y.flat, tags, count)
-        return Watched(values, held, halt, y.flat, none.code, crossed)
+        return Watched(values, met, halt, y.flat, none.code, crossed)
 
     def _before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
         """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h.
@@ -215,7 +217,7 @@ class Watch:
         enters = zero & (side * senses > 0.0)
         leaves = zero & (side * senses < 0.0)
         stops, crosses = (
-            np.array([each is mode for each in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
+            np.array([choice is mode for choice in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
         )
         met = jnp.asarray((stops & (past | zero) & ~leaves) | (crosses & enters))
         # A crossing just after the start that counts is left to the first step.
@@ -237,10 +239,10 @@ class Watch:
         before = (here[None] * np.tri(len(passing), k=-1, dtype=int)).sum(1)
         rows = here[None] * (before[None] == np.arange(len(passing))[:, None]).astype(none.dtype)
         which = (rows * np.add(passing, 1)[None]).sum(1) - 1
-        lost = which[self.room] if self.room < len(passing) else none - 1
-        code = jnp.where((first == ends) & (lost >= 0), Result.MAX_CROSSINGS.value, code)
+        overflow = which[self.room] if self.room < len(passing) else none - 1
+        code = jnp.where((first == ends) & (overflow >= 0), Result.MAX_CROSSINGS.value, code)
         tags = jnp.stack([0 * which, which, (rows * tags[None]).sum(1)], 1)
-        return code, jnp.where(first < ends, first, lost), tags, here.sum()
+        return code, jnp.where(first < ends, first, overflow), tags, here.sum()
 
     def seen(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, end: Any, inside: Any, old: jax.Array, ends: Any
@@ -295,21 +297,21 @@ def watch_of(
     def value_of(number: int, function: Any) -> tuple[jax.Array, Any]:
         t, x, params = jax.tree.map(jnp.asarray, (start.t, dict(start.x), dict(start.params)))
         arguments = (t, x, signals.during(dynamics, t, jnp.zeros_like(t))(t), params)
-        found = function(*arguments)
-        value = jnp.asarray(real_array(f"the result of event {number}", found))
-        if value.shape != () or not jnp.issubdtype(jnp.result_type(found), jnp.floating):
+        result = function(*arguments)
+        value = jnp.asarray(real_array(f"the result of event {number}", result))
+        if value.shape != () or not jnp.issubdtype(jnp.result_type(result), jnp.floating):
             raise InputError(
                 f"the condition of event {number} must return one real number, got shape {value.shape} of "
-                f"{jnp.result_type(found)}"
+                f"{jnp.result_type(result)}"
             )
         return value, arguments
 
-    for number, own in enumerate(events):
-        condition = own.condition
+    for number, event_ in enumerate(events):
+        condition = event_.condition
         closed: tuple[Any, ...] = ()
         if isinstance(condition, Expr):
-            found = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
-            condition, levels = found[0], tuple(map(np.asarray, found[1]))
+            compiled = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
+            condition, levels = compiled[0], tuple(map(np.asarray, compiled[1]))
             for level in levels:
                 need_held("what an event compares with", level, start.dtype)
             closed = tuple(level.astype(start.dtype) for level in levels)
@@ -317,9 +319,9 @@ def watch_of(
             value, arguments = value_of(number, condition)
             if is_traced(value):
                 # Of the function itself only where it closes over traced values; else it would compile again.
-                converted, held = jax.closure_convert(condition, *arguments)
-                if held:
-                    condition, closed = converted, tuple(held)
+                converted, closed_over = jax.closure_convert(condition, *arguments)
+                if closed_over:
+                    condition, closed = converted, tuple(closed_over)
             values.append(value)
         else:
             key = (watch_of, condition, np.dtype(start.dtype))

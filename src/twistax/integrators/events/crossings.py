@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple, TypeAlias
 
@@ -18,16 +19,18 @@ Row: TypeAlias = tuple[jax.Array, jax.Array]
 _SINCE, _STATE = 2, 3
 
 
-class Crossed(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Crossed:
     """Crossings in the order of their times, rows (n, ...)."""
 
-    steps: jax.Array  # the accepted steps before
-    t: jax.Array  # the start of the step in which it lies
-    h: jax.Array  # the length of that step
-    y: Blocks  # the stored state at the crossing
-    s: jax.Array  # how far into the step it lies
-    which: jax.Array  # the number of the event; -1 for rows without one
-    rises: jax.Array  # whether the condition rises
+    steps: Any  # the accepted steps before
+    t: Any  # the start of the step in which it lies
+    h: Any  # the length of that step
+    y: Any  # the stored state at the crossing
+    s: Any  # how far into the step it lies
+    which: Any  # the number of the event; -1 for rows without one
+    rises: Any  # whether the condition rises
 
 
 def row_of(steps: Any, t: jax.Array, h: jax.Array, s: jax.Array, y: jax.Array, which: Any, rises: Any) -> Row:
@@ -103,14 +106,16 @@ def _written(table: jax.Array, place: jax.Array, row: jax.Array) -> jax.Array:
     return jax.lax.dynamic_update_index_in_dim(table, row, place, 0)
 
 
-class CrossingRows(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class CrossingRows:
     """What users get of crossings, rows (n, ...): NaN beyond the count."""
 
-    ts: jax.Array  # in s
+    ts: Any  # in s
     xs: Any  # the states by name
-    which: jax.Array  # the numbers of the events, -1 beyond the count
-    directions: jax.Array  # 1 where the condition rises, else -1; 0 beyond the count
-    used: jax.Array  # the count
+    which: Any  # the numbers of the events, -1 beyond the count
+    directions: Any  # 1 where the condition rises, else -1; 0 beyond the count
+    used: Any  # the count
 
 
 def crossing_rows(stepper: Stepper, crossed: Crossed) -> CrossingRows:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
-from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -16,14 +16,16 @@ from .conditions import Watch
 from .crossings import Crossed
 
 
-class Meeting(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Meeting:
     """Where an integration meets an event that ends it."""
 
-    met: jax.Array  # whether it does, or a crossing for which there is no room
-    which: jax.Array  # the number of the event; -1 for none
-    s: jax.Array  # how far into the step from where the loop halted; zero for none
-    t: jax.Array  # the start of that step
-    ends: jax.Array  # whether it is an event that ends it
+    met: Any  # whether it does, or a crossing for which there is no room
+    which: Any  # the number of the event; -1 for none
+    s: Any  # how far into the step from where the loop halted; zero for none
+    t: Any  # the start of that step
+    ends: Any  # whether it is an event that ends it
 
     @classmethod
     def of(cls, run: Run) -> Meeting:
@@ -45,11 +47,11 @@ def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Me
     which = jnp.maximum(meeting.which, 0)
 
     # At the start of the integration it stays.
-    moves = meeting.met & (jax.lax.stop_gradient(meeting.s) > 0.0)
+    differentiable = meeting.met & (jax.lax.stop_gradient(meeting.s) > 0.0)
 
     def value(s: jax.Array) -> jax.Array:
         values = watch.values(stepper, meeting.t, h, meeting.t + s, stepper.advance(meeting.t, y, s))
-        return jnp.where(moves, values[which], s)
+        return jnp.where(differentiable, values[which], s)
 
     root = jax.lax.custom_root(
         value,
@@ -57,14 +59,14 @@ def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Me
         lambda function, known: known,
         lambda slope, change: change / slope(jnp.ones_like(change)),
     )
-    return meeting._replace(s=root)
+    return dataclasses.replace(meeting, s=root)
 
 
 def to_event(advance: Callable[[jax.Array, Blocks, jax.Array], Blocks], end: Blocks, meeting: Meeting) -> Blocks:
     """The state at the event, or where the loop came to its end, by one more step from there."""
     on = meeting.met & (jax.lax.stop_gradient(meeting.s) > 0.0)
-    found: Blocks = jax.lax.cond(on, lambda y: advance(meeting.t, y, meeting.s), lambda y: y, end)
-    return found
+    state: Blocks = jax.lax.cond(on, lambda y: advance(meeting.t, y, meeting.s), lambda y: y, end)
+    return state
 
 
 def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
@@ -76,14 +78,14 @@ def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
     if trail is not None:
         last = trail.steps + one
         trail = Trail(trail.t.at[last].set(jnp.where(met, t, trail.t[last])), put(trail.y, last, moved), last)
-    outcome = outcome._replace(t=t, tried=outcome.tried + one, accepted=outcome.accepted + one)
-    return run._replace(end=moved, outcome=outcome, trail=trail)
+    outcome = dataclasses.replace(outcome, t=t, tried=outcome.tried + one, accepted=outcome.accepted + one)
+    return dataclasses.replace(run, end=moved, outcome=outcome, trail=trail)
 
 
 def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, Part]:
     """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
     within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
-    reached = jnp.where(meeting.met, saved.asked & (ts <= meeting.t + meeting.s), saved.reached)
+    reached = jnp.where(meeting.met, saved.requested & (ts <= meeting.t + meeting.s), saved.reached)
 
     def pick(new: jax.Array, old: jax.Array) -> jax.Array:
         return jnp.where(within.reshape(within.shape + (1,) * new.ndim), new[None], old)
@@ -91,7 +93,7 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
     ys = jax.tree.map(pick, run.end, saved.y)
     steps = pick(run.outcome.accepted, saved.steps)
     h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
-    saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.asked)
+    saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.requested)
     return saved, Part(pick(meeting.t, parts.t), h)
 
 
@@ -102,4 +104,4 @@ def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t, row.which >= 0)
         return refined(stepper, watch, row.y, row.h, meeting).s
 
-    return crossed._replace(s=jax.lax.map(one, crossed))
+    return dataclasses.replace(crossed, s=jax.lax.map(one, crossed))

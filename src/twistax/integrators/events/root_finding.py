@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -11,7 +12,9 @@ import jax.numpy as jnp
 _MOST = 120
 
 
-class Bracket(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Bracket:
     """Where a root lies. `narrowed` halves it, or interpolates where that is known to be safe. Traceable.
 
     A zero counts as past the root, NaN as before it, so of many zeros in a row the first is found.
@@ -20,14 +23,14 @@ class Bracket(NamedTuple):
     without using derivatives (1997).
     """
 
-    a: tuple[jax.Array, jax.Array]  # the last place tried, with its value
-    b: tuple[jax.Array, jax.Array]  # the other end of the bracket
-    c: tuple[jax.Array, jax.Array]  # the place before
-    at_low: jax.Array  # the value where the bracket began
-    finest: jax.Array  # how close the root is wanted
-    place: jax.Array  # where to look next
-    tries: jax.Array
-    done: jax.Array
+    a: Any  # the last place tried, with its value
+    b: Any  # the other end of the bracket
+    c: Any  # the place before
+    at_low: Any  # the value where the bracket began
+    finest: Any  # how close the root is wanted
+    place: Any  # where to look next
+    tries: Any
+    done: Any
 
     @classmethod
     def between(
@@ -40,7 +43,7 @@ class Bracket(NamedTuple):
         """
         none = jnp.zeros((), int)
         begun = cls((high, at_high), (low, at_low), (low, at_low), at_low, finest, low, none, none > 0)
-        return begun._replace(a=(high, begun._signed(at_high)))._looking(jnp.full_like(low, 0.5))
+        return dataclasses.replace(begun, a=(high, begun.signed(at_high))).looking(jnp.full_like(low, 0.5))
 
     @property
     def root(self) -> jax.Array:
@@ -49,7 +52,7 @@ class Bracket(NamedTuple):
 
     def narrowed(self, value: jax.Array) -> Bracket:
         """After the function was found to have a value at the place."""
-        (a, fa), (b, fb), x, fx = self.a, self.b, self.place, self._signed(value)
+        (a, fa), (b, fb), x, fx = self.a, self.b, self.place, self.signed(value)
         same = jnp.sign(fx) == jnp.sign(fa)
         # What the new place replaces becomes the third one.
         c, fc = jnp.where(same, a, b), jnp.where(same, fa, fb)
@@ -63,18 +66,18 @@ class Bracket(NamedTuple):
         ) * (fb / _nonzero(fc - fb))
         edge = jnp.minimum(self.finest / width, 0.5)
         share = jnp.clip(jnp.where(safe, quadratic, 0.5), edge, 1.0 - edge)
-        return self._replace(a=(a, fa), b=(b, fb), c=(c, fc), tries=self.tries + 1)._looking(share)
+        return dataclasses.replace(self, a=(a, fa), b=(b, fb), c=(c, fc), tries=self.tries + 1).looking(share)
 
-    def _signed(self, value: jax.Array) -> jax.Array:
+    def signed(self, value: jax.Array) -> jax.Array:
         past = -jnp.sign(self.at_low) * float(jnp.finfo(value.dtype).tiny)
         return jnp.where(jnp.isnan(value), self.at_low, jnp.where(value == 0.0, past, value))
 
-    def _looking(self, share: jax.Array) -> Bracket:
+    def looking(self, share: jax.Array) -> Bracket:
         """With the next place a share of the way from a to b, unless what is known is enough."""
-        apart = jnp.sign(self.a[1]) * jnp.sign(self.b[1]) < 0.0
+        signs_differ = jnp.sign(self.a[1]) * jnp.sign(self.b[1]) < 0.0
         wide = jnp.abs(self.b[0] - self.a[0]) > 2.0 * self.finest
         place = self.a[0] + share * (self.b[0] - self.a[0])
-        return self._replace(place=place, done=~(apart & wide & (self.tries < _MOST)))
+        return dataclasses.replace(self, place=place, done=~(signs_differ & wide & (self.tries < _MOST)))
 
 
 def _nonzero(a: jax.Array) -> jax.Array:
@@ -98,7 +101,7 @@ def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     toward = (jnp.sign(b) * bend > 0.0) & (jnp.sign(b) * (b + 0.5 * slope * place) <= 0.5 * jnp.abs(bend))
     none = jnp.zeros_like(toward[:1])
     # Of the pair that begins with the middle of the three, and of the one that ends with it.
-    after, before = (jnp.concatenate(each) for each in ((none, toward), (toward, none)))
+    after, before = (jnp.concatenate(halves) for halves in ((none, toward), (toward, none)))
     shares = jnp.pad(place, ((1, 0), (0, 0))), jnp.pad(place, ((0, 1), (0, 0))) + 1.0
     after = after & (shares[0] >= 0.0) & (shares[0] <= 1.0)
     before = before & (shares[1] >= 0.0) & (shares[1] <= 1.0)
@@ -152,6 +155,6 @@ def _vertex(low: Any, middle: Any, high: Any) -> jax.Array:
     (a, fa), (b, fb), (c, fc) = low, middle, high
     over = (b - a) ** 2 * (fb - fc) - (b - c) ** 2 * (fb - fa)
     under = (b - a) * (fb - fc) - (b - c) * (fb - fa)
-    found = b - 0.5 * over / _nonzero(under)
-    other = jnp.where(b - a > c - b, 0.5 * (a + b), 0.5 * (b + c))
-    return jnp.where((found > a) & (found < c) & (found != b), found, other)
+    place = b - 0.5 * over / _nonzero(under)
+    half_way = jnp.where(b - a > c - b, 0.5 * (a + b), 0.5 * (b + c))
+    return jnp.where((place > a) & (place < c) & (place != b), place, half_way)

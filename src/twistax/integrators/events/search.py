@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from typing import Any, NamedTuple
 
 import jax
@@ -31,21 +32,23 @@ class Stride(NamedTuple):
     inside: Any  # its slopes; None where the method has no polynomial
 
 
-class _Job(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Job:
     """What is looked for between two neighbouring places: an extremum past zero, then the roots before and after it;
     or a root.
     """
 
-    item: jax.Array  # of the pair and the condition; beyond all of them where nothing is left
-    looks: jax.Array  # whether it is an extremum
-    visits: jax.Array  # whether the root is known, and the state there is wanted
-    sign: jax.Array  # of the condition where the part begins
-    low: jax.Array  # where a part with a root begins and ends
-    high: jax.Array
-    rest: jax.Array  # where the part after it ends, with another root; negative: there is none
-    widened: jax.Array  # -1, 1: it is what lies beside a part, before or after it; 0: a part
-    extremum: Extremum
-    bracket: Bracket
+    item: Any  # of the pair and the condition; beyond all of them where nothing is left
+    looks: Any  # whether it is an extremum
+    visits: Any  # whether the root is known, and the state there is wanted
+    sign: Any  # of the condition where the part begins
+    low: Any  # where a part with a root begins and ends
+    high: Any
+    rest: Any  # where the part after it ends, with another root; negative: there is none
+    widened: Any  # -1, 1: it is what lies beside a part, before or after it; 0: a part
+    extremum: Any
+    bracket: Any
 
     @property
     def place(self) -> jax.Array:
@@ -68,12 +71,14 @@ class _Along(NamedTuple):
         return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))
 
 
-class _Task(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Task:
     """A job as loops carry it."""
 
     job: Any  # packed
-    place: jax.Array  # where the condition is to be evaluated for it
-    left: jax.Array  # whether anything is left
+    place: Any  # where the condition is to be evaluated for it
+    left: Any  # whether anything is left
 
 
 class _Root(NamedTuple):
@@ -97,8 +102,8 @@ class _Halted(NamedTuple):
         same = (s == self.halt.s) & (code < self.halt.code)
         sooner = here & ((s < self.halt.s) | same)
         other = _Halted(Halt(code, which, s), y)
-        found: _Halted = jax.tree.map(lambda a, b: jnp.where(sooner, a, b), other, self)
-        return found
+        halted: _Halted = jax.tree.map(lambda a, b: jnp.where(sooner, a, b), other, self)
+        return halted
 
 
 def watched_along(
@@ -119,8 +124,8 @@ def watched_along(
             return beside(Watch.values, watch, stepper, t, h, t + share * h, moved)
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
-        known = known._replace(evaluations=known.evaluations + _FEW * cost)
-    along, after, first = beside(_first, watch, stepper, t, h, y, stride.end, inside, known.values, ends)
+        known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
+    samples, after, first = beside(_first, watch, stepper, t, h, y, stride.end, inside, known.values, ends)
     before = None if known.crossed is None else known.crossed.used
 
     def goes_on(now: tuple[_Task, Watched]) -> jax.Array:
@@ -128,24 +133,24 @@ def watched_along(
 
     def one(now: tuple[_Task, Watched]) -> tuple[_Task, Watched]:
         task, known = now
-        known = known._replace(evaluations=known.evaluations + cost)
+        known = dataclasses.replace(known, evaluations=known.evaluations + cost)
         halted = _Halted(known.halt, known.y)
         # Hundreds of scalars: as part of the loop they take XLA longer than all else.
-        given = along, task, halted, stride.steps, y, advance(task.place)
-        following, halted, row, crosses = beside(_next, watch, stepper, t, h, *given)
+        inputs = samples, task, halted, stride.steps, y, advance(task.place)
+        following, halted, row, crosses = beside(_next, watch, stepper, t, h, *inputs)
         if known.crossed is not None:
             nothing = known.crossed, row, jnp.asarray(False)
             crossed, left_out, full = jax.lax.cond(
                 crosses, lambda: small_call(CrossingTable.with_one, known.crossed, row, before), lambda: nothing
             )
-            known = known._replace(crossed=crossed)
+            known = dataclasses.replace(known, crossed=crossed)
             halted = halted.or_earlier(full, Result.MAX_CROSSINGS, *state_of(left_out))
-        return following, known._replace(**halted._asdict())
+        return following, dataclasses.replace(known, halt=halted.halt, y=halted.y)
 
     # A loop, not a branch: of a batch it runs only while one of its members needs it.
-    start = first._replace(left=first.left & taken), known
+    start = dataclasses.replace(first, left=first.left & taken), known
     _, known = jax.lax.while_loop(goes_on, one, start)
-    return known._replace(values=jnp.where(taken, after, known.values))
+    return dataclasses.replace(known, values=jnp.where(taken, after, known.values))
 
 
 def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
@@ -166,8 +171,8 @@ def _first(
 ) -> tuple[_Along, jax.Array, _Task]:
     """The conditions along a step, and those to go on with, as of `Watch.seen`; and what is looked for first."""
     values, after = watch.seen(stepper, t, h, y, end, inside, old, ends)
-    along = held(_Along.of(watch, values))
-    return along, after, _Search(watch, t, h, along).first()
+    samples = held(_Along.of(watch, values))
+    return samples, after, _Search(watch, t, h, samples).first()
 
 
 def _next(
@@ -175,7 +180,7 @@ def _next(
     stepper: Stepper,
     t: jax.Array,
     h: jax.Array,
-    along: _Along,
+    samples: _Along,
     task: _Task,
     halted: _Halted,
     steps: jax.Array,
@@ -192,7 +197,7 @@ def _next(
     place = task.place
     moved = Packed(jnp.where(place > 0.0, moved.flat, y.flat), moved.read)
     values = watch.values(stepper, t, h, t + place, moved)
-    following, root = _Search(watch, t, h, along).after(opened(task.job), values, halted.halt.s)
+    following, root = _Search(watch, t, h, samples).after(opened(task.job), values, halted.halt.s)
     if any(watch.terminal):
         halted = halted.or_earlier(root.stops, Result.EVENT, root.which, place, moved.flat)
     row = None if all(watch.terminal) else row_of(steps, t, h, place, moved.flat, root.which, root.rises)
@@ -205,9 +210,9 @@ class _Search:
     It takes a part of the step in each pass of one loop: a compiled step is large.
     """
 
-    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, along: _Along) -> None:
+    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, samples: _Along) -> None:
         self.watch, self.h = watch, h
-        self.values, self.suspects, self.tips, self.flags = along
+        self.values, self.suspects, self.tips, self.flags = samples
         self.pairs, self.width = self.tips.shape
         self.spacing = h / self.pairs
         self.finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
@@ -258,19 +263,19 @@ class _Search:
         """
         h, number = self.h, self.numbers[job.item]
         place, value = held((job.place, values[number]))
-        job = held(job._replace(extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
+        job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
 
         # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
         # Beside a part, where it closed on the end next to that, the root is there.
-        lost = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
+        missed = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
         closed = ~job.looks & ~job.visits & job.bracket.done
-        widens = closed & lost & (job.widened == 0)
+        widens = closed & missed & (job.widened == 0)
         # The state at the root is known where that is the last place.
-        visits = closed & ~lost & (job.bracket.root != place)
+        visits = closed & ~missed & (job.bracket.root != place)
         done = job.visits | jnp.where(job.looks, job.extremum.done, closed & ~widens & ~visits)
-        here = job.visits | (closed & ~lost & ~visits)
+        here = job.visits | (closed & ~missed & ~visits)
         terminal = jnp.asarray(np.array(self.watch.terminal))[number]
         done, widens, visits, here = held((done, widens, visits, here))
         root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
@@ -278,7 +283,7 @@ class _Search:
         # Up to an extremum the condition goes the way that its sign says, then back.
         tip, wanted = job.extremum.middle[0], self.senses[number]
         first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
-        found = job.looks & job.extremum.past
+        extremum_found = job.looks & job.extremum.past
         half, follows = 0.5 * self.spacing, self._after(job.item)
         # What begins where the integration has ended is not looked at.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
@@ -286,15 +291,21 @@ class _Search:
         none = -jnp.ones_like(h)
         parts = [
             (widens, (job.item, job.looks, job.sign, *self._beside(job, at_low, half), job.rest)),
-            (found & first, (job.item, ~found, job.sign, job.low, tip, jnp.where(second, job.high, none))),
-            (found & second, (job.item, ~found, -job.sign, tip, job.high, none)),
+            (
+                extremum_found & first,
+                (job.item, ~extremum_found, job.sign, job.low, tip, jnp.where(second, job.high, none)),
+            ),
+            (extremum_found & second, (job.item, ~extremum_found, -job.sign, tip, job.high, none)),
             (~job.looks & (job.rest > job.high), (job.item, job.looks, -job.sign, job.high, job.rest, none)),
         ]
         chosen: Any = (follows, *self._pair(follows))
         for condition, part in reversed(parts):
             chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
-        another = self._job(*held(chosen))._replace(widened=jnp.where(widens, jnp.where(at_low, -1, 1), 0))
-        job = jax.tree.map(lambda a, b: jnp.where(done | widens, a, b), another, job._replace(visits=visits))
+        widened = jnp.where(widens, jnp.where(at_low, -1, 1), 0)
+        another = dataclasses.replace(self._job(*held(chosen)), widened=widened)
+        job = jax.tree.map(
+            lambda a, b: jnp.where(done | widens, a, b), another, dataclasses.replace(job, visits=visits)
+        )
         return self._task(job), root
 
     def _beside(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:

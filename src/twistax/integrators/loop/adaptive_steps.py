@@ -59,22 +59,22 @@ class _State:
     Pytrees are packed into vectors: XLA would compute the test of a step again for every scalar it guards.
     """
 
-    t: jax.Array
-    h: jax.Array  # the next step to try; after a failure the one that failed
-    y: Packed
-    carry: Packed  # what the method carries
-    errors: Errors
-    rejected: jax.Array
-    tried: jax.Array
-    accepted: jax.Array
-    evaluations: jax.Array
-    code: jax.Array
-    last: tuple[jax.Array, jax.Array]  # the start of the last step taken
-    path: _Path | None = None
-    every: jax.Array | None = None
-    slopes: Packed | None = None  # those of the last step tried, where there are events and the method has any
-    watched: Watched | None = None
-    rows: Filling | None = None  # those on polynomials
+    t: Any
+    h: Any  # the next step to try; after a failure the one that failed
+    y: Any
+    carry: Any  # what the method carries
+    errors: Any
+    rejected: Any
+    tried: Any
+    accepted: Any
+    evaluations: Any
+    code: Any
+    last: Any  # the start of the last step taken
+    path: Any = None
+    every: Any = None
+    slopes: Any = None  # those of the last step tried, where there are events and the method has any
+    watched: Any = None
+    rows: Any = None  # those on polynomials
 
     def bare(self, **changes: Any) -> _State:
         """Without events and rows."""
@@ -192,14 +192,14 @@ class AdaptiveSteps(Steps):
         trail = self.trail(state.path, state.accepted, jax.vmap(read)(state.every)) if self.dense else None
         rows_saved = None
         if stops.ts is not None:
-            asked = jnp.arange(stops.ts.size) < stops.count
+            requested = jnp.arange(stops.ts.size) < stops.count
             if state.rows is not None:
                 # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
                 ts, ys = jnp.asarray(stops.ts), jax.vmap(read)(state.rows.table)
-                rows_saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= state.t) & asked, asked)
+                rows_saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= state.t) & requested, requested)
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], saved)
-                rows_saved = Saved(index, times, jax.vmap(read)(starts), reached & asked, asked)
+                rows_saved = Saved(index, times, jax.vmap(read)(starts), reached & requested, requested)
         return Run(state.y, outcome, rows_saved, state.path, trail, watched)
 
     def going(self, state: _State, stop: Any, most: Any) -> jax.Array:

@@ -40,7 +40,7 @@ def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[str, Any])
         what, cause, fix = _not_finite_end(stepper, steps, outcome, x)
     elif result is Result.NEWTON_FAILED:
         what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
-        cause, fix = (said.format(h=h) for said in steps.not_solved)
+        cause, fix = (text.format(h=h) for text in steps.not_solved)
     elif result is Result.MAX_CROSSINGS:
         room = steps.watch.room
         what = f"more than {room} crossings of events that do not end the integration, at t = {t:.6g} s"
@@ -79,8 +79,8 @@ def _controls(stepper: Stepper, t: Any, h: Any) -> tuple[Arrays, Arrays]:
 
 
 def _end(stepper: Stepper, t: Any, h: Any, x: dict[str, Any]) -> Arrays:
-    own = stepper.in_arrays
-    return own.method.step(own.field(t, h), t, x, h)
+    in_arrays = stepper.in_arrays
+    return in_arrays.method.step(in_arrays.field(t, h), t, x, h)
 
 
 def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[str, Any]) -> tuple[str, str, str]:
@@ -109,7 +109,7 @@ def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[st
             "exponential coordinates hold half a turn as polynomials, a full one in closed form"
         )
         return what, cause, "try a smaller dt, or tx.charts.Exponential() for up to a full turn"
-    cause, fix = (said.format(h=abs(float(h))) for said in steps.too_long)
+    cause, fix = (text.format(h=abs(float(h))) for text in steps.too_long)
     return what, cause, fix
 
 

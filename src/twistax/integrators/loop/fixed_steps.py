@@ -15,7 +15,7 @@ from ...jax_inside import is_traced
 from ..charts.chart import Blocks
 from ..controls import row_at
 from ..events.search import Stride, halted_code
-from ..method import Carry, Stepper
+from ..method import Stepper
 from .kernels import Packed, kernel_steps
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import Outcome, Part, Result, Run, Saved, Watched
@@ -79,7 +79,9 @@ class Grid(NamedTuple):
         if self.splits is None:
             return Grid(t, h)
         slots = jnp.asarray(self.splits.slots)
-        return Grid(t, h, self.splits._replace(slots=jnp.full_like(slots, jnp.iinfo(slots.dtype).max)))
+        return Grid(
+            t, h, Splits(jnp.full_like(slots, jnp.iinfo(slots.dtype).max), self.splits.times, self.splits.added)
+        )
 
 
 def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, Any]:
@@ -110,7 +112,9 @@ def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, 
     return Splits(slots[order], array.asarray(limits)[order], added[order]), added[-1]
 
 
-class Saves(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Saves:
     """Saved times: each lies `share` of an equal step after step `index` begins, unless that begins at a jump."""
 
     ts: Any  # (n,) the times
@@ -125,14 +129,14 @@ class Saves(NamedTuple):
 class _State:
     """What the loop carries."""
 
-    steps: jax.Array  # taken so far
-    y: Blocks
-    carry: Carry
-    evaluations: jax.Array
-    code: jax.Array  # the number of the result so far
-    every: Blocks | None  # the states so far if kept
+    steps: Any  # taken so far
+    y: Any
+    carry: Any
+    evaluations: Any
+    code: Any  # the number of the result so far
+    every: Any  # the states so far if kept
     slopes: Any  # those of the last step, where there are events and the method has any
-    watched: Watched | None
+    watched: Any
 
 
 @jax.tree_util.register_dataclass
@@ -289,9 +293,9 @@ class FixedSteps(Steps):
         rows_saved = None
         if self.at is not None:
             starts, reached = jax.tree.map(lambda a: a[:-1], saved)
-            asked = jnp.arange(len(reached)) < self.at.count
+            requested = jnp.arange(len(reached)) < self.at.count
             times = self.grid.begin(self.at.index)[0]
-            rows_saved = Saved(self.at.index, times, starts, reached & asked, asked)
+            rows_saved = Saved(self.at.index, times, starts, reached & requested, requested)
         return Run(state.y, outcome, rows_saved, None, trail, watched)
 
     def steps_of(self, path: None) -> Part:

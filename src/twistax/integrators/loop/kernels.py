@@ -36,9 +36,9 @@ class _Unpacked:
     types: tuple[jax.ShapeDtypeStruct, ...]
 
     def __call__(self, flat: jax.Array) -> Any:
-        ends = np.cumsum([0, *(own.size for own in self.types)])
-        parts = [flat[a:b].reshape(own.shape) for a, b, own in zip(ends, ends[1:], self.types, strict=False)]
-        leaves = [part.astype(own.dtype) for part, own in zip(parts, self.types, strict=True)]
+        ends = np.cumsum([0, *(shape.size for shape in self.types)])
+        parts = [flat[a:b].reshape(shape.shape) for a, b, shape in zip(ends, ends[1:], self.types, strict=False)]
+        leaves = [part.astype(shape.dtype) for part, shape in zip(parts, self.types, strict=True)]
         return jax.tree.unflatten(self.structure, leaves)
 
 
@@ -95,8 +95,8 @@ class KernelSteps(NamedTuple):
     ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
         """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
         leaves, structure = jax.tree.flatten(state)
-        found, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
-        return jax.tree.unflatten(structure, found), count
+        results, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
+        return jax.tree.unflatten(structure, results), count
 
 
 def kernel_steps(
@@ -132,7 +132,7 @@ def kernel_steps(
 def kernel_tries(
     one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array, Any]],
     row: Callable[[Any, jax.Array], jax.Array],
-    given: Any,
+    inputs: Any,
     stepper: Stepper,
     now: Now,
     state_of: Callable[[Now], Any] = lambda now: now,
@@ -148,7 +148,7 @@ def kernel_tries(
         row: of what a try left and a time up to there.
         state_of: what of it says whether the state is too wide for a kernel.
     """
-    fixed, structure = jax.tree.flatten((given, stepper))
+    fixed, structure = jax.tree.flatten((inputs, stepper))
     state, form = jax.tree.flatten(now)
     types, kinds = _types([*fixed, *state]), [jnp.result_type(leaf) for leaf in state]
     dtype = next(kind for kind in kinds if jnp.issubdtype(kind, jnp.floating))
@@ -160,8 +160,8 @@ def kernel_tries(
         records: list[Any] = []
 
         def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
-            given, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
-            now, more, record = one_try(given, stepper.in_arrays, cast(leaves[len(fixed) :]))
+            inputs, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
+            now, more, record = one_try(inputs, stepper.in_arrays, cast(leaves[len(fixed) :]))
             records.append(jax.tree.structure(record))
             return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more, *jax.tree.leaves(record)]
 
@@ -169,7 +169,7 @@ def kernel_tries(
             return [row(jax.tree.unflatten(records[-1], leaves[:-1]), leaves[-1])]
 
         shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *types[: len(fixed)]]
-        shapes += [jax.ShapeDtypeStruct(each.shape, dtype) for each in types[len(fixed) :]]
+        shapes += [jax.ShapeDtypeStruct(shape.shape, dtype) for shape in types[len(fixed) :]]
         return stepper.dynamics.backend.repeated(iteration, shapes, len(state), one_row)
 
     repeated: Repeated | None = _made(stepper, state_of(now), (kernel_tries, structure, form, types), make)
@@ -182,8 +182,8 @@ def kernel_tries(
 
     def run(now: Now, first: jax.Array, stop: jax.Array, rows: Filling | None) -> tuple[Now, Filling | None]:
         state = [jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(now)]
-        found, _, filled = repeat(repeated, first, stop, fixed, state, nothing if rows is None else rows)
-        return cast(found), None if rows is None else filled
+        results, _, filled = repeat(repeated, first, stop, fixed, state, nothing if rows is None else rows)
+        return cast(results), None if rows is None else filled
 
     return run
 

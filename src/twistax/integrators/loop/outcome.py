@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from collections.abc import Callable
 from typing import Any, NamedTuple
@@ -11,7 +12,6 @@ import jax.numpy as jnp
 
 from ..charts.chart import Blocks
 from ..events.crossings import CrossingTable
-from .kernels import Packed
 
 
 class Result(enum.IntEnum):
@@ -30,23 +30,25 @@ class Result(enum.IntEnum):
     sentence: str
 
     def __new__(cls, code: int, sentence: str = "") -> Result:
-        found = int.__new__(cls, code)
-        found._value_, found.sentence = code, sentence
-        return found
+        result = int.__new__(cls, code)
+        result._value_, result.sentence = code, sentence
+        return result
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
 
 
-class Outcome(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Outcome:
     """How the steps went: arrays of no dimension."""
 
-    code: jax.Array  # the number of the `Result`
-    tried: jax.Array  # steps
-    accepted: jax.Array  # steps
-    evaluations: jax.Array  # of the right-hand side, without those of saved times
-    t: jax.Array  # the time that was reached
-    h: jax.Array  # the length of a step there: after a failure of the one that failed, else of the next one to try
+    code: Any  # the number of the `Result`
+    tried: Any  # steps
+    accepted: Any  # steps
+    evaluations: Any  # of the right-hand side, without those of saved times
+    t: Any  # the time that was reached
+    h: Any  # the length of a step there: after a failure of the one that failed, else of the next one to try
 
 
 class Trail(NamedTuple):
@@ -64,7 +66,7 @@ class Saved(NamedTuple):
     t: jax.Array  # time and stored state after that many steps
     y: Blocks
     reached: jax.Array  # whether the loop came so far
-    asked: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
+    requested: jax.Array  # whether it is a time that was asked for; those beyond only fill up the rows
 
 
 class Halt(NamedTuple):
@@ -81,14 +83,16 @@ class Halt(NamedTuple):
         return cls(zero, zero - 1, jnp.full_like(t, jnp.inf))
 
 
-class Watched(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Watched:
     """What a loop over steps knows of the conditions."""
 
-    values: jax.Array  # (m,) where the next step begins; the last ones that were not NaN
-    held: jax.Array  # (m,) whether each was zero, or past it, at the start
-    halt: Halt
+    values: Any  # (m,) where the next step begins; the last ones that were not NaN
+    met: Any  # (m,) whether each was zero, or past it, at the start
+    halt: Any
     y: Any  # the stored state where it halts; within the loop packed
-    evaluations: jax.Array  # of the right-hand side, to find roots
+    evaluations: Any  # of the right-hand side, to find roots
     #: Within the loop a `CrossingTable`, after it `Crossed`, where there are events that do not end the integration.
     crossed: Any = None
 
@@ -96,22 +100,26 @@ class Watched(NamedTuple):
         """What the loop leaves behind, after so many accepted steps; `read` unpacks a state."""
         table: CrossingTable | None = self.crossed
         crossed = None if table is None else table.rows(read, steps, self.halt.s)
-        return self._replace(y=read(self.y), crossed=crossed)
+        return dataclasses.replace(self, y=read(self.y), crossed=crossed)
 
 
-class Run(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Run:
     """What a loop over steps leaves behind. It halts before the step with an event."""
 
-    end: Blocks | Packed  # the stored state it reached
-    outcome: Outcome
-    saved: Saved | None  # None where the end alone is asked for
+    end: Any  # the stored state it reached
+    outcome: Any
+    saved: Any  # None where the end alone is asked for
     path: Any  # what is needed to take the same steps again, where it was asked for
-    trail: Trail | None  # where it is kept
-    watched: Watched | None = None  # what is known of the conditions, where there are any
+    trail: Any  # where it is kept
+    watched: Any = None  # what is known of the conditions, where there are any
 
 
-class Part(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Part:
     """A step, or a part of one: when it begins, and its length."""
 
-    t: jax.Array
-    h: jax.Array
+    t: Any
+    h: Any

@@ -26,11 +26,11 @@ _NUMBERS = itertools.count()
 
 
 def _tell(number: Any, t: Any, share: Any) -> None:
-    told, raised = _ASKED.get(int(number), (None, []))
-    if told is None or raised:
+    callback, raised = _ASKED.get(int(number), (None, []))
+    if callback is None or raised:
         return
     try:
-        told(float(t), float(share))
+        callback(float(t), float(share))
     except Exception as error:
         raised.append(error)
 
@@ -79,16 +79,16 @@ def asked_for(progress: Any) -> Told | None:
 
 
 @contextlib.contextmanager
-def metered(told: Told) -> Iterator[Meter]:
+def metered(callback: Told) -> Iterator[Meter]:
     """A meter for the loops inside. What the function raised is raised at the end."""
     number, raised = next(_NUMBERS), list[Exception]()
-    _ASKED[number] = told, raised
+    _ASKED[number] = callback, raised
     try:
         yield Meter(np.asarray(number))
         jax.effects_barrier()
     finally:
         del _ASKED[number]
-        line = getattr(told, "__self__", None)
+        line = getattr(callback, "__self__", None)
         if isinstance(line, Progress):  # an event may have ended it on the way
             line.close()
     if raised:

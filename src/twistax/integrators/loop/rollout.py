@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import functools
 import math
 from collections.abc import Callable
-from typing import Any, NamedTuple
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -15,27 +16,29 @@ from ...jax_inside import any_of_batch, batched_branches_transpose, is_traced
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
 from ..charts.chart import Blocks
-from ..events.crossings import CrossingRows, crossing_rows
+from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
 from .kernels import Packed, advance_again, beside, opened
 from .loop import Steps, all_finite, ended_well, first_rows
-from .outcome import Outcome, Part, Result, Run, Saved, Trail
+from .outcome import Outcome, Part, Result, Run, Saved
 from .unreached import nan_unless, nothing_of
 
 
-class Rollout(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Rollout:
     """Where the steps led."""
 
     #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
-    xs: Arrays
-    end: Arrays | None  # the state they reached; None: that of the only row
-    reached: jax.Array | None  # (n,) whether they came so far; None without saved times
+    xs: Any
+    end: Any  # the state they reached; None: that of the only row
+    reached: Any  # (n,) whether they came so far; None without saved times
     outcome: Any  # how they went, an `Outcome`, those of saved times included in the evaluations
-    trail: Trail | None  # where it is kept
-    event: jax.Array | None  # the number of the event that ended it, -1 for none; None where none is watched for
-    at_start: jax.Array | None = None  # (m,) whether each condition was zero or past it at the start
-    crossings: CrossingRows | None = None  # of events that do not end it, where there are any
+    trail: Any  # where it is kept
+    event: Any  # the number of the event that ended it, -1 for none; None where none is watched for
+    at_start: Any = None  # (m,) whether each condition was zero or past it at the start
+    crossings: Any = None  # of events that do not end it, where there are any
 
 
 def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
@@ -50,22 +53,23 @@ def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
 
 def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], Rollout]:
     """What makes a rollout for `handed_over`: JAX takes 2 us for each array of a result."""
-    whole = differentiable()
+    rollout = differentiable()
 
     def packed(stepper: Stepper, steps: Steps, x: Arrays) -> Rollout:
-        found = whole(stepper, steps, x)
-        *counts, t, h = found.outcome
-        end = None if found.reached is None else found.end
-        return found._replace(end=end, outcome=(jnp.stack(counts), jnp.stack([t, h])))
+        result = rollout(stepper, steps, x)
+        outcome = result.outcome
+        counts = (outcome.code, outcome.tried, outcome.accepted, outcome.evaluations)
+        end = None if result.reached is None else result.end
+        return dataclasses.replace(result, end=end, outcome=(jnp.stack(counts), jnp.stack([outcome.t, outcome.h])))
 
     return packed
 
 
-def handed_over(found: Rollout) -> Rollout:
+def handed_over(result: Rollout) -> Rollout:
     """With its outcome, in numbers of NumPy where they are known."""
-    array: Any = jnp if is_traced(found.outcome) else np
-    counts, times = map(array.asarray, found.outcome)
-    return found._replace(outcome=Outcome(*counts, *times))
+    array: Any = jnp if is_traced(result.outcome) else np
+    counts, times = map(array.asarray, result.outcome)
+    return dataclasses.replace(result, outcome=Outcome(*counts, *times))
 
 
 def differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
@@ -81,41 +85,41 @@ def differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
     return lambda stepper, steps, x: taken(steps, stepper, x)
 
 
-def _batched_alike(found: Rollout, inputs: Any) -> Rollout:
+def _batched_alike(result: Rollout, inputs: Any) -> Rollout:
     """The same, batched where one of the inputs is: JAX expects the batch axes of a function in its derivative too."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
-    return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), found)
+    return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
 
 
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
     # Without a path saved times lie as the loop left them.
-    run = steps.run(stepper, stepper.stored.enter(x), record=False)._replace(path=None)
+    run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
     meeting, moved = None, None
     if run.watched is not None:
         meeting = Meeting.of(run)
         moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, opened(run.end))
 
     if run.saved is None:
-        found = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
+        result = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
     elif steps.finds_rows and meeting is None:
         return _with_rows(steps, stepper, x, run)
     else:
 
         def to_saves(saved: Saved, parts: Part) -> Blocks:
-            return small_call(_one_by_one, stepper, saved.y, parts, saved.asked.sum())
+            return small_call(_one_by_one, stepper, saved.y, parts, saved.requested.sum())
 
-        found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
-    return _with_conditions(stepper, run, found, functools.partial(small_call, crossing_rows))
+        result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_conditions(stepper, run, result, functools.partial(small_call, crossing_rows))
 
 
-def _with_conditions(stepper: Stepper, run: Run, found: Rollout, rows: Any = crossing_rows) -> Rollout:
+def _with_conditions(stepper: Stepper, run: Run, result: Rollout, rows: Any = crossing_rows) -> Rollout:
     """With what is known of the conditions; `rows` makes those of crossings."""
     if run.watched is None:
-        return found
+        return result
     crossed = run.watched.crossed
     crossings = None if crossed is None else rows(stepper, crossed)
-    return found._replace(at_start=run.watched.held, crossings=crossings)
+    return dataclasses.replace(result, at_start=run.watched.met, crossings=crossings)
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
@@ -124,17 +128,17 @@ def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
     A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
     10 us.
     """
-    found = small_call(_to_saved_times, steps, stepper, x, run._replace(saved=None), None, None)
-    saved, outcome = run.saved, found.outcome
+    result = small_call(_to_saved_times, steps, stepper, x, dataclasses.replace(run, saved=None), None, None)
+    saved, outcome = run.saved, result.outcome
     assert saved is not None
 
     def row(y: Blocks, t: jax.Array) -> tuple[jax.Array, jax.Array, Arrays]:
         return beside(_row, None, stepper, x, Packed.of(y), t, steps.t0, outcome.t)
 
-    reached, lost, xs = jax.vmap(row)(saved.y, saved.t)
-    lost = (outcome.code == Result.SUCCESS.value) & lost.any()
-    code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
-    return found._replace(xs=xs, reached=reached, outcome=outcome._replace(code=code))
+    reached, not_finite, xs = jax.vmap(row)(saved.y, saved.t)
+    not_finite = (outcome.code == Result.SUCCESS.value) & not_finite.any()
+    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    return dataclasses.replace(result, xs=xs, reached=reached, outcome=dataclasses.replace(outcome, code=code))
 
 
 def _row(
@@ -172,7 +176,7 @@ def _to_saved_times(
     """From the states before the saved times, and before an event, on to them."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
     saved, moved, end = run.saved, opened(moved), opened(run.end)
-    run = run._replace(end=end)
+    run = dataclasses.replace(run, end=end)
     if meeting is not None and moved is not None:
         halted, run, end = run, cut_at(moved, run, meeting), moved
         if saved is not None and parts is not None:
@@ -183,27 +187,27 @@ def _to_saved_times(
     if saved is None or parts is None or advance_all is None:
         return Rollout({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
-    parts = parts._replace(h=jnp.where(saved.reached, parts.h, 0.0))
+    parts = dataclasses.replace(parts, h=jnp.where(saved.reached, parts.h, 0.0))
     ys = advance_all(saved, parts)
     reached = saved.reached & jax.vmap(all_finite)(ys)
     at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
     xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
     xs = jax.tree.map(lambda a: jnp.where(wide(reached, a), a, jnp.nan), xs)
     counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
-    lost = (outcome.code == Result.SUCCESS.value) & (saved.asked & ~reached).any()
-    code = jnp.where(lost, Result.NON_FINITE.value, outcome.code)
-    outcome = outcome._replace(evaluations=outcome.evaluations + counts, code=code)
+    not_finite = (outcome.code == Result.SUCCESS.value) & (saved.requested & ~reached).any()
+    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    outcome = dataclasses.replace(outcome, evaluations=outcome.evaluations + counts, code=code)
     return Rollout(xs, end, reached, outcome, run.trail, event)
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
     """The values, but the start as it was given, to the last bit, where no step was taken; derivatives stay."""
-    found = {}
+    result = {}
     for name, value in values.items():
-        given = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
-        start = given + (value - jax.lax.stop_gradient(value))
-        found[name] = jnp.where(wide(still, value), start, value)
-    return found
+        known = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
+        start = known + (value - jax.lax.stop_gradient(value))
+        result[name] = jnp.where(wide(still, value), start, value)
+    return result
 
 
 def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
@@ -223,35 +227,35 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
 
     def again(values: list[Any]) -> Rollout:
-        given = list(leaves)
+        inputs = list(leaves)
         for i, value in zip(moving, values, strict=True):
-            given[i] = value
-        steps, stepper, x = jax.tree.unflatten(structure, given)
+            inputs[i] = value
+        steps, stepper, x = jax.tree.unflatten(structure, inputs)
         return _batched_alike(_again(steps, stepper, x, run, known), primals)
 
-    found, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+    result, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
     ends_at_event = steps.watch is not None and any(steps.watch.terminal)
-    return found, _not_of_failures(found, slope, [slopes[i] for i in moving], ends_at_event)
+    return result, _not_of_failures(result, slope, [slopes[i] for i in moving], ends_at_event)
 
 
-def _not_of_failures(found: Rollout, slope: Rollout, moved: list[Any], ends_at_event: bool) -> Rollout:
+def _not_of_failures(result: Rollout, slope: Rollout, moved: list[Any], ends_at_event: bool) -> Rollout:
     """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
-    good = ended_well(found.outcome.code)
+    good = ended_well(result.outcome.code)
     nothing = nothing_of(moved)  # what no step has read yet counts too
 
     def spoiled(good: jax.Array, tree: Any) -> Any:
         return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
 
-    xs = spoiled(good if found.reached is None else found.reached, slope.xs)
+    xs = spoiled(good if result.reached is None else result.reached, slope.xs)
     end = None if slope.end is None else spoiled(good, slope.end)
     crossings = slope.crossings
-    if crossings is not None and found.crossings is not None:
-        ts, states = spoiled(found.crossings.which >= 0, (crossings.ts, crossings.xs))
-        crossings = crossings._replace(ts=ts, xs=states)
+    if crossings is not None and result.crossings is not None:
+        ts, states = spoiled(result.crossings.which >= 0, (crossings.ts, crossings.xs))
+        crossings = dataclasses.replace(crossings, ts=ts, xs=states)
     outcome = slope.outcome
     if ends_at_event:  # other ends do not move, and stay known outside of `jit`
-        outcome = outcome._replace(t=spoiled(good, outcome.t))
-    return slope._replace(xs=xs, end=end, outcome=outcome, crossings=crossings)
+        outcome = dataclasses.replace(outcome, t=spoiled(good, outcome.t))
+    return dataclasses.replace(slope, xs=xs, end=end, outcome=outcome, crossings=crossings)
 
 
 def _is_symbolic(slope: Any) -> bool:
@@ -266,38 +270,38 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
 
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
     # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
-    taken = all_parts._replace(h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
+    taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
     crossed = None if run.watched is None else run.watched.crossed
     recorded = steps.dense or run.saved is not None or crossed is not None
     end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
-    run = run._replace(end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
+    run = dataclasses.replace(run, end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
     meeting = None
     if known is not None:
         begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
-        meeting = refined(stepper, steps.watch, end, run.outcome.h, known._replace(t=begins))
+        meeting = refined(stepper, steps.watch, end, run.outcome.h, dataclasses.replace(known, t=begins))
 
     def advance_all(starts: Blocks, parts: Part) -> Blocks:
         if stepper.method.solves and not batched_branches_transpose():
-            return jax.lax.map(lambda each: step(*each), (starts, parts))
+            return jax.lax.map(lambda entry: step(*entry), (starts, parts))
         return jax.vmap(step)(starts, parts)
 
     if crossed is not None and run.watched is not None:
         # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
         there = crossed.which >= 0
         k = jnp.where(there, crossed.steps, 0)
-        crossed = crossed._replace(
-            t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
+        crossed = dataclasses.replace(
+            crossed, t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
         )
         crossed = refined_rows(stepper, steps.watch, crossed)
-        crossed = crossed._replace(y=advance_all(crossed.y, Part(crossed.t, crossed.s)))
-        run = run._replace(watched=run.watched._replace(crossed=crossed))
+        crossed = dataclasses.replace(crossed, y=advance_all(crossed.y, Part(crossed.t, crossed.s)))
+        run = dataclasses.replace(run, watched=dataclasses.replace(run.watched, crossed=crossed))
 
     def to_saves(saved: Saved, parts: Part) -> Blocks:
         return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts)
 
     moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), end, meeting)
-    found = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
-    return _with_conditions(stepper, run, found)
+    result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_conditions(stepper, run, result)
 
 
 # ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------
@@ -309,7 +313,7 @@ _NEST = 64
 
 
 def take_steps(
-    step: Callable[[Any, Any], Any], y: Any, each: Any, count: jax.Array, bound: int, record: bool
+    step: Callable[[Any, Any], Any], y: Any, entries_by_step: Any, count: jax.Array, bound: int, record: bool
 ) -> tuple[Any, Any]:
     """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
 
@@ -321,10 +325,10 @@ def take_steps(
     """
 
     def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
-        k, own = entry
+        k, inputs = entry
 
         def taken(y: Any) -> Any:
-            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, own), y)
+            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, inputs), y)
 
         return jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y), y if record else None
 
@@ -352,7 +356,7 @@ def take_steps(
     def padded(a: jax.Array) -> jax.Array:
         return jnp.concatenate([a, jnp.broadcast_to(a[-1], (span - len(a), *a.shape[1:]))])
 
-    entries = (jnp.arange(span), jax.tree.map(padded, each))
+    entries = (jnp.arange(span), jax.tree.map(padded, entries_by_step))
     entries = jax.tree.map(lambda a: a.reshape(*sizes, *a.shape[1:]), entries)
     level: Any = one
     for _ in sizes[1:]:

@@ -32,12 +32,12 @@ def nan_unless(good: jax.Array, tree: Tree) -> Tree:
 
     def of(value: jax.Array) -> jax.Array:
         # A linear map whose transpose is not that of a product with NaN.
-        found: jax.Array = jax.lax.custom_linear_solve(lambda x: x, value, forward, back)
-        return found
+        result: jax.Array = jax.lax.custom_linear_solve(lambda x: x, value, forward, back)
+        return result
 
     good = jax.lax.stop_gradient(good)
-    found: Tree = jax.tree.map(of, tree)
-    return found
+    values: Tree = jax.tree.map(of, tree)
+    return values
 
 
 def nothing_of(tree: object) -> jax.Array:

@@ -70,8 +70,8 @@ class CommutatorFreeTableau(Coefficients):
         """Several stages as one array (stages, exponentials, s), with zeros where there is no exponential."""
         table = np.zeros((len(rows), max(map(len, rows)), len(self.a)))
         for stage, exponentials in zip(table, rows, strict=True):
-            for exponent, given in zip(stage, exponentials, strict=False):
-                exponent[: len(given)] = given
+            for exponent, values in zip(stage, exponentials, strict=False):
+                exponent[: len(values)] = values
         return table
 
     def _exponentials(self, field: str, rows: Any, known: int) -> Exponentials:

@@ -34,12 +34,14 @@ _FAST = 0.03
 _LARGEST = 2000
 
 
-class _Last(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Last:
     """The last step."""
 
-    Z: jax.Array  # the coordinates of its stages (s, N)
-    h: jax.Array
-    contraction: jax.Array  # how fast Newton's method converged
+    Z: Any  # the coordinates of its stages (s, N)
+    h: Any
+    contraction: Any  # how fast Newton's method converged
 
 
 class _Learned(NamedTuple):
@@ -116,8 +118,8 @@ class ImplicitRKMK(ChartMethod):
         """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            found = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
-            return jnp.where(found.solved, found.last.Z, jnp.nan)
+            step = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
+            return jnp.where(step.solved, step.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
             size = b.size
@@ -132,8 +134,8 @@ class ImplicitRKMK(ChartMethod):
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
         equations = _StageEquations(self, field, t, y, h)
-        found = self._to_round_off(equations, carry)
-        return Attempt(equations.moved(found.last.Z), found.last, (), found.evaluations, found.solved)
+        step = self._to_round_off(equations, carry)
+        return Attempt(equations.moved(step.last.Z), step.last, (), step.evaluations, step.solved)
 
     #: The rate at the start of a step is looked at in every step anyway.
     resume_evaluations = 0
@@ -162,21 +164,21 @@ class ImplicitRKMK(ChartMethod):
 
         known: _Learned = carry
         start = equations.first_slope()
-        apart = jnp.abs(h - known.h) > _ALIKE * jnp.abs(known.h)
-        renewed = apart | (known.last.contraction > _FAST)
+        changed = jnp.abs(h - known.h) > _ALIKE * jnp.abs(known.h)
+        renewed = changed | (known.last.contraction > _FAST)
         inverses = jax.lax.cond(
             renewed, lambda: Factors.found(self.tableau, equations.start()[1], h), lambda: known.inverses
         )
         factors = Factors(self.tableau, inverses)
         # Two updates, unless the first is nothing: where stiffness falls within the step, inverses from its start make
         # any update small, and only the next one, as large, tells.
-        last = known.last._replace(contraction=jnp.ones_like(h) / eps)
-        found = self._found(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
-        learned = _Learned(found.last, inverses, jnp.where(renewed, h, known.h))
-        raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(found.last.Z))[0]
+        last = dataclasses.replace(known.last, contraction=jnp.ones_like(h) / eps)
+        step = self._found(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
+        learned = _Learned(step.last, inverses, jnp.where(renewed, h, known.h))
+        raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(step.last.Z))[0]
         errors = (read(factors.damped(raw)),)
-        evaluations = found.evaluations + renewed.astype(found.evaluations.dtype)
-        return Attempt(equations.moved(found.last.Z), learned, errors, evaluations, found.solved)
+        evaluations = step.evaluations + renewed.astype(step.evaluations.dtype)
+        return Attempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
 
     def _nothing(self, zero: jax.Array) -> _Last:
         """What is known before the first step."""
@@ -199,7 +201,14 @@ class ImplicitRKMK(ChartMethod):
         return jnp.where(known, jnp.stack([at(1.0 + float(c) * ratio) for c in self.tableau.c]), 0.0)
 
     def _found(
-        self, equations: _StageEquations, given: Any, factors: Factors, size: Any, last: _Last, most: int, rounding: Any
+        self,
+        equations: _StageEquations,
+        start_values: Any,
+        factors: Factors,
+        size: Any,
+        last: _Last,
+        most: int,
+        rounding: Any,
     ) -> _Found:
         """The stages by Newton's method, what is left of size below 1, from what the last step suggests."""
         guess = self._guess(last, equations.h)
@@ -210,7 +219,7 @@ class ImplicitRKMK(ChartMethod):
         )
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Where rates are NaN to begin with it is not the equations that are at fault.
-        good = solved.done | ~all_finite(given)
+        good = solved.done | ~all_finite(start_values)
         return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
     def _to_round_off(self, equations: _StageEquations, last: _Last) -> _Found:
@@ -224,9 +233,11 @@ class ImplicitRKMK(ChartMethod):
 
         # What rounding of the state does to rates, seen through the equations.
         D = jnp.abs(jax.jacfwd(deviation)(equations.zero))
-        own = ravel_pytree(local.sizes(y, y))[0]
-        rounding = jnp.sum(jnp.abs(h * J) * jnp.sum(D * own[:, None], axis=0)[None, :], axis=1) + jnp.abs(h * start)
-        sizes = own + jnp.sum(D * factors.reach(rounding)[None, :], axis=1)
+        state_sizes = ravel_pytree(local.sizes(y, y))[0]
+        rounding = jnp.sum(jnp.abs(h * J) * jnp.sum(D * state_sizes[:, None], axis=0)[None, :], axis=1) + jnp.abs(
+            h * start
+        )
+        sizes = state_sizes + jnp.sum(D * factors.reach(rounding)[None, :], axis=1)
         unit = float(jnp.finfo(h.dtype).eps) * jnp.maximum(sizes, float(jnp.finfo(h.dtype).tiny) * 1e20)
 
         def size(dZ: jax.Array) -> jax.Array:

@@ -54,9 +54,9 @@ def interpolant(tableau: ButcherTableau) -> Interpolant:
     ends[: len(tableau.b)] = tableau.b
     first, last = np.eye(len(rows.c))[[0, -1]]
     for order in range(tableau.order, 3, -1):
-        found, off = _solved(rows.a, ends, first, last, order)
+        weights, off = _solved(rows.a, ends, first, last, order)
         if off < _ROUND_OFF:
-            return Interpolant(order, found)
+            return Interpolant(order, weights)
     # Cubic, as Hermite's.
     return Interpolant(
         min(tableau.order, 3), np.stack([first, 3 * ends - 2 * first - last, first + last - 2 * ends], 1)

@@ -127,25 +127,25 @@ class Magnus(Method):
         """The coordinates of the end of the step around its start."""
         dynamics = field.dynamics
         local, flat = self.coordinates(dynamics), _flat_names(dynamics)
-        own = StateCoordinates({name: local.parts[name] for name in flat})
+        flat_coordinates = StateCoordinates({name: local.parts[name] for name in flat})
 
         def rates(time: jax.Array, moved: Blocks) -> Arrays:
             # Rotations and poses stay where they were: no rate reads them.
-            return field(time, local.value(y | own.move({name: y[name] for name in flat}, moved)))
+            return field(time, local.value(y | flat_coordinates.move({name: y[name] for name in flat}, moved)))
 
         def part(moved: Blocks, share: jax.Array, length: jax.Array) -> tuple[Blocks, Arrays]:
             """Some way on from a share of the step; and the velocities there."""
             start = t + share * h
-            found = rates(start, moved)
+            rate = rates(start, moved)
 
             def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
-                return own.rate(rates(time, _sum(moved, z))), None
+                return flat_coordinates.rate(rates(time, _sum(moved, z))), None
 
-            slopes, _ = stage_slopes(self.inner.counted, slope, own.rate(found), None, start, length * h)
+            slopes, _ = stage_slopes(self.inner.counted, slope, flat_coordinates.rate(rate), None, start, length * h)
             further = slopes.combine(self.inner.b, length * h)
-            return _sum(moved, further), {name: found[name] for name in found if name not in flat}
+            return _sum(moved, further), {name: rate[name] for name in rate if name not in flat}
 
-        moved = own.rate({name: jnp.zeros_like(local.parts[name].value(y[name])) for name in flat})
+        moved = flat_coordinates.rate({name: jnp.zeros_like(local.parts[name].value(y[name])) for name in flat})
         starts = np.append(0.0, self._nodes)
         velocities: Arrays
         if _fed(dynamics):

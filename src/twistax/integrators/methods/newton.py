@@ -57,23 +57,23 @@ def newton(
 
     def iterate(now: Newton) -> Newton:
         step = update(now.Z)
-        found = size(step)
+        size_now = size(step)
         later = now.size > 0.0
-        ratio = jnp.where(later, found / jnp.where(later, now.size, 1.0), 0.0)
+        ratio = jnp.where(later, size_now / jnp.where(later, now.size, 1.0), 0.0)
         growing = ratio >= 1.0
         left = jnp.where(later, ratio / jnp.where(growing, 1.0, 1.0 - ratio), jnp.maximum(now.contraction, eps) ** 0.8)
-        done = (found == 0.0) | jnp.where(growing, found < _STALLED * rounding, left * found < 1.0)
+        done = (size_now == 0.0) | jnp.where(growing, size_now < _STALLED * rounding, left * size_now < 1.0)
         rises = now.rises + (growing & ~now.rose).astype(now.rises.dtype)
-        wavers = again & (found < rounding / eps**0.5)
+        wavers = again & (size_now < rounding / eps**0.5)
         done = done | (wavers & growing & (rises >= _RISES))
-        failed = ~jnp.isfinite(found) | (growing & ~done & ~wavers)
+        failed = ~jnp.isfinite(size_now) | (growing & ~done & ~wavers)
         Z = now.Z - step
         restart = failed & now.again
         if again:
-            Z, found = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, found)
+            Z, size_now = jnp.where(restart, 0.0, Z), jnp.where(restart, 0.0, size_now)
         contraction = jnp.where(failed, 1.0, left)
         count, again_left = now.iterations + 1, now.again & ~restart
-        return Newton(Z, found, done & ~failed, failed & ~restart, count, growing, rises, contraction, again_left)
+        return Newton(Z, size_now, done & ~failed, failed & ~restart, count, growing, rises, contraction, again_left)
 
     eps = float(jnp.finfo(guess.dtype).eps)
     no, none = jnp.asarray(False), jnp.zeros((), int)
@@ -113,17 +113,17 @@ class Factors:
         """X (s, N)."""
         rows = combined(self.tableau.untransform, list(R))
         count = len(self.real)
-        found = [applied(own, (row,))[0] for own, row in zip(self.real, rows[:count], strict=True)]
-        for own, first, second in zip(self.pairs, rows[count::2], rows[count + 1 :: 2], strict=True):
+        solution = [applied(inverse_, (row,))[0] for inverse_, row in zip(self.real, rows[:count], strict=True)]
+        for inverse_, first, second in zip(self.pairs, rows[count::2], rows[count + 1 :: 2], strict=True):
             # The block [[p, q], [-q, p]] acts on (x, y) as p + iq on x - iy.
-            x, y = applied(own, (first, -second))
-            found += [x, -y]
-        return jnp.stack(combined(self.tableau.transform, found))
+            x, y = applied(inverse_, (first, -second))
+            solution += [x, -y]
+        return jnp.stack(combined(self.tableau.transform, solution))
 
     def reach(self, sizes: jax.Array) -> jax.Array:
         """How large what `solve` makes of entries of these sizes may be, roughly."""
-        found = [jnp.sum(jnp.abs(part) * sizes[None, :], axis=1) for part in (self.real or self.pairs)[0]]
-        return functools.reduce(jnp.add, found)
+        parts = [jnp.sum(jnp.abs(part) * sizes[None, :], axis=1) for part in (self.real or self.pairs)[0]]
+        return functools.reduce(jnp.add, parts)
 
     def damped(self, e: jax.Array) -> jax.Array:
         """An error with what stiff parts add to it damped: e for h J small, of the order of e / |h J|^2 for it large.
@@ -148,8 +148,8 @@ def inverse(matrix: Parts) -> Parts:
     Source: Golub, Van Loan, Matrix Computations (2013), sections 3.4 and 3.5.
     """
     if matrix[0].shape[0] > _LARGEST:
-        found = jnp.linalg.inv(matrix[0] if len(matrix) == 1 else jax.lax.complex(*matrix))
-        return (found,) if len(matrix) == 1 else (found.real, found.imag)
+        result = jnp.linalg.inv(matrix[0] if len(matrix) == 1 else jax.lax.complex(*matrix))
+        return (result,) if len(matrix) == 1 else (result.real, result.imag)
     places = jnp.arange(matrix[0].shape[0])
 
     def eliminate(k: jax.Array, now: tuple[Parts, jax.Array]) -> tuple[Parts, jax.Array]:
@@ -164,10 +164,10 @@ def inverse(matrix: Parts) -> Parts:
         # Rows k and `largest` change places.
         column = tuple(jnp.where(here, 0.0, jnp.where(places == largest, entry[k], entry)) for entry in column)
         outer = times(tuple(entry[:, None] for entry in column), tuple(entry[None, :] for entry in row))
-        parts = tuple(part.at[largest].set(own) for part, own in zip(parts, upper, strict=True))
+        parts = tuple(part.at[largest].set(a) for part, a in zip(parts, upper, strict=True))
         parts = tuple(
-            (jnp.where(here[None, :], 0.0, part) - gone).at[k].set(own)
-            for own, part, gone in zip(row, parts, outer, strict=True)
+            (jnp.where(here[None, :], 0.0, part) - gone).at[k].set(a)
+            for a, part, gone in zip(row, parts, outer, strict=True)
         )
         return parts, order.at[largest].set(order[k]).at[k].set(order[largest])
 

@@ -26,7 +26,7 @@ _FAR = 1e-6
 
 def _of_inner(method: str) -> Callable[..., Any]:
     """A method of the inner method."""
-    return lambda self, *given: getattr(self.inner, method)(*given)
+    return lambda self, *arguments: getattr(self.inner, method)(*arguments)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -59,22 +59,22 @@ class Projected(Method):
         return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
-        found = self.inner.follow(field, t, y, carry, h)
-        return found._replace(y=self._brought_back(field, t + h, found.y))
+        attempt = self.inner.follow(field, t, y, carry, h)
+        return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
 
     def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
-        found = self.inner.sampled(field, t, y, carry, h)
-        return found._replace(y=self._brought_back(field, t + h, found.y))
+        attempt = self.inner.sampled(field, t, y, carry, h)
+        return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
     ) -> Attempt:
-        found = self.inner.attempt(field, t, y, carry, h, tolerances)
-        end = self._brought_back(field, t + h, found.y)
+        attempt = self.inner.attempt(field, t, y, carry, h, tolerances)
+        end = self._brought_back(field, t + h, attempt.y)
         # What the next step begins with belongs to where it begins.
-        carry = self.inner.resume(field, t + h, end, found.carry)
-        evaluations = found.evaluations + self.inner.resume_evaluations
-        return found._replace(y=end, carry=carry, evaluations=evaluations)
+        carry = self.inner.resume(field, t + h, end, attempt.carry)
+        evaluations = attempt.evaluations + self.inner.resume_evaluations
+        return dataclasses.replace(attempt, y=end, carry=carry, evaluations=evaluations)
 
     def need_polynomial(self) -> None:
         raise ModelError(
@@ -86,8 +86,8 @@ class Projected(Method):
         u = field.controls(t)
         still = {name: jnp.zeros(group.tangent_shape, t.dtype) for name, group in functions.group.factors.items()}
         for _ in range(_CORRECTIONS):
-            found = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
-            y = local.settle(local.move(y, local.first_slope(y, local.rate(still | found))))
+            corrections = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
+            y = local.settle(local.move(y, local.first_slope(y, local.rate(still | corrections))))
         return y
 
 
@@ -101,8 +101,8 @@ def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
     functions = dynamics._functions
     if is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
         return
-    found = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
-    off = float(jnp.abs(increments(functions, found)).max())
+    corrections = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
+    off = float(jnp.abs(increments(functions, corrections)).max())
     far = max(_FAR, 1e3 * float(jnp.finfo(inputs.dtype).eps))
     if not off <= far:
         raise InputError(

@@ -189,7 +189,7 @@ def stage_slopes(
     rows = jnp.zeros((count, start.size), start.dtype).at[0].set(start)
     # Inside a small function a branch for every stage, without the zeros of the tableau; elsewhere, where branches are
     # slow, a row of weights.
-    branches = [lambda rows, own=own: _sum(own, rows) for own in a[1:]] if inside_small_call() else []
+    branches = [lambda rows, row=row: _sum(row, rows) for row in a[1:]] if inside_small_call() else []
     weights = None if branches else jnp.asarray(a, start.dtype)
 
     def stage(carried: tuple[jax.Array, Aside], entry: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
@@ -199,9 +199,9 @@ def stage_slopes(
             reached = jax.lax.switch(number - 1, branches, rows)
         else:
             reached = _weighted(weights[number], rows)
-        found, aside = slope(t + node * h, _read(read, h * reached))
-        k = ravel_pytree(found)[0]
-        return (jax.lax.dynamic_update_index_in_dim(rows, k, number, 0, allow_negative_indices=False), aside), None
+        rate, extra = slope(t + node * h, _read(read, h * reached))
+        k = ravel_pytree(rate)[0]
+        return (jax.lax.dynamic_update_index_in_dim(rows, k, number, 0, allow_negative_indices=False), extra), None
 
     if count > 1:
         (rows, aside), _ = jax.lax.scan(stage, (rows, aside), (jnp.arange(1, count), jnp.asarray(c[1:], start.dtype)))
@@ -215,7 +215,7 @@ def _read(read: Callable[[jax.Array], Any], combined: jax.Array) -> Any:
 def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
     """weights @ rows for weights that are known, term by term."""
     if weights.ndim == 2:
-        return jnp.stack([_sum(own, rows) for own in weights])
+        return jnp.stack([_sum(row, rows) for row in weights])
     terms = [float(weights[j]) * rows[j] for j in np.flatnonzero(weights)]
     return sum(terms[1:], terms[0]) if terms else jnp.zeros_like(rows[0])
 

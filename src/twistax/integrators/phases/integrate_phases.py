@@ -194,9 +194,9 @@ class _Flight:
         return t, x
 
 
-def _share(told: Told, index: int, count: int) -> Told:
+def _share(callback: Told, index: int, count: int) -> Told:
     """What tells how far a phase is, of the whole."""
-    return lambda t, share: told(t, (index + share) / count)
+    return lambda t, share: callback(t, (index + share) / count)
 
 
 def _named(phases: Any) -> tuple[list[str], list[str]]:
@@ -222,7 +222,7 @@ def _checked(
     count = len(phases) - 1
     if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
         raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
-    found: list[Link] = list(links or [None] * count)
+    joins: list[Link] = list(links or [None] * count)
     for phase, label in zip(phases, labels, strict=True):
         with in_phase(label):
             need_compiled("Phase", phase.dynamics)
@@ -239,16 +239,16 @@ def _checked(
             if not isinstance(phase.params, Mapping | None):
                 raise InputError(f"params expects a dict by name, got {short(phase.params)}")
     known = {leaf.name for phase in phases for leaf in phase.dynamics.parameters}
-    for index, link in enumerate(found):
+    for index, link in enumerate(joins):
         known |= check_link(f"links[{index}]", link, phases[index].dynamics, phases[index + 1].dynamics)
     wanted = {leaf.name for phase in phases for leaf in phase.dynamics.controls}
-    given = controls if isinstance(controls, Mapping) else {}
-    for what, values, there in (("params", params, known), ("u", given, wanted)):
+    by_name = controls if isinstance(controls, Mapping) else {}
+    for what, values, there in (("params", params, known), ("u", by_name, wanted)):
         unknown = [name for name in values if name not in there]
         # What a function reads is not known.
-        if unknown and not (what == "params" and any(map(callable, found))):
+        if unknown and not (what == "params" and any(map(callable, joins))):
             raise InputError(f"unknown key {unknown[0]!r} in {what}; all phases have: {listed(there, unknown[0])}")
-    return found
+    return joins
 
 
 def _by_event(phase: Phase) -> bool:

@@ -51,8 +51,8 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
         for leaf in leaves_of(expr):
             if not isinstance(leaf, Leaf) or isinstance(leaf, Constant | Time):
                 continue
-            own = last.get(leaf.name)
-            known = isinstance(leaf, State) and own is not None and own.key() == leaf.key()
+            state_before = last.get(leaf.name)
+            known = isinstance(leaf, State) and state_before is not None and state_before.key() == leaf.key()
             if isinstance(leaf, Parameter) and leaf.name not in before.baked:
                 parameters.add(leaf.name)
             elif not known:
@@ -66,11 +66,11 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
 def by_name(place: str, link: Mapping[Any, Any], after: Dynamics) -> dict[str, Any]:
     """The same by names of states. Raises ModelError for a name that the next phase does not have."""
     states = [state.name for state in after.states]
-    found = {name_of(key): value for key, value in link.items()}
-    for name in found:
+    values = {name_of(key): value for key, value in link.items()}
+    for name in values:
         if name not in states:
             raise ModelError(f"{place} names {name!r}; the states of the next phase are: {listed(states, name)}")
-    return found
+    return values
 
 
 def linked(
@@ -78,21 +78,21 @@ def linked(
 ) -> dict[str, Any]:
     """The states with which a phase begins, from those that the phase before ended with."""
     dtype = next(iter(x.values())).dtype
-    given: Mapping[Any, Any] = link(t, dict(x), dict(params)) if callable(link) else link or {}
-    if not isinstance(given, Mapping):
-        raise ModelError(f"{place} must return a dict from states to values, got {short(given)}")
-    jumps = by_name(place, given, after)
+    changes: Mapping[Any, Any] = link(t, dict(x), dict(params)) if callable(link) else link or {}
+    if not isinstance(changes, Mapping):
+        raise ModelError(f"{place} must return a dict from states to values, got {short(changes)}")
+    jumps = by_name(place, changes, after)
     exprs = {name: value for name, value in jumps.items() if isinstance(value, Expr)}
     if exprs:
         jumps |= _values(exprs, before, t, x, params)
-    found = {}
+    start = {}
     for state in after.states:
         name = state.name
         if name not in jumps and name not in x:
             raise ModelError(f"{place} says nothing of {name!r}, which the phase before does not have")
-        own = f"{place}[{name!r}]"
-        found[name] = cast(own, real_array(own, jumps.get(name, x.get(name))), dtype, on_host=True)
-    return found
+        label = f"{place}[{name!r}]"
+        start[name] = cast(label, real_array(label, jumps.get(name, x.get(name))), dtype, on_host=True)
+    return start
 
 
 def _values(exprs: dict[str, Expr], before: Dynamics, t: Any, x: Arrays, params: Mapping[str, Any]) -> Arrays:

@@ -99,14 +99,14 @@ class PhasedSolution(Ended):
         ends = [phase.ts[-1] for phase in self.phases]
         if not is_traced((ts, ends, self.t_starts)):
             need_within(ts, self.t_starts[0], ends[-1], "those of the flight")
-        found: Arrays = {}
+        states: Arrays = {}
         for phase, begin, end in zip(self.phases, self.t_starts, ends, strict=True):
-            own = phase.evaluate(jnp.clip(ts, begin, end))
-            if not found:
-                found = own
+            here = phase.evaluate(jnp.clip(ts, begin, end))
+            if not states:
+                states = here
             after = ts >= begin
-            found = {k: jnp.where(wide(after, v), own[k], v) for k, v in found.items() if _alike(own.get(k), v)}
-        return found
+            states = {k: jnp.where(wide(after, v), here[k], v) for k, v in states.items() if _alike(here.get(k), v)}
+        return states
 
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
@@ -121,11 +121,11 @@ class PhasedSolution(Ended):
         parts = self._reached("plot")
         if self.save_at is None:
             raise InputError("plot: ends of phases are no curve.\n  fix: tx.integrate_phases(..., save_at=times)")
-        found = []
+        drawn = []
         for name in chosen(names, list(self.xs), units):
             pieces = [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
-            found += panels(name, group_of(pieces[0][1]), pieces, (units or {}).get(name, ""))
-        return draw(found)
+            drawn += panels(name, group_of(pieces[0][1]), pieces, (units or {}).get(name, ""))
+        return draw(drawn)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """All phases one after the other in three dimensions: what all of them have; see `Solution.show`.
@@ -139,10 +139,10 @@ class PhasedSolution(Ended):
         parts = self._reached("show")
         if self.save_at is None:
             raise InputError("show: ends of phases are no motion.\n  fix: tx.integrate_phases(..., save_at=times)")
-        others = [lambda of=of: joined([getattr(part, of) for part in parts]) for of in ("us", "outputs")]
+        signals = [lambda of=of: joined([getattr(part, of) for part in parts]) for of in ("us", "outputs")]
         params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
         ts = np.concatenate([np.asarray(part.ts) for part in parts])
-        return shown(Motion(ts, joined([part.xs for part in parts]), others, params), path, **choices)
+        return shown(Motion(ts, joined([part.xs for part in parts]), signals, params), path, **choices)
 
     def _columns(self, layout: Any) -> list[Column]:
         tables, count = [], []
@@ -151,22 +151,22 @@ class PhasedSolution(Ended):
                 columns = columns_of(part, layout)
             tables.append({column.header: column for column in columns})
             count.append(len(part.ts))
-        shared = [column for header, column in tables[0].items() if all(header in own for own in tables)]
-        found = [c._replace(values=np.concatenate([own[c.header].values for own in tables])) for c in shared]
-        return [*found[:1], Column("phase", "", np.repeat(np.arange(len(tables)), count)), *found[1:]]
+        shared = [column for header, column in tables[0].items() if all(header in table for table in tables)]
+        joined = [Column(c.name, c.unit, np.concatenate([table[c.header].values for table in tables])) for c in shared]
+        return [*joined[:1], Column("phase", "", np.repeat(np.arange(len(tables)), count)), *joined[1:]]
 
     def _reached(self, what: str) -> list[Solution]:
         """The phases without the rows that they do not cover."""
         need_one(what, self.phases[0])
         if not self.on_grid:
             return list(self.phases)
-        found = []
+        phases = []
         for phase in self.phases:
             states = jax.tree.leaves(jax.tree.map(np.asarray, phase.xs))
             good = np.all([np.isfinite(v.reshape(len(v), -1)).all(1) for v in states], axis=0)
             xs = {name: value[good] for name, value in phase.xs.items()}
-            found.append(dataclasses.replace(phase, ts=phase.ts[good], xs=xs))
-        return found
+            phases.append(dataclasses.replace(phase, ts=phase.ts[good], xs=xs))
+        return phases
 
     @property
     def _inside(self) -> np.ndarray:
@@ -179,10 +179,12 @@ class PhasedSolution(Ended):
         values = [of(phase) for phase in self.phases]
         axis = self.phases[0].ts.ndim - 1
         tail = lambda value: value.shape[axis + 1 :]  # noqa: E731
-        names = [n for n, v in values[0].items() if all(n in own and tail(own[n]) == tail(v) for own in values)]
+        names = [
+            n for n, v in values[0].items() if all(n in arrays and tail(arrays[n]) == tail(v) for arrays in values)
+        ]
         if self.save_at is None:
             return {name: values[-1][name][(*[slice(None)] * axis, slice(-1, None))] for name in names}
-        return {name: self._rows(self.save_at, [own[name] for own in values]) for name in names}
+        return {name: self._rows(self.save_at, [arrays[name] for arrays in values]) for name in names}
 
     def _rows(self, save_at: jax.Array, values: list[Any]) -> jax.Array:
         """The rows of the phases at the saved times."""
@@ -198,14 +200,14 @@ class PhasedSolution(Ended):
     def _on_grid(self, times: jax.Array, values: list[Any]) -> jax.Array:
         axis = times.ndim - 1
         cut = (*[slice(None)] * axis, slice(1, times.shape[-1] + 1))
-        found = jnp.full_like(values[0][cut], jnp.nan if jnp.issubdtype(values[0].dtype, jnp.inexact) else 0)
+        result = jnp.full_like(values[0][cut], jnp.nan if jnp.issubdtype(values[0].dtype, jnp.inexact) else 0)
         ends = [*(begin[..., None] for begin in self.t_starts[1:]), None]
         for phase, begin, end, value in zip(self.phases, self.t_starts, ends, values, strict=True):
             before = times <= phase.ts[..., -1:]
             if end is not None:  # NaN after a phase that failed
                 before = jnp.where(jnp.isnan(end), before, times < end)
-            found = jnp.where(wide((times >= begin[..., None]) & before, found), value[cut], found)
-        return found
+            result = jnp.where(wide((times >= begin[..., None]) & before, result), value[cut], result)
+        return result
 
 
 def _alike(one: Any, other: jax.Array) -> bool:

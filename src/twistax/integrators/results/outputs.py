@@ -33,12 +33,12 @@ def outputs_along(stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
     """The outputs at the states of a solution. Raises InputError where one reads what was not given."""
     functions = stepper.dynamics._functions
     read = functions.reads["outputs"]
-    given, params = getattr(stepper.signals, "values", None), dict(stepper.params)
-    missing = [c.name for c in functions.controls if given is not None and c.name in read and c.name not in given]
+    controls, params = getattr(stepper.signals, "values", None), dict(stepper.params)
+    missing = [c.name for c in functions.controls if controls is not None and c.name in read and c.name not in controls]
     if missing:
         raise InputError(
             f"an output reads the control {missing[0]!r}, which the integration was not given; it had: "
-            f"{listed(given or ())}.\n  fix: tx.integrate(..., u={{{missing[0]!r}: ...}})"
+            f"{listed(controls or ())}.\n  fix: tx.integrate(..., u={{{missing[0]!r}: ...}})"
         )
     dtype = next(iter(xs.values())).dtype
     for leaf in functions.parameters:
@@ -55,9 +55,9 @@ def _controls() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
 def _outputs() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
     def at(stepper: Stepper, t: jax.Array, x: Arrays) -> Arrays:
         functions = stepper.dynamics._functions
-        found = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
+        outputs = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
         missed = jnp.isnan(ravel_pytree(x)[0]).any()  # outputs that read no state would go on
-        return found | nan_unless(~missed, {name: value for name, value in found.items() if value.dtype != bool})
+        return outputs | nan_unless(~missed, {name: value for name, value in outputs.items() if value.dtype != bool})
 
     return lambda stepper, ts, xs: _each(at, stepper, ts, xs)
 
@@ -83,16 +83,16 @@ def _in_rows(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, ts: ja
         return _called(make, stepper, ts, xs)
     last = np.minimum(np.arange(room_for(count, sum(x.size for x in xs.values()) // count)), count - 1)
     ts, xs = jax.tree.map(lambda a: np.asarray(a)[last], (ts, xs))
-    found = _called(make, stepper, ts, xs)
-    return {name: jax.device_put(np.asarray(value)[:count]) for name, value in found.items()}
+    values = _called(make, stepper, ts, xs)
+    return {name: jax.device_put(np.asarray(value)[:count]) for name, value in values.items()}
 
 
 def _called(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, *rest: Any) -> Arrays:
     try:
-        found: Arrays = jitted(make, stepper, *rest)
+        result: Arrays = jitted(make, stepper, *rest)
     except jax.errors.UnexpectedTracerError:
         raise InputError(
             "the function u reads values that were there only within jax.vmap or jax.jit.\n"
             "  fix: return solution.us or solution.outputs from within it, or hand u those values through params"
         ) from None
-    return found
+    return result

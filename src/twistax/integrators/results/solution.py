@@ -78,7 +78,8 @@ class Crossings:
         if is_traced(rows):
             return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
         count = int(rows.used)
-        ts, xs, which, directions = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], tuple(rows)[:-1]))
+        columns = (rows.ts, rows.xs, rows.which, rows.directions)
+        ts, xs, which, directions = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], columns))
         return cls(ts, xs, which, directions, count)
 
 
@@ -103,9 +104,9 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
         def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
             return stored.value(stepper.advance(start, y, t - start))
 
-        found = jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+        values = jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
         start, end = trail.t[0], trail.t[trail.steps]
-        return nan_unless((ts >= start - _room(start, end)) & (ts <= end + _room(start, end)), found)
+        return nan_unless((ts >= start - _room(start, end)) & (ts <= end + _room(start, end)), values)
 
     return states
 
@@ -273,8 +274,8 @@ class Solution(Ended):
         if not is_traced((ts, trail)):
             known = np.asarray(self.dense.stepper.clock(trail.t))
             need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
-        found: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
-        return {name: value[0] for name, value in found.items()} if ts.ndim == 0 else found
+        states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
+        return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
 
     def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
         """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
@@ -289,11 +290,11 @@ class Solution(Ended):
         need_one("plot", self)
         if len(self.ts) < 2:
             raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
-        ts, found = np.asarray(self.ts), []
+        ts, drawn = np.asarray(self.ts), []
         for name in chosen(names, list(self.xs), units):
             x = np.asarray(self.xs[name])
-            found += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
-        return draw(found)
+            drawn += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
+        return draw(drawn)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.
@@ -329,8 +330,8 @@ class Solution(Ended):
         need_one("show", self)
         if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
             return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
-        others = (lambda: self.us, lambda: self.outputs)
-        return shown(Motion(np.asarray(self.ts), self.xs, others, self.stepper.params), path, **choices)
+        signals = (lambda: self.us, lambda: self.outputs)
+        return shown(Motion(np.asarray(self.ts), self.xs, signals, self.stepper.params), path, **choices)
 
     def _columns(self, layout: Any) -> list[Column]:
         from .table_export import columns_of

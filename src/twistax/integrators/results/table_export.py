@@ -85,11 +85,11 @@ class Columns(Layout):
             *(leaf.name for leaf in (*dynamics.states, *dynamics.controls)),
             *dynamics._functions.families["outputs"],
         ]
-        found = [Column("t", "s", np.asarray(solution.ts))]
+        table = [Column("t", "s", np.asarray(solution.ts))]
         for name in order:
             if name in values:
-                found += self._of(name, dynamics.group.factors.get(name), np.asarray(values[name]))
-        return found
+                table += self._of(name, dynamics.group.factors.get(name), np.asarray(values[name]))
+        return table
 
     def _of(self, name: str, group: Any, array: np.ndarray) -> list[Column]:
         if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):
@@ -114,7 +114,7 @@ class Columns(Layout):
         units = self._units(name, int(np.prod(shape)))
         labels = [label + "".join(f"[{i}]" for i in index) for index in np.ndindex(*shape)]
         entries = array.reshape(len(array), -1).T
-        return [Column(*each) for each in zip(labels, units, entries, strict=True)]
+        return [Column(*column) for column in zip(labels, units, entries, strict=True)]
 
     def _units(self, name: str, count: int) -> list[str]:
         unit = self.units.get(name, "")
@@ -147,17 +147,19 @@ def columns_of(solution: Solution, layout: Any) -> list[Column]:
     """
     layout = Columns() if layout is None else layout
     instance("layout", layout, Layout, "one like tx.columns.Columns(units=...)", ModelError)
-    found = layout.columns(solution)
-    if not isinstance(found, list) or not all(isinstance(own, Column) for own in found):
-        raise ModelError(f"{type(layout).__name__}.columns must return a list of tx.columns.Column, got {short(found)}")
-    found = [own._replace(values=np.asarray(own.values)) for own in found]
-    for own in found:
-        if own.values.shape != np.shape(solution.ts):
+    columns = layout.columns(solution)
+    if not isinstance(columns, list) or not all(isinstance(column, Column) for column in columns):
+        raise ModelError(
+            f"{type(layout).__name__}.columns must return a list of tx.columns.Column, got {short(columns)}"
+        )
+    columns = [Column(column.name, column.unit, np.asarray(column.values)) for column in columns]
+    for column in columns:
+        if column.values.shape != np.shape(solution.ts):
             raise ShapeError(
-                f"column {own.header!r} expects a number for each of {len(solution.ts)} saved times, "
-                f"got shape {own.values.shape}"
+                f"column {column.header!r} expects a number for each of {len(solution.ts)} saved times, "
+                f"got shape {column.values.shape}"
             )
-    return found
+    return columns
 
 
 def write_csv(columns: list[Column], path: Any) -> None:
@@ -183,9 +185,9 @@ def frame_of(columns: list[Column]) -> Any:
         import pandas
     except ImportError:
         raise ModelError("to_dataframe needs pandas.\n  fix: pip install 'twistax[tables]', or to_csv(path)") from None
-    found = {column.header: column.values for column in columns}
-    if len(found) < len(columns):
+    table = {column.header: column.values for column in columns}
+    if len(table) < len(columns):
         headers = [column.header for column in columns]
-        twice = next(own for own in headers if headers.count(own) > 1)
+        twice = next(header for header in headers if headers.count(header) > 1)
         raise InputError(f"two columns are called {twice!r}.\n  fix: other names or units, or a tx.columns.Layout")
-    return pandas.DataFrame(found)
+    return pandas.DataFrame(table)
