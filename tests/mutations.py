@@ -1525,15 +1525,6 @@ MUTATIONS: list[Mutation] = [
         ),
     ),
     *_at(
-        "integrators/charts/compensated.py",
-        (
-            "the error of a sum is lost",
-            "(fixed_a - (fixed_s - rest)) + (fixed_b - rest)",
-            "0.0 * rest",
-            "integrators/test_compensated.py",
-        ),
-    ),
-    *_at(
         "integrators/loop/unreached.py",
         (
             "a failure has no derivative forward",

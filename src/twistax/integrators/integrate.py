@@ -23,7 +23,7 @@ from .loop.failures import failure, numbers
 from .loop.loop import Steps, ended_well
 from .loop.outcome import Result
 from .loop.progress_callback import asked_for, metered
-from .loop.rollout import Rollout, rollout
+from .loop.rollout import RolloutResult, rollout
 from .loop.unreached import nan_unless
 from .method import Stepper
 from .options import Options, need_flag, plan_of, with_options
@@ -110,7 +110,7 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
     return solution_of(stepper, steps, result, plan.ts, options.save_at is None, options.throw)
 
 
-def _inside(result: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:
+def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
     """NON_FINITE for traced times that would be refused if they were known, and NaN for the states there."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
@@ -128,7 +128,9 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
     return array.append(ts, t), joined
 
 
-def solution_of(stepper: Stepper, steps: Steps, rolled: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
+def solution_of(
+    stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
+) -> Solution:
     """What the user gets; where numbers are known a failure raises, or leaves the good part."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)

@@ -16,8 +16,8 @@ from ..lowering import JAX, Dynamics
 from ..lowering.dynamics import Arrays
 from ..lowering.small_call import held
 from ..lowering.written import on_any_mesh
-from .charts.chart import Blocks, StateCoordinates, StoredState
-from .charts.compensated import compensated
+from .charts.chart import compensated
+from .charts.coordinates import Blocks, StateCoordinates, StoredState
 from .controls import Signals
 from .step_control import Tolerances
 
@@ -47,7 +47,7 @@ class VectorField(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Attempt:
+class StepAttempt:
     """A step that may be taken back."""
 
     y: Any  # the stored state at its end
@@ -133,11 +133,11 @@ class Method(ABC):
         """What the first `follow` is given."""
         return ()
 
-    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         """The step of `advance`, after a step that left `carry`. Pure and traceable."""
-        return Attempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
+        return StepAttempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
-    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         """The step of `follow` with the slopes that `between` reads, where the method has it."""
         return self.follow(field, t, y, carry, h)
 
@@ -156,7 +156,7 @@ class Method(ABC):
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
-    ) -> Attempt:
+    ) -> StepAttempt:
         """One step of length h with its error. Pure and traceable.
 
         Args:
@@ -286,7 +286,7 @@ class Stepper:
         field, t, h = self._in_s(t, h)
         return self.method.advance(field, t, y, h)
 
-    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> Attempt:
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> StepAttempt:
         """The same, after a step that left `carry`; with the slopes of the step, if it has any, where it is sampled."""
         field, t, h = self._in_s(t, h)
         return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
@@ -301,7 +301,7 @@ class Stepper:
         field, t, _ = self._in_s(t, h)
         return self.method.resume(field, t, y, carry)
 
-    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
+    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> StepAttempt:
         """A step of length h that may be taken back, with its error."""
         field, t, h = self._in_s(t, h)
         return self.method.attempt(field, t, y, carry, h, tolerances)

@@ -16,7 +16,7 @@ from ..expr import Inputs
 from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import read_values
-from .controls import Table
+from .controls import ControlTable
 from .integrate import integrated, solution_of
 from .loop.rollout import handed_over, in_few_arrays
 from .method import flattened
@@ -153,7 +153,7 @@ class Simulator:
                 raise InputError(
                     f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
                 )
-            if isinstance(slot.value, Table) or isinstance(value, Table):
+            if isinstance(slot.value, ControlTable) or isinstance(value, ControlTable):
                 placed[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
                 for k, leaf in zip(slot.places, jax.tree.leaves(placed[name]), strict=True):
                     leaves[k] = leaf

@@ -18,15 +18,15 @@ from ..jax_inside import is_traced
 from ..lowering import Dynamics
 from ..lowering.inputs import cast
 from ..units import same_unit, seconds
-from .charts.chart import Blocks, StateCoordinates
+from .charts.coordinates import Blocks, StateCoordinates
 
 #: A step that leaves less than this share of itself to the next limit goes there at once.
 _STRETCH = 0.01
-#: Errors below this many tolerances count as this: the next step grows by the most anyway.
+#: ErrorHistory below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
 
 
-class Errors(NamedTuple):
+class ErrorHistory(NamedTuple):
     """Logarithms of the errors of the last accepted steps, in units of what is allowed; zeros before the first step."""
 
     last: jax.Array
@@ -114,14 +114,16 @@ class StepControl:
         step = jnp.where((1.0 + _STRETCH) * planned >= room, room, shared)
         return Length(jnp.where(step == room, limit, t + step), step, planned, least)
 
-    def grown(self, square: jax.Array, past: Errors, rejected: jax.Array, order: int) -> tuple[jax.Array, Errors]:
+    def grown(
+        self, square: jax.Array, past: ErrorHistory, rejected: jax.Array, order: int
+    ) -> tuple[jax.Array, ErrorHistory]:
         """The factor on h after a step that is taken, and the errors to remember. `square` is e_n squared."""
         now = _log(square)
         p, i, d = self.pcoeff, self.icoeff, self.dcoeff
         exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last - d * past.before
         factor = self.safety * jnp.exp(exponent / order)
         most = jnp.where(rejected, jnp.ones_like(square), self.factormax)
-        return jnp.clip(factor, self.factormin, most), Errors(now, past.last)
+        return jnp.clip(factor, self.factormin, most), ErrorHistory(now, past.last)
 
     def shrunk(self, square: jax.Array, order: int) -> jax.Array:
         """The factor on h after a step that is taken back."""

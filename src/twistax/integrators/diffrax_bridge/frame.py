@@ -19,10 +19,11 @@ from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays, need_compiled
 from ...lowering.small_call import small_call
 from ..ambient import Ambient, Arguments, read_arguments
-from ..charts.chart import Blocks, Chart, StateCoordinates, coordinates_of
+from ..charts.chart import Chart, coordinates_of
+from ..charts.coordinates import Blocks, StateCoordinates
 from ..loop.loop import all_finite
 from ..methods.rkmk import stage_slopes
-from ..tableaus import Rows, lower_triangle
+from ..tableaus import Stages, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
@@ -68,18 +69,18 @@ class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
     """What `LieSolver` takes: a term of `lie_term`, or a MultiTerm of such. Others raise ModelError with the reason."""
 
 
-class Part(NamedTuple):
+class DirectedSystem(NamedTuple):
     """One system among the terms, and the sense of time: 1, or -1 where diffrax integrates backwards."""
 
     dynamics: Dynamics
     direction: Any
 
 
-def parts_of(terms: Any) -> tuple[Part, ...]:
+def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
     """The systems in what diffrax passes to a solver or a controller. Raises ModelError for other terms."""
     WrapTerm, AdjointTerm = wrapped_terms()
 
-    def part(term: Any) -> Part:
+    def part(term: Any) -> DirectedSystem:
         direction: Any = 1
         while isinstance(term, WrapTerm):
             direction, term = direction * term.direction, term.term
@@ -97,13 +98,13 @@ def parts_of(terms: Any) -> tuple[Part, ...]:
                 "  fix: diffeqsolve(tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(...), ...); with a plain term "
                 "take a plain solver and diffrax.PIDController"
             )
-        return Part(term.dynamics, direction)
+        return DirectedSystem(term.dynamics, direction)
 
     return tuple(map(part, terms.terms if isinstance(terms, diffrax.MultiTerm) else (terms,)))
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class ChartedSystem:
     """A system in a chart, the coordinates around the start of a step. A value; numbers travel as flat vectors."""
 
     dynamics: Dynamics
@@ -156,7 +157,7 @@ class Stepped(NamedTuple):
 
 
 def explicit_step(
-    frame: Frame, tableau: diffrax.ButcherTableau, arguments: Arguments, h: jax.Array, rate: jax.Array | None
+    frame: ChartedSystem, tableau: diffrax.ButcherTableau, arguments: Arguments, h: jax.Array, rate: jax.Array | None
 ) -> Stepped:
     """The step of an explicit Runge-Kutta solver of diffrax, as one small function where that is known to work.
 
@@ -164,7 +165,7 @@ def explicit_step(
     the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
     at the start, flat. Traceable.
     """
-    stages, local = Rows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
+    stages, local = Stages(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
     def plainly(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
         start = local.enter(arguments.x)

@@ -20,12 +20,13 @@ from ...jax_inside import any_of_batch, wrapped_terms
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays, need_compiled
 from ..ambient import Arguments, read_arguments
-from ..charts.chart import Blocks, Chart, Exponential, SplitExponential, chart_of
+from ..charts.chart import Chart, Exponential, SplitExponential, chart_of
+from ..charts.coordinates import Blocks
 from ..method import Stepper
 from ..methods.rkmk import RKMK
 from ..step_control import StepControl, Tolerances, tolerances_of
 from ..tableaus import EULER
-from .frame import Frame, LieTerms, Part, explicit_step, parts_of
+from .frame import ChartedSystem, DirectedSystem, LieTerms, explicit_step, parts_of
 
 
 class LieInterpolation(diffrax.AbstractLocalInterpolation):
@@ -35,7 +36,7 @@ class LieInterpolation(diffrax.AbstractLocalInterpolation):
     t1: Any  # type: ignore[misc]
     start: Any
     coordinates: diffrax.AbstractLocalInterpolation
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
     def evaluate(self, t0: Any, t1: Any = None, left: bool = True) -> Arrays:
         """The state at t0, in its group. Raises InputError for an increment, which has no meaning on a group."""
@@ -54,7 +55,7 @@ class _Interpolate:
     """Makes the interpolation of one step. A value, as diffrax keeps it as structure."""
 
     coordinates: Any
-    frame: Frame
+    frame: ChartedSystem
 
     def __call__(self, *, t0: Any, t1: Any, start: Any, within: Any) -> LieInterpolation:
         return LieInterpolation(t0, t1, start, self.coordinates(t0=t0, t1=t1, **within), self.frame)
@@ -89,14 +90,14 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     """
 
     solver: Any  # type: ignore[misc]
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
     def __init__(self, solver: diffrax.AbstractSolver, dynamics: Dynamics, chart: Chart | None = None) -> None:
         _check(solver, dynamics, chart)
         self.solver = solver
         order: Any = solver.order(None) if _is_explicit(solver) else None
         default = Exponential(commutators=None if order is None else max(1, order - 2))
-        self.frame = Frame(dynamics, default if chart is None else chart)
+        self.frame = ChartedSystem(dynamics, default if chart is None else chart)
         _ = self.frame.ambient  # refuses groups without matrices, by name
 
     # What diffrax asks for, partly of the wrapped solver.
@@ -172,7 +173,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         frame, local = self.frame, self.frame.local
         start, read = local.enter(arguments.x), frame.packed(arguments.x)[1]
 
-        def in_chart(part: Part) -> Any:
+        def in_chart(part: DirectedSystem) -> Any:
             def slope(t: Any, z: jax.Array, args: None) -> jax.Array:
                 blocks = read(z)
                 moved = local.move(start, blocks)
@@ -209,7 +210,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         arguments = read_arguments(self.frame.dynamics, direction * t0, y0, args)
         return arguments, jnp.asarray(direction * (t1 - t0), arguments.t.dtype)
 
-    def _parts(self, terms: Any) -> tuple[Part, ...]:
+    def _parts(self, terms: Any) -> tuple[DirectedSystem, ...]:
         """The systems among the terms. Raises ModelError where they are not those the solver takes."""
         parts = parts_of(terms)
         tableau = getattr(getattr(self.solver, "solver", self.solver), "tableau", None)
@@ -267,7 +268,7 @@ class _State(eqx.Module):
 
     pid: Any
     tolerances: Tolerances
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -315,7 +316,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
         arguments = read_arguments(dynamics, direction * t0, y0, args)
         dtype = jnp.result_type(*arguments.x.values())
         tolerances = tolerances_of(dynamics, self.rtol, self.allowed, dtype)
-        frame = Frame(dynamics, Exponential())
+        frame = ChartedSystem(dynamics, Exponential())
         if dt0 is None:
             room = jnp.asarray(direction * (t1 - t0), arguments.t.dtype)
             length, method = jnp.abs(room), _Probe(EULER, frame.chart, 1 if error_order is None else error_order)

@@ -189,7 +189,7 @@ class Watch:
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, met, code, which, tags, count = beside(Watch._before, self, stepper, t, y, s, advance(s))
+        values, met, code, which, tags, count = beside(Watch.before, self, stepper, t, y, s, advance(s))
         none = Halt.none(t)
         halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
         crossed = None
@@ -197,7 +197,7 @@ class Watch:
             crossed = CrossingTable.begun(self.room, t, h, y.flat, tags, count)
         return Watched(values, met, halt, y.flat, none.code, crossed)
 
-    def _before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
+    def before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
         """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h.
 
         Returns:
@@ -245,19 +245,20 @@ class Watch:
         return code, jnp.where(first < ends, first, overflow), tags, here.sum()
 
     def seen(
-        self, stepper: Stepper, t: jax.Array, h: jax.Array, y: Any, end: Any, inside: Any, old: jax.Array, ends: Any
+        self, stepper: Stepper, t: jax.Array, h: jax.Array, states: tuple[Any, Any, Any], old: jax.Array, ends: Any
     ) -> tuple[jax.Array, jax.Array]:
-        """What the conditions are along a step from y to end, of length h.
+        """What the conditions are along a step of length h.
 
         Args:
-            inside: the slopes of the step, or without them (k, m) values of the conditions at places within it, at
-                equal distances.
+            states: the states at both ends of the step, and its slopes; or in their place (k, m) values of the
+                conditions at places within it, at equal distances.
             old: (m,) the values where it begins.
             ends: whether it is the first step, and whether it is the last one.
         Returns:
             (k + 2, m) values at places at equal distances, zero at the end where it is zero up to round-off, of NaN the
             value before; the values to go on with.
         """
+        y, end, inside = states
         now = self.values(stepper, t, h, t + h, end)
         if not isinstance(inside, jax.Array):
             shares = jnp.asarray(np.arange(1, _PLACES + 1) / (_PLACES + 1), h.dtype)

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple, TypeAlias
 import jax
 import jax.numpy as jnp
 
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..method import Stepper
 
 #: Numbers and tags of a row of a table.

@@ -8,9 +8,9 @@ from collections.abc import Callable
 import jax
 import jax.numpy as jnp
 
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..loop.loop import put
-from ..loop.outcome import Part, Result, Run, Saved, Trail
+from ..loop.outcome import Result, Run, Saved, StepPart, Trail
 from ..method import Stepper
 from .conditions import Watch
 from .crossings import Crossed
@@ -82,7 +82,7 @@ def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
     return dataclasses.replace(run, end=moved, outcome=outcome, trail=trail)
 
 
-def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, Part]:
+def saved_before(saved: Saved, parts: StepPart, ts: jax.Array, run: Run, meeting: Meeting) -> tuple[Saved, StepPart]:
     """Saved times in the last step taken from its start, those after the event not reached; the run is as it halted."""
     within = meeting.met & (ts > meeting.t) & (ts <= meeting.t + meeting.s)
     reached = jnp.where(meeting.met, saved.requested & (ts <= meeting.t + meeting.s), saved.reached)
@@ -94,7 +94,7 @@ def saved_before(saved: Saved, parts: Part, ts: jax.Array, run: Run, meeting: Me
     steps = pick(run.outcome.accepted, saved.steps)
     h = jnp.where(within, ts - meeting.t, jnp.where(reached, parts.h, 0.0))
     saved = Saved(steps, pick(meeting.t, saved.t), ys, reached, saved.requested)
-    return saved, Part(pick(meeting.t, parts.t), h)
+    return saved, StepPart(pick(meeting.t, parts.t), h)
 
 
 def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:

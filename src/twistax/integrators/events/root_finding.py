@@ -109,7 +109,7 @@ def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     return alike & (after | before), jnp.where(after, shares[0], shares[1])
 
 
-class Extremum(NamedTuple):
+class ExtremumSearch(NamedTuple):
     """The extremum of a function nearest to zero, between two places on whose outside it is further away.
 
     `narrowed` interpolates with a parabola, for a few times. Traceable.
@@ -127,7 +127,7 @@ class Extremum(NamedTuple):
         """Whether that is known, or was looked for often enough."""
         return self.past | (self.tries > _LOOKS)
 
-    def narrowed(self, value: jax.Array) -> Extremum:
+    def narrowed(self, value: jax.Array) -> ExtremumSearch:
         """After the function was found to have a value at the place."""
         sign, new = jnp.sign(self.low[1]), (self.place, value)
         past = sign * value <= 0.0
@@ -143,7 +143,7 @@ class Extremum(NamedTuple):
         goes_high = jnp.where(nearer, left, ~left) & ~first
         low, high = pick(goes_low, end, self.low), pick(goes_high, end, self.high)
         middle = pick(nearer | first | past, new, self.middle)
-        return Extremum(low, middle, high, _vertex(low, middle, high), past, self.tries + 1)
+        return ExtremumSearch(low, middle, high, _vertex(low, middle, high), past, self.tries + 1)
 
 
 #: Places at which an extremum is looked for.

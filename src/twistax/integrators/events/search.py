@@ -15,7 +15,7 @@ from ..loop.outcome import Halt, Result, Watched
 from ..method import Stepper
 from .conditions import Advance, Watch
 from .crossings import CrossingTable, Row, row_of, state_of
-from .root_finding import Bracket, Extremum, near_zero
+from .root_finding import Bracket, ExtremumSearch, near_zero
 
 #: Places within a step at which a method without a polynomial is looked at, by shorter steps.
 _FEW = 3
@@ -125,7 +125,8 @@ def watched_along(
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
         known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
-    samples, after, first = beside(_first, watch, stepper, t, h, y, stride.end, inside, known.values, ends)
+    states = y, stride.end, inside
+    samples, after, first = beside(_first, watch, stepper, t, h, states, known.values, ends)
     before = None if known.crossed is None else known.crossed.used
 
     def goes_on(now: tuple[_Task, Watched]) -> jax.Array:
@@ -136,7 +137,7 @@ def watched_along(
         known = dataclasses.replace(known, evaluations=known.evaluations + cost)
         halted = _Halted(known.halt, known.y)
         # Hundreds of scalars: as part of the loop they take XLA longer than all else.
-        inputs = samples, task, halted, stride.steps, y, advance(task.place)
+        inputs = (samples, task, halted), (stride.steps, y), advance(task.place)
         following, halted, row, crosses = beside(_next, watch, stepper, t, h, *inputs)
         if known.crossed is not None:
             nothing = known.crossed, row, jnp.asarray(False)
@@ -159,18 +160,10 @@ def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
 
 
 def _first(
-    watch: Watch,
-    stepper: Stepper,
-    t: jax.Array,
-    h: jax.Array,
-    y: Any,
-    end: Any,
-    inside: Any,
-    old: jax.Array,
-    ends: Any,
+    watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
 ) -> tuple[_Along, jax.Array, _Task]:
     """The conditions along a step, and those to go on with, as of `Watch.seen`; and what is looked for first."""
-    values, after = watch.seen(stepper, t, h, y, end, inside, old, ends)
+    values, after = watch.seen(stepper, t, h, states, old, ends)
     samples = held(_Along.of(watch, values))
     return samples, after, _Search(watch, t, h, samples).first()
 
@@ -180,20 +173,18 @@ def _next(
     stepper: Stepper,
     t: jax.Array,
     h: jax.Array,
-    samples: _Along,
-    task: _Task,
-    halted: _Halted,
-    steps: jax.Array,
-    y: Packed,
+    search: tuple[_Along, _Task, _Halted],
+    start: tuple[jax.Array, Packed],
     moved: Packed,
 ) -> tuple[_Task, _Halted, Row | None, jax.Array]:
-    """What is looked for after the step from y to the place of a task was taken, and where the loop halts then.
+    """What is looked for after the step to the place of a task was taken, and where the loop halts then.
 
     Args:
-        steps: the accepted steps before.
+        start: the accepted steps before, and the state where the step begins.
     Returns:
         Also the row of a crossing, where there are any, and whether it is there.
     """
+    (samples, task, halted), (steps, y) = search, start
     place = task.place
     moved = Packed(jnp.where(place > 0.0, moved.flat, y.flat), moved.read)
     values = watch.values(stepper, t, h, t + place, moved)
@@ -251,7 +242,7 @@ class _Search:
         row, number = self.rows[index], self.numbers[index]
         ends = self.values[row, number], self.values[row + 1, number]
         place, none = self._at(row) + self.tips[row, number] * self.spacing, jnp.zeros((), int)
-        extremum = Extremum((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
+        extremum = ExtremumSearch((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
         bracket = Bracket.between(low, high, sign, -sign, self.finest)
         return _Job(index, looks, none > 0, sign, low, high, rest, none, extremum, bracket)
 

@@ -14,15 +14,15 @@ from jax.flatten_util import ravel_pytree
 from ...lowering.dynamics import Arrays
 from ...lowering.scalar.loops import Filling
 from ...lowering.small_call import held
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..events.search import Stride, halted_code
 from ..method import Stepper
 from ..methods.interpolant import Between
-from ..step_control import Errors, StepControl, Tolerances
+from ..step_control import ErrorHistory, StepControl, Tolerances
 from ..times import Stops
 from .kernels import Packed, beside, kernel_tries
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
-from .outcome import Halt, Outcome, Part, Result, Run, Saved, Watched
+from .outcome import Halt, LoopOutcome, Result, Run, Saved, StepPart, Watched
 from .progress_callback import Meter
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
@@ -134,7 +134,7 @@ class AdaptiveSteps(Steps):
             h=h,
             y=y,
             carry=carry,
-            errors=Errors(number, number),
+            errors=ErrorHistory(number, number),
             rejected=jnp.asarray(False),
             tried=zero,
             accepted=zero,
@@ -188,7 +188,7 @@ class AdaptiveSteps(Steps):
         if watched is not None:
             evaluations = evaluations + watched.evaluations
             watched = watched.after_loop(read, state.accepted)
-        outcome = Outcome(code, state.tried, state.accepted, evaluations, state.t, state.h)
+        outcome = LoopOutcome(code, state.tried, state.accepted, evaluations, state.t, state.h)
         trail = self.trail(state.path, state.accepted, jax.vmap(read)(state.every)) if self.dense else None
         rows_saved = None
         if stops.ts is not None:
@@ -363,18 +363,18 @@ class AdaptiveSteps(Steps):
         length = jnp.where(length > 0.0, length, 1.0)
         return put(state.path, state.accepted, _Path(leg, (state.t - start) / length, (end - start) / length))
 
-    def steps_of(self, path: _Path) -> Part:
+    def steps_of(self, path: _Path) -> StepPart:
         start, length = self.stops.leg(self.t0, path.leg)
-        return Part(start + path.begin * length, (path.end - path.begin) * length)
+        return StepPart(start + path.begin * length, (path.end - path.begin) * length)
 
-    def parts(self, path: _Path | None, saved: Saved) -> Part:
+    def parts(self, path: _Path | None, saved: Saved) -> StepPart:
         ts = self.saved_times
         if path is None:
-            return Part(saved.t, ts - saved.t)
+            return StepPart(saved.t, ts - saved.t)
         k = jnp.maximum(saved.steps - 1, 0)
         start, length = self.stops.leg(self.t0, path.leg[k])
         before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
-        return Part(before, ts - before)
+        return StepPart(before, ts - before)
 
 
 def _halted(_: None, __: Stepper, before: _State, after: _State, halt: Halt, h: jax.Array) -> _State:

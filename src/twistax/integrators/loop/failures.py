@@ -19,7 +19,7 @@ from ...lowering.on_host import on_host
 from ..charts.chart import Exponential
 from ..method import Stepper
 from .loop import Steps
-from .outcome import Outcome, Result
+from .outcome import LoopOutcome, Result
 
 #: A rotation by this in a step, in rad, is the likely cause of a failure: stages may rotate further than the start.
 _FAR = 2.0
@@ -30,7 +30,7 @@ def numbers(tree: Any) -> Any:
     return jax.tree.map(np.asarray, jax.lax.stop_gradient(tree) if is_traced(tree) else tree)
 
 
-def failure(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[str, Any]) -> IntegrationError:
+def failure(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, Any]) -> IntegrationError:
     """The error for an integration that ended early at the state x, or a table of one row. All are known numbers."""
     x = {name: value.reshape(stepper.dynamics.group.factors[name].shape) for name, value in x.items()}
     result, t, h = Result(int(outcome.code)), float(stepper.clock(outcome.t)), float(outcome.h)
@@ -83,7 +83,7 @@ def _end(stepper: Stepper, t: Any, h: Any, x: dict[str, Any]) -> Arrays:
     return in_arrays.method.step(in_arrays.field(t, h), t, x, h)
 
 
-def _not_finite_end(stepper: Stepper, steps: Steps, outcome: Outcome, x: dict[str, Any]) -> tuple[str, str, str]:
+def _not_finite_end(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, Any]) -> tuple[str, str, str]:
     """What happened in the step from x whose end is not finite, the likely cause and what to do."""
     t, h = stepper.clock(outcome.t), stepper.clock(outcome.h)
     rates = on_host(_rates, stepper, t, h, x) or {}

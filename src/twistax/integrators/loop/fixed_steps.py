@@ -12,13 +12,13 @@ import numpy as np
 
 from ...errors import InputError
 from ...jax_inside import is_traced
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..controls import row_at
 from ..events.search import Stride, halted_code
 from ..method import Stepper
 from .kernels import Packed, kernel_steps
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
-from .outcome import Outcome, Part, Result, Run, Saved, Watched
+from .outcome import LoopOutcome, Result, Run, Saved, StepPart, Watched
 from .progress_callback import Meter
 
 #: A time this close to the end of a step, in steps, counts as on it: far more than round-off, far less than anyone
@@ -288,7 +288,7 @@ class FixedSteps(Steps):
         if watched is not None:
             evaluations = evaluations + watched.evaluations
             watched = watched.after_loop(Packed.of(state.y).read, state.steps)
-        outcome = Outcome(state.code, state.steps, state.steps, evaluations, *self.grid.step(state.steps))
+        outcome = LoopOutcome(state.code, state.steps, state.steps, evaluations, *self.grid.step(state.steps))
         trail = None if state.every is None else self.trail(None, state.steps, state.every)
         rows_saved = None
         if self.at is not None:
@@ -298,11 +298,11 @@ class FixedSteps(Steps):
             rows_saved = Saved(self.at.index, times, starts, reached & requested, requested)
         return Run(state.y, outcome, rows_saved, None, trail, watched)
 
-    def steps_of(self, path: None) -> Part:
+    def steps_of(self, path: None) -> StepPart:
         t, h = self.grid.step(jnp.arange(self.bound))
-        return Part(t, jnp.broadcast_to(h, t.shape))
+        return StepPart(t, jnp.broadcast_to(h, t.shape))
 
-    def parts(self, path: None, saved: Saved) -> Part:
+    def parts(self, path: None, saved: Saved) -> StepPart:
         t, from_jump = self.grid.begin(saved.steps)
         h = self.at.share * self.h
         if self.splits is not None:
@@ -310,7 +310,7 @@ class FixedSteps(Steps):
             # Nothing is left to do where a saved time is a jump, but the jump may move.
             since = since - jnp.where(self.at.on, jax.lax.stop_gradient(since), 0.0)
             h = jnp.where(from_jump, since, h)
-        return Part(t, h)
+        return StepPart(t, h)
 
     @property
     def saved_times(self) -> jax.Array:

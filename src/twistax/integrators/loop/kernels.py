@@ -17,8 +17,8 @@ from jax.flatten_util import ravel_pytree
 from ...lowering.scalar.loops import Filling, Repeated, repeat
 from ...lowering.scalar.primitive import Derived, call_program
 from ...lowering.small_call import inside_small_call, small_call
-from ..charts.chart import Blocks
-from ..method import Attempt, Carry, Stepper
+from ..charts.coordinates import Blocks
+from ..method import Carry, StepAttempt, Stepper
 
 Now = TypeVar("Now")
 Result = TypeVar("Result")
@@ -111,7 +111,7 @@ def kernel_steps(
     types, count = _types(leaves), len(jax.tree.leaves(state))
 
     def make() -> KernelSteps | None:
-        attempts: list[Attempt] = []
+        attempts: list[StepAttempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
             k, (grid, stepper), (y, carry, slopes) = jax.tree.unflatten(structure, leaves)

@@ -14,11 +14,11 @@ from jax.flatten_util import ravel_pytree
 
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..events.search import Stride, halted_code, watched_along
 from ..method import Stepper
 from .kernels import Packed
-from .outcome import Part, Result, Run, Saved, Trail, Watched
+from .outcome import Result, Run, Saved, StepPart, Trail, Watched
 from .progress_callback import Meter
 
 
@@ -165,11 +165,11 @@ class Steps(ABC):
     # ---- the same steps again, for saved times, derivatives and failures ---------------------------------------------
 
     @abstractmethod
-    def steps_of(self, path: Any) -> Part:
+    def steps_of(self, path: Any) -> StepPart:
         """All steps, (bound,), those beyond the end without meaning; differentiable with respect to the times."""
 
     @abstractmethod
-    def parts(self, path: Any, saved: Saved) -> Part:
+    def parts(self, path: Any, saved: Saved) -> StepPart:
         """The parts of steps to all saved times, (n,), zero where a step ends; without a path as the loop left them."""
 
     @property

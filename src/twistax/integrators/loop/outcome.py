@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import jax
 import jax.numpy as jnp
 
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..events.crossings import CrossingTable
 
 
@@ -40,7 +40,7 @@ class Result(enum.IntEnum):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Outcome:
+class LoopOutcome:
     """How the steps went: arrays of no dimension."""
 
     code: Any  # the number of the `Result`
@@ -118,7 +118,7 @@ class Run:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Part:
+class StepPart:
     """A step, or a part of one: when it begins, and its length."""
 
     t: Any

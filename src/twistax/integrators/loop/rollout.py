@@ -15,33 +15,33 @@ import numpy as np
 from ...jax_inside import any_of_batch, batched_branches_transpose, is_traced
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import small_call
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
 from .kernels import Packed, advance_again, beside, opened
 from .loop import Steps, all_finite, ended_well, first_rows
-from .outcome import Outcome, Part, Result, Run, Saved
+from .outcome import LoopOutcome, Result, Run, Saved, StepPart
 from .unreached import nan_unless, nothing_of
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Rollout:
+class RolloutResult:
     """Where the steps led."""
 
     #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
     xs: Any
     end: Any  # the state they reached; None: that of the only row
     reached: Any  # (n,) whether they came so far; None without saved times
-    outcome: Any  # how they went, an `Outcome`, those of saved times included in the evaluations
+    outcome: Any  # how they went, an `LoopOutcome`, those of saved times included in the evaluations
     trail: Any  # where it is kept
     event: Any  # the number of the event that ended it, -1 for none; None where none is watched for
     at_start: Any = None  # (m,) whether each condition was zero or past it at the start
     crossings: Any = None  # of events that do not end it, where there are any
 
 
-def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
+def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> RolloutResult:
     """Take all steps from the state x, compiled as one small function where that is known to work.
 
     Its derivatives, of any order and both ways, are those of the same steps taken again with bounded memory: lengths
@@ -51,11 +51,11 @@ def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> Rollout:
     return handed_over(jitted(in_few_arrays, stepper, steps, x))
 
 
-def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], Rollout]:
+def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
     """What makes a rollout for `handed_over`: JAX takes 2 us for each array of a result."""
     rollout = differentiable()
 
-    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> Rollout:
+    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> RolloutResult:
         result = rollout(stepper, steps, x)
         outcome = result.outcome
         counts = (outcome.code, outcome.tried, outcome.accepted, outcome.evaluations)
@@ -65,34 +65,34 @@ def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], Rollout]:
     return packed
 
 
-def handed_over(result: Rollout) -> Rollout:
+def handed_over(result: RolloutResult) -> RolloutResult:
     """With its outcome, in numbers of NumPy where they are known."""
     array: Any = jnp if is_traced(result.outcome) else np
     counts, times = map(array.asarray, result.outcome)
-    return dataclasses.replace(result, outcome=Outcome(*counts, *times))
+    return dataclasses.replace(result, outcome=LoopOutcome(*counts, *times))
 
 
-def differentiable() -> Callable[[Stepper, Steps, Arrays], Rollout]:
+def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
     @jax.custom_jvp
-    def taken(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+    def taken(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
         # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
         return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
 
-    def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
+    def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
         return _differentiated(primals, tangents)
 
     taken.defjvp(along, symbolic_zeros=True)
     return lambda stepper, steps, x: taken(steps, stepper, x)
 
 
-def _batched_alike(result: Rollout, inputs: Any) -> Rollout:
+def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
     """The same, batched where one of the inputs is: JAX expects the batch axes of a function in its derivative too."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
 
 
-def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
+def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
     # Without a path saved times lie as the loop left them.
     run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
     meeting, moved = None, None
@@ -106,14 +106,14 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> Rollout:
         return _with_rows(steps, stepper, x, run)
     else:
 
-        def to_saves(saved: Saved, parts: Part) -> Blocks:
+        def to_saves(saved: Saved, parts: StepPart) -> Blocks:
             return small_call(_one_by_one, stepper, saved.y, parts, saved.requested.sum())
 
         result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
     return _with_conditions(stepper, run, result, functools.partial(small_call, crossing_rows))
 
 
-def _with_conditions(stepper: Stepper, run: Run, result: Rollout, rows: Any = crossing_rows) -> Rollout:
+def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: Any = crossing_rows) -> RolloutResult:
     """With what is known of the conditions; `rows` makes those of crossings."""
     if run.watched is None:
         return result
@@ -122,7 +122,7 @@ def _with_conditions(stepper: Stepper, run: Run, result: Rollout, rows: Any = cr
     return dataclasses.replace(result, at_start=run.watched.met, crossings=crossings)
 
 
-def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> Rollout:
+def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutResult:
     """With the saved states that the loop over steps found.
 
     A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
@@ -151,13 +151,13 @@ def _row(
     return reached, within & ~reached, jax.tree.map(lambda a: jnp.where(reached, a, jnp.nan), values)
 
 
-def _one_by_one(stepper: Stepper, ys: Blocks, parts: Part, count: jax.Array) -> Blocks:
+def _one_by_one(stepper: Stepper, ys: Blocks, parts: StepPart, count: jax.Array) -> Blocks:
     """The states at the ends of the first `count` parts of steps, one after the other.
 
     As one small function: in a loop of XLA a kernel for each takes longer to call than to run.
     """
 
-    def save(_: None, entry: tuple[Blocks, Part]) -> tuple[None, Blocks]:
+    def save(_: None, entry: tuple[Blocks, StepPart]) -> tuple[None, Blocks]:
         y, part = entry
         return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
 
@@ -171,8 +171,8 @@ def _to_saved_times(
     run: Run,
     meeting: Meeting | None,
     moved: Any,
-    advance_all: Callable[[Saved, Part], Blocks] | None = None,
-) -> Rollout:
+    advance_all: Callable[[Saved, StepPart], Blocks] | None = None,
+) -> RolloutResult:
     """From the states before the saved times, and before an event, on to them."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
     saved, moved, end = run.saved, opened(moved), opened(run.end)
@@ -185,7 +185,7 @@ def _to_saved_times(
     end = _or_start(stored.value(end), outcome.accepted == 0, x)
     event = None if meeting is None else meeting.event
     if saved is None or parts is None or advance_all is None:
-        return Rollout({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
+        return RolloutResult({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
     # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
     parts = dataclasses.replace(parts, h=jnp.where(saved.reached, parts.h, 0.0))
     ys = advance_all(saved, parts)
@@ -197,7 +197,7 @@ def _to_saved_times(
     not_finite = (outcome.code == Result.SUCCESS.value) & (saved.requested & ~reached).any()
     code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
     outcome = dataclasses.replace(outcome, evaluations=outcome.evaluations + counts, code=code)
-    return Rollout(xs, end, reached, outcome, run.trail, event)
+    return RolloutResult(xs, end, reached, outcome, run.trail, event)
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
@@ -218,7 +218,7 @@ def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
 # ---- derivatives --------------------------------------------------------------------------------------------------
 
 
-def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[Rollout, Rollout]:
+def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
     steps, stepper, x = jax.lax.stop_gradient(primals)
     run = steps.run(stepper, stepper.stored.enter(x), record=True)
     known = None if run.watched is None else Meeting.of(run)
@@ -226,7 +226,7 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
 
-    def again(values: list[Any]) -> Rollout:
+    def again(values: list[Any]) -> RolloutResult:
         inputs = list(leaves)
         for i, value in zip(moving, values, strict=True):
             inputs[i] = value
@@ -238,7 +238,9 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
     return result, _not_of_failures(result, slope, [slopes[i] for i in moving], ends_at_event)
 
 
-def _not_of_failures(result: Rollout, slope: Rollout, moved: list[Any], ends_at_event: bool) -> Rollout:
+def _not_of_failures(
+    result: RolloutResult, slope: RolloutResult, moved: list[Any], ends_at_event: bool
+) -> RolloutResult:
     """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
     good = ended_well(result.outcome.code)
     nothing = nothing_of(moved)  # what no step has read yet counts too
@@ -262,10 +264,10 @@ def _is_symbolic(slope: Any) -> bool:
     return isinstance(slope, jax.custom_derivatives.SymbolicZero)
 
 
-def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> Rollout:
+def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
     """The same rollout, by taking its steps again."""
 
-    def step(y: Blocks, part: Part) -> Blocks:
+    def step(y: Blocks, part: StepPart) -> Blocks:
         return advance_again(stepper, part.t, y, part.h)
 
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
@@ -280,7 +282,7 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
         meeting = refined(stepper, steps.watch, end, run.outcome.h, dataclasses.replace(known, t=begins))
 
-    def advance_all(starts: Blocks, parts: Part) -> Blocks:
+    def advance_all(starts: Blocks, parts: StepPart) -> Blocks:
         if stepper.method.solves and not batched_branches_transpose():
             return jax.lax.map(lambda entry: step(*entry), (starts, parts))
         return jax.vmap(step)(starts, parts)
@@ -293,10 +295,10 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
             crossed, t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
         )
         crossed = refined_rows(stepper, steps.watch, crossed)
-        crossed = dataclasses.replace(crossed, y=advance_all(crossed.y, Part(crossed.t, crossed.s)))
+        crossed = dataclasses.replace(crossed, y=advance_all(crossed.y, StepPart(crossed.t, crossed.s)))
         run = dataclasses.replace(run, watched=dataclasses.replace(run.watched, crossed=crossed))
 
-    def to_saves(saved: Saved, parts: Part) -> Blocks:
+    def to_saves(saved: Saved, parts: StepPart) -> Blocks:
         return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts)
 
     moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), end, meeting)

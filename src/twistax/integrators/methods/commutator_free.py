@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from ...checks import instance
 from ...errors import ModelError
 from ...lowering import Dynamics
-from ..charts.chart import Blocks, Exponential, StateCoordinates
-from ..charts.compensated import compensated
+from ..charts.chart import Exponential, compensated
+from ..charts.coordinates import Blocks, StateCoordinates
 from ..method import Method, VectorField
-from ..tableaus import ButcherTableau, Coefficients, Rows
+from ..tableaus import ButcherTableau, Coefficients, Stages
 from .rkmk import stage_slopes
 
 #: Exponentials in the order in which they act, each the weights of the slopes in its exponent.
@@ -147,6 +147,6 @@ class CommutatorFree(Method):
         def slope(time: jax.Array, exponents: list[Blocks]) -> tuple[Blocks, None]:
             return self.rate(field, time, reached(exponents)), None
 
-        stages = Rows(tableau.weights(tableau.a), tableau.c)
+        stages = Stages(tableau.weights(tableau.a), tableau.c)
         slopes, _ = stage_slopes(stages, slope, self.rate(field, t, y), None, t, h)
         return local.settle(reached(slopes.combine(tableau.weights([tableau.b])[0], h)))

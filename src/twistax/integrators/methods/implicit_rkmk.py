@@ -15,9 +15,10 @@ from ...errors import ModelError
 from ...jax_inside import opened
 from ...lowering import XLA, Dynamics
 from ...lowering.small_call import small_call
-from ..charts.chart import Blocks, Chart, Exponential, chart_of
+from ..charts.chart import Chart, Exponential, chart_of
+from ..charts.coordinates import Blocks
 from ..loop.loop import all_finite
-from ..method import Attempt, Carry, ChartMethod, VectorField
+from ..method import Carry, ChartMethod, StepAttempt, VectorField
 from ..step_control import Tolerances
 from ..tableaus import CollocationTableau
 from .newton import Factors, Parts, combined, newton
@@ -132,10 +133,10 @@ class ImplicitRKMK(ChartMethod):
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
         return self._nothing(self.coordinates(dynamics).packed(y, dynamics.group)[0])
 
-    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         equations = _StageEquations(self, field, t, y, h)
         step = self._to_round_off(equations, carry)
-        return Attempt(equations.moved(step.last.Z), step.last, (), step.evaluations, step.solved)
+        return StepAttempt(equations.moved(step.last.Z), step.last, (), step.evaluations, step.solved)
 
     #: The rate at the start of a step is looked at in every step anyway.
     resume_evaluations = 0
@@ -151,7 +152,7 @@ class ImplicitRKMK(ChartMethod):
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
-    ) -> Attempt:
+    ) -> StepAttempt:
         equations = _StageEquations(self, field, t, y, h)
         local, read = equations.local, equations.read
         eps = float(jnp.finfo(h.dtype).eps)
@@ -178,7 +179,7 @@ class ImplicitRKMK(ChartMethod):
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(step.last.Z))[0]
         errors = (read(factors.damped(raw)),)
         evaluations = step.evaluations + renewed.astype(step.evaluations.dtype)
-        return Attempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
+        return StepAttempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
 
     def _nothing(self, zero: jax.Array) -> _Last:
         """What is known before the first step."""

@@ -15,8 +15,8 @@ from ...errors import ModelError
 from ...groups import Group
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.chart import Blocks, Exponential, StateCoordinates
-from ..charts.compensated import compensated
+from ..charts.chart import Exponential, compensated
+from ..charts.coordinates import Blocks, StateCoordinates
 from ..method import Method, VectorField
 from ..tableaus import DOP853, RK4, ButcherTableau
 from .rkmk import stage_slopes

@@ -14,8 +14,8 @@ from ...expr import Inputs
 from ...jax_inside import is_traced
 from ...lowering import Dynamics
 from ...lowering.projection import increments
-from ..charts.chart import Blocks
-from ..method import Attempt, Carry, Method, VectorField
+from ..charts.coordinates import Blocks
+from ..method import Carry, Method, StepAttempt, VectorField
 from ..step_control import Tolerances
 
 #: Steps of Newton's: a step ends as far from the manifold as its error is, d; it is brought to about d^2, then d^4.
@@ -58,17 +58,17 @@ class Projected(Method):
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
 
-    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         attempt = self.inner.follow(field, t, y, carry, h)
         return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
 
-    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         attempt = self.inner.sampled(field, t, y, carry, h)
         return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
-    ) -> Attempt:
+    ) -> StepAttempt:
         attempt = self.inner.attempt(field, t, y, carry, h, tolerances)
         end = self._brought_back(field, t + h, attempt.y)
         # What the next step begins with belongs to where it begins.

@@ -18,10 +18,11 @@ from ...errors import ModelError
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
 from ...lowering.small_call import held, inside_small_call
-from ..charts.chart import Blocks, Chart, Exponential, chart_of
-from ..method import Attempt, Carry, ChartMethod, VectorField
+from ..charts.chart import Chart, Exponential, chart_of
+from ..charts.coordinates import Blocks
+from ..method import Carry, ChartMethod, StepAttempt, VectorField
 from ..step_control import Tolerances
-from ..tableaus import ButcherTableau, Rows
+from ..tableaus import ButcherTableau, Stages
 from .interpolant import interpolant
 
 Aside = TypeVar("Aside")
@@ -74,22 +75,22 @@ class RKMK(ChartMethod):
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
         return local.settle(local.move(y, slopes.combine(self.tableau.b, h)))
 
-    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         """The step of `advance`, and the rate at its end, which the polynomial between its ends reads too."""
         slopes, (moved, _), count = self._to_the_end(field, t, y, self.rate(field, t, y), h)
         end = self.coordinates(field.dynamics).settle(moved)
-        return Attempt(end, carry, (), count, slopes=jax.vmap(slopes.read)(slopes.rows))
+        return StepAttempt(end, carry, (), count, slopes=jax.vmap(slopes.read)(slopes.rows))
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
-    ) -> Attempt:
+    ) -> StepAttempt:
         """A step whose last stage is its end, so that the rate there, which it carries, serves the next step too."""
         tableau = self.tableau
         slopes, (moved, rate), count = self._to_the_end(field, t, y, carry, h)
         embedded = [w for w in (tableau.b_embedded, tableau.b_second_embedded) if w is not None]
         errors = tuple(slopes.combine(tableau.b - weights, h) for weights in embedded)
         end = self.coordinates(field.dynamics).settle(moved)
-        return Attempt(end, rate, errors, count - 1, slopes=jax.vmap(slopes.read)(slopes.rows))
+        return StepAttempt(end, rate, errors, count - 1, slopes=jax.vmap(slopes.read)(slopes.rows))
 
     def _to_the_end(
         self, field: VectorField, t: jax.Array, y: Blocks, rate: Blocks, h: jax.Array
@@ -169,7 +170,7 @@ class Slopes(NamedTuple):
 
 
 def stage_slopes(
-    stages: Rows,
+    stages: Stages,
     slope: Callable[[jax.Array, Any], tuple[Any, Aside]],
     first: Any,
     aside: Aside,

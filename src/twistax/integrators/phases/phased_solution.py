@@ -17,7 +17,7 @@ from ...jax_inside import is_traced
 from ...lowering.dynamics import Arrays
 from ...plots import chosen, draw, group_of, panels
 from ..loop.rollout import wide
-from ..results.solution import Ended, Solution, Stats, need_one, need_within, times_to_evaluate
+from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
 from ..results.table_export import Column, columns_of
 
 if TYPE_CHECKING:
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class PhasedSolution(Ended):
+class PhasedSolution(AnySolution):
     """Phases of a flight, and the whole. A pytree, so that jit, vmap and derivatives apply.
 
     With saved times each phase has rows for its start, the saved times within, and its end: a join has one row before

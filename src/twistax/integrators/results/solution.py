@@ -15,10 +15,11 @@ import numpy as np
 from ...checks import listed, real_array
 from ...errors import InputError
 from ...jax_inside import is_traced
+from ...layout import Column
 from ...lowering.dynamics import Arrays
 from ...plots import chosen, draw, group_of, panels
 from ...units import same_unit, seconds
-from ..charts.chart import Blocks
+from ..charts.coordinates import Blocks
 from ..events.crossings import CrossingRows
 from ..loop.outcome import Result, Trail
 from ..loop.unreached import nan_unless
@@ -26,7 +27,6 @@ from ..method import Stepper, jitted
 
 if TYPE_CHECKING:
     from ...view import Scene
-    from .table_export import Column
 
 
 @jax.tree_util.register_dataclass
@@ -111,7 +111,7 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
     return states
 
 
-class Ended(ABC):
+class AnySolution(ABC):
     """What a solution and one of several phases share: how it ended, and its table."""
 
     code: Any  # the number of a `Result`
@@ -187,7 +187,7 @@ def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Solution(Ended):
+class Solution(AnySolution):
     """States at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
 
     Attributes:

@@ -6,7 +6,7 @@ import csv
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import numpy as np
@@ -16,9 +16,6 @@ from ...errors import InputError, ModelError, ShapeError
 from ...groups import ElementPart, euler, quaternion
 from ...layout import Column, Layout
 from ..times import room_for
-
-if TYPE_CHECKING:
-    from .solution import Solution
 
 
 @dataclasses.dataclass(frozen=True)
@@ -74,7 +71,7 @@ class Columns(Layout):
             if not isinstance(texts, (list, tuple)) or not all(isinstance(text, str) for text in texts):
                 raise ModelError(f"Columns: the unit of {name!r} must be a text or a list of texts, got {short(unit)}")
 
-    def columns(self, solution: Solution) -> list[Column]:
+    def columns(self, solution: Any) -> list[Column]:
         """Raises InputError for a unit of an unknown name, ShapeError for a list of units of another length."""
         values = {**solution.xs, **solution.us, **solution.outputs}
         unknown = [name for name in self.units if name not in values]
@@ -138,7 +135,7 @@ def _read(rotations: Rotations, R: np.ndarray) -> np.ndarray:
     return np.asarray(_mapped(rotations)(R[last]))[: len(R)]
 
 
-def columns_of(solution: Solution, layout: Any) -> list[Column]:
+def columns_of(solution: Any, layout: Any) -> list[Column]:
     """The columns of one solution.
 
     Raises:

@@ -13,11 +13,12 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Constant, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, to_expr
-from ...groups import Group, SpecialEuclidean, quaternions, se3, so3
+from ...groups import Group, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.chart import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
+from ..charts.chart import Ambient, conjugate, tightened
+from ..charts.coordinates import Blocks, Coordinates, StoredState
 from .inertia import BodyInertia, arrays, rigid, rotational
 
 
@@ -228,10 +229,10 @@ class FreeBody(FreeMotion):
         M = jnp.asarray(_evaluated(self._source(dynamics), params), velocity.dtype)
         M = M if M.ndim == 2 else jnp.diag(M)
         twist = jnp.linalg.solve(M, velocity) if self._is_momentum else velocity
-        if isinstance(group, SpecialEuclidean):
-            order = group.order
-            body, momentum = order.to_linear_first(twist), order.to_linear_first(M @ twist)
-            turning = order.from_linear_first(-se3.coad(body, momentum))
+        if group.dimension == 6:
+            body, momentum = group.to_linear_first(twist), group.to_linear_first(M @ twist)
+            # Swapping the two parts undoes itself.
+            turning = group.to_linear_first(-se3.coad(body, momentum))
         else:
             turning = -so3.coad(twist, M @ twist)
         change = turning if self._is_momentum else jnp.linalg.solve(M, turning)
@@ -257,9 +258,9 @@ class FreeBody(FreeMotion):
     def _body_inertia(self, group: Group, value: Any, default: np.ndarray | None) -> BodyInertia:
         """The inertia from its value, constant or traced, and its default where there is one."""
         place = f"{self!r}: inertia"
-        if not isinstance(group, SpecialEuclidean):
+        if group.dimension == 3:
             return rotational(place, value, default)
-        if not group.order.linear_leads:
+        if group.angular[0]:
             value, default = (None if a is None else _swapped(a) for a in (value, default))
         return rigid(place, value, default)
 
@@ -319,9 +320,8 @@ class _BodyFlows(Flows):
     def value(self, y: Blocks) -> Arrays:
         q, momenta = y[self.position][:4], value(y[self.velocity])
         velocity = vector(self.out(_turned(conjugate(q), momenta)))
-        if isinstance(self.group, SpecialEuclidean):
-            velocity = self.group.order.from_linear_first(velocity)
-        return {self.position: self._pose(y), self.velocity: velocity}
+        # Swapping the two parts undoes itself.
+        return {self.position: self._pose(y), self.velocity: self.group.to_linear_first(velocity)}
 
     def at_rest(self, y: Blocks) -> Arrays:
         pose = self._pose(y)

@@ -42,7 +42,7 @@ def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class BodyAxes:
     """Axes of a body, and which part each plays.
 
     The two with the nearest moments are `like` and `rest`: in a symmetric body `rest` then moves nothing.
@@ -54,7 +54,7 @@ class Frame:
     rest: int
 
     @classmethod
-    def of(cls, tensor: np.ndarray | None) -> Frame:
+    def of(cls, tensor: np.ndarray | None) -> BodyAxes:
         """The principal axes of an inertia tensor (3, 3); the body's own where nothing is known."""
         if tensor is None:
             return cls(np.eye(3), 2, 0, 1)
@@ -102,7 +102,7 @@ class Spin:
     @classmethod
     def of(cls, tensor: np.ndarray) -> Spin:
         """Of a constant tensor (3, 3), symmetric and positive."""
-        frame = Frame.of(tensor)
+        frame = BodyAxes.of(tensor)
         inverse = np.linalg.inv(tensor)
         about_axes = np.einsum("ij,ik,kj->j", frame.axes, inverse, frame.axes)
         k = float(about_axes[frame.like])
@@ -116,7 +116,7 @@ class Spin:
         return cls(tensor.tolist(), inverse.tolist(), k, axis(frame.main), () if rest is None else (rest,))
 
     @classmethod
-    def of_moments(cls, moments: Components, frame: Frame) -> Spin:
+    def of_moments(cls, moments: Components, frame: BodyAxes) -> Spin:
         """Of traced moments about the body's own axes, which are those of the frame."""
         inverse, eye = [1.0 / moment for moment in moments], np.eye(3).tolist()
         main, rest = (_Axis(eye[i], inverse[i] - inverse[frame.like]) for i in (frame.main, frame.rest))
@@ -127,7 +127,7 @@ class Spin:
         return cls(J, J_inv, inverse[frame.like], main, (rest,))
 
     @classmethod
-    def of_traced(cls, tensor: jax.Array, frame: Frame) -> Spin:
+    def of_traced(cls, tensor: jax.Array, frame: BodyAxes) -> Spin:
         """Of a traced tensor (3, 3), symmetric and positive, whose principal axes are near those of the frame, or not.
 
         What is not on the diagonal in the frame's axes is shared between axes in pairs:
@@ -217,8 +217,8 @@ def rotational(place: str, value: np.ndarray | jax.Array, default: np.ndarray | 
         _check_tensor(place, tensor)
         return BodyInertia(Spin.of(tensor))
     if value.ndim == 1:
-        return BodyInertia(Spin.of_moments(unpack(value), Frame.of(default)))
-    return BodyInertia(Spin.of_traced(value, Frame.of(default)))
+        return BodyInertia(Spin.of_moments(unpack(value), BodyAxes.of(default)))
+    return BodyInertia(Spin.of_traced(value, BodyAxes.of(default)))
 
 
 def rigid(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None) -> BodyInertia:
@@ -239,7 +239,9 @@ def rigid(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None)
         return BodyInertia(Spin.of(tensor), float(m), tuple(c.tolist()))
     # Nothing can be raised here; NaN ends an integration at its first step.
     m = jnp.where(off <= _ROUND_OFF * jnp.abs(value).max(), m, jnp.nan)
-    return BodyInertia(Spin.of_traced(tensor, Frame.of(None if default is None else _parts(default)[2])), m, unpack(c))
+    return BodyInertia(
+        Spin.of_traced(tensor, BodyAxes.of(None if default is None else _parts(default)[2])), m, unpack(c)
+    )
 
 
 def _parts(M: Any) -> tuple[Any, Any, Any, Any]:

@@ -17,7 +17,7 @@ from ...errors import ModelError
 from ...expr import Parameter
 from ...lowering import Dynamics
 from ...lowering.dynamics import Arrays
-from ..charts.chart import Blocks, StoredState
+from ..charts.coordinates import Blocks, StoredState
 from ..method import Method, VectorField
 from .body import Flows, FreeMotion
 from .compositions import Composition
