@@ -7,12 +7,11 @@ from html import escape
 from xml.etree import ElementTree
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.results.solution import Stats
+from solutions import solution_of
 from twistax.trajectory.result import Trajectory
 
 TIMES = np.linspace(0.0, 4.0, 9)
@@ -26,10 +25,7 @@ def turning() -> dict[str, np.ndarray]:
 
 
 def solution(**fields) -> tx.Solution:
-    fields = {"ts": TIMES, "xs": dict(turning()), "stats": Stats(1, 1, 0, 4), "code": 0} | fields
-    return tx.Solution(
-        **fields | {"ts": jnp.asarray(fields["ts"]), "xs": {k: jnp.asarray(v) for k, v in fields["xs"].items()}}
-    )
+    return solution_of(**{"ts": TIMES, "xs": turning(), "code": 0} | fields)
 
 
 def panels(figure) -> dict:

@@ -17,8 +17,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import is_traced, is_tracing
-from ..lowering import Dynamics
-from ..lowering.written import on_any_mesh
+from ..scalar.array_primitive import on_any_mesh
+from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
 from .loop.loop import Steps, ended_well
 from .loop.outcome import Result

@@ -12,10 +12,10 @@ import jax.numpy as jnp
 
 from ..errors import ModelError
 from ..jax_inside import spread
-from ..lowering import JAX, Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.small_call import held
-from ..lowering.written import on_any_mesh
+from ..scalar.array_primitive import on_any_mesh
+from ..scalar.backends import JAX
+from ..scalar.small_call import held
+from ..system.dynamics import Arrays, Dynamics
 from .charts.chart import compensated
 from .charts.coordinates import Blocks, StateCoordinates, StoredState
 from .controls import Signals

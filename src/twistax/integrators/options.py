@@ -17,9 +17,8 @@ from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
-from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import is_finite, need_held, precision
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import is_finite, need_held, precision
 from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import Watch, watch_of

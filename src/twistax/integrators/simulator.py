@@ -14,8 +14,8 @@ from ..checks import listed, short
 from ..errors import InputError
 from ..expr import Inputs
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.inputs import read_values
+from ..system.dynamics import Dynamics
+from ..system.inputs import read_values
 from .controls import ControlTable
 from .integrate import integrated, solution_of
 from .loop.rollout import handed_over, in_few_arrays

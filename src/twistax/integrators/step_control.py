@@ -15,8 +15,8 @@ from ..checks import listed, number, real_array
 from ..errors import InputError, ModelError
 from ..expr import State
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.inputs import cast
+from ..system.dynamics import Dynamics
+from ..system.inputs import cast
 from ..units import same_unit, seconds
 from .charts.coordinates import Blocks, StateCoordinates
 

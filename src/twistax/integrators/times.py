@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
-from ..lowering.inputs import is_finite, need_held
+from ..system.inputs import is_finite, need_held
 from ..units import Quantity, same_unit, seconds
 from .controls import Signals
 from .loop.fixed_steps import FixedSteps, Saves, Splits, slack, splits_of

@@ -19,8 +19,8 @@ from ..groups import SO3, so3
 from ..integrators import RKMK, CommutatorFree, ImplicitRKMK, Method, integrate
 from ..integrators.methods.commutator_free import CommutatorFreeTableau
 from ..integrators.tableaus import ButcherTableau, CollocationTableau
-from ..lowering import Dynamics, compile
 from ..system import System
+from ..system.dynamics import Dynamics, compile
 from .laws import Check
 
 #: A rooted tree is the sorted tuple of the trees that hang from its root.

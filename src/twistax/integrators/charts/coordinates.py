@@ -13,7 +13,7 @@ from jax.flatten_util import ravel_pytree
 from ...errors import ModelError
 from ...groups import Group, Product
 from ...groups.arrays import add, unpack, vector
-from ...lowering.dynamics import Arrays
+from ...system.dynamics import Arrays
 
 #: Numbers of one part of the state: a tuple of scalars, or one array where scalars would be too many.
 Block: TypeAlias = tuple[jax.Array, ...]

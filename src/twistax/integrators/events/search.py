@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...lowering.small_call import held, small_call
+from ...scalar.small_call import held, small_call
 from ..loop.kernels import Packed, beside, in_one, opened
 from ..loop.outcome import Halt, Result, Watched
 from ..method import Stepper

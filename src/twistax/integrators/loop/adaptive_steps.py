@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ...lowering.dynamics import Arrays
-from ...lowering.scalar.loops import Filling
-from ...lowering.small_call import held
+from ...scalar.loops import Filling
+from ...scalar.small_call import held
+from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
 from ..events.search import Stride, halted_code
 from ..method import Stepper

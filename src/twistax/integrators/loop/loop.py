@@ -12,8 +12,8 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ...lowering.dynamics import Arrays
-from ...lowering.small_call import small_call
+from ...scalar.small_call import small_call
+from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
 from ..events.search import Stride, halted_code, watched_along
 from ..method import Stepper

@@ -13,8 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...jax_inside import any_of_batch, batched_branches_transpose, is_traced
-from ...lowering.dynamics import Arrays
-from ...lowering.small_call import small_call
+from ...scalar.small_call import small_call
+from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
 from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event

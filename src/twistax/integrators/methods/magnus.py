@@ -13,8 +13,7 @@ import numpy as np
 from ...checks import instance
 from ...errors import ModelError
 from ...groups import Group
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
+from ...system.dynamics import Arrays, Dynamics
 from ..charts.chart import Exponential, compensated
 from ..charts.coordinates import Blocks, StateCoordinates
 from ..method import Method, VectorField

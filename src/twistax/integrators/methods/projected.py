@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from ...errors import InputError, ModelError
 from ...expr import Inputs
 from ...jax_inside import is_traced
-from ...lowering import Dynamics
-from ...lowering.projection import increments
+from ...system.dynamics import Dynamics
+from ...system.projection import increments
 from ..charts.coordinates import Blocks
 from ..method import Carry, Method, StepAttempt, VectorField
 from ..step_control import Tolerances

@@ -14,8 +14,8 @@ import numpy as np
 from ...checks import listed
 from ...errors import InputError, in_phase
 from ...jax_inside import is_traced
-from ...lowering.dynamics import Arrays
 from ...plots import chosen, draw, group_of, panels
+from ...system.dynamics import Arrays
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
 from ..results.table_export import Column, columns_of

@@ -15,7 +15,7 @@ from ...checks import listed
 from ...errors import InputError
 from ...expr import Inputs
 from ...jax_inside import is_traced
-from ...lowering.dynamics import Arrays
+from ...system.dynamics import Arrays
 from ..loop.unreached import nan_unless
 from ..method import Stepper, jitted
 from ..times import room_for

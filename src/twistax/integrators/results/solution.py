@@ -14,10 +14,10 @@ import numpy as np
 
 from ...checks import listed, real_array
 from ...errors import InputError
+from ...groups.columns import Column
 from ...jax_inside import is_traced
-from ...layout import Column
-from ...lowering.dynamics import Arrays
 from ...plots import chosen, draw, group_of, panels
+from ...system.dynamics import Arrays
 from ...units import same_unit, seconds
 from ..charts.coordinates import Blocks
 from ..events.crossings import CrossingRows
