@@ -16,7 +16,7 @@ from twistax.report.harness import expected
 from twistax.report.harness.page import table_of
 from twistax.report.registry import OPTIMAL
 from twistax.report.sections import openscvx
-from twistax.trajectory.result import Trajectory
+from twistax.trajectory.result.result import Trajectory
 
 FASTEST = next(name for name in openscvx.PROBLEMS if name.startswith("least time"))
 TURN = next(name for name in openscvx.PROBLEMS if name.startswith("half turn"))

@@ -17,7 +17,7 @@ from ...scenes import Scene
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
-from ...trajectory.declared import declared
+from ...trajectory.transcription.vectors import declared_scales
 from ..harness.expected import at_most, between
 from ..harness.measurement import Section, quick, table
 from ..harness.timing import Repeats, Timed, agree, compiled, in_turn
@@ -52,7 +52,7 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     unknowns in their scales. Needs JAX's x64 switch.
     """
     dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
-    scale = np.append(declared((*dynamics.states, *dynamics.controls)), _STEP)
+    scale = np.append(declared_scales((*dynamics.states, *dynamics.controls)), _STEP)
     n = dynamics.dimension
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.
     offsets = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]

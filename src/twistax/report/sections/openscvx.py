@@ -20,8 +20,8 @@ import twistax as tx
 from ...integrators.ambient import Ambient
 from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
-from ...trajectory.conditions import split
-from ...trajectory.result import Trajectory
+from ...trajectory.problem.conditions import split
+from ...trajectory.result.result import Trajectory
 from ..harness.expected import at_most, between, needed
 from ..harness.measurement import Section, slow, table
 from . import flights, problems
@@ -124,7 +124,9 @@ class PeerProblem:
         # Held controls are on equal intervals.
         problem = self.known.problem if zero_order_hold else self.make(nodes=Mesh(ts / ts[-1]), controls=Linear())
         us = {n: values[: -1 if zero_order_hold else None] for n, values in self._controls(nodes).items()}
-        return Trajectory(problem, self._states(nodes), us, ts, float(ts[-1]), {}, {} if zero_order_hold else us)
+        return Trajectory(
+            problem.parts[0], self._states(nodes), us, ts, float(ts[-1]), {}, {} if zero_order_hold else us
+        )
 
     def difference(self) -> float:
         """The largest difference of the two statements, relative where above 1; see `_pairs`."""
@@ -134,7 +136,7 @@ class PeerProblem:
     def _pairs(self, statement: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
-        problem_statement, system = problem._stated, problem.dynamics.system
+        problem_statement, system = problem.stated, problem.dynamics.system
         plain, points = Ambient(problem.dynamics), self._numbers(statement["points"])
         rows = [constraint.residual() for constraint in system.constraints.values()]
         rows += [cost for cost in (problem_statement["objective"].running,) if cost is not None]

@@ -13,7 +13,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any
 
-from ...trajectory.many import processors
+from ...trajectory.strategy.batch import processors
 from ..harness.expected import at_most, judged
 from ..harness.page import Table, as_svg, panels, texts
 from ..harness.report import Report
