@@ -22,12 +22,13 @@ from twistax.__main__ import main
 from twistax.report import command
 from twistax.report.command import run_report
 from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, either, ends, refused, simulated
-from twistax.report.harness.measurement import Measurement, quick, table
-from twistax.report.harness.page import PageFigure, render, renew, table_of
+from twistax.report.harness.measurement import Measurement, explained, quick, table
+from twistax.report.harness.page import PageFigure, render, renew, table_of, texts
 from twistax.report.harness.report import SectionReport, draw
 from twistax.report.harness.rows import ReportRow, duration, number, plain
 from twistax.report.harness.store import Origin, Store, save_csv
 from twistax.report.harness.timing import Race, Repeats, Timed, agree, compiled, in_turn
+from twistax.report.registry import FIGURES, OPTIMAL, STABILITY
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
@@ -296,6 +297,12 @@ def test_a_table_measures_each_column_of_each_row() -> None:
         ("three", "off", "3", "at most 1", "MISSED"),
     ]
     assert all(it.slow for it in table({"two": 2.0}, columns))
+
+
+def test_every_section_has_words_and_every_word_a_section() -> None:
+    for report, sections in (("stability", STABILITY), ("figures", FIGURES), ("optimal", OPTIMAL)):
+        assert set(texts(report)["sections"]) == set(sections)
+        assert all(list(explained(section)) for section in sections.values())
 
 
 # ---- pages -----------------------------------------------------------------------------------------------------------
