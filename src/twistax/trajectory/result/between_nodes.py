@@ -84,13 +84,13 @@ def hold_between_nodes(
 
 
 def _tightened(margins: Array, over: Array) -> Array:
-    """The margins of a phase after its limits were exceeded; tightened in one interval it touches them in the next."""
+    """New margins of a phase whose limits were exceeded; neighbouring intervals are tightened, too."""
     over = np.maximum(over, np.maximum(0.0, _beside(over)))
     return np.maximum(0.0, margins + np.where(over > 0.0, _MORE * over, over))
 
 
 def _beside(over: Array) -> Array:
-    """The larger of what both neighbours have."""
+    """The larger value of both neighbouring intervals."""
     closed = np.pad(over, ((1, 1), (0, 0)), constant_values=-np.inf)
     return np.maximum(closed[:-2], closed[2:])
 

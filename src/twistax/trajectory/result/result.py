@@ -130,7 +130,7 @@ class PhasedResult(TrajectoryResult):
 
 
 def best_result(problem: Any, tried: Tried) -> TrajectoryResult:
-    """The best of several tries."""
+    """The result of the best of several tries."""
     best, shooting = tried.best, problem.shooting
     params = params_of(problem.border, best, tried.params)
     solve = (problem, np.asarray(best.point.border)) if problem.alone else None
@@ -160,7 +160,7 @@ def best_result(problem: Any, tried: Tried) -> TrajectoryResult:
 
 
 def _of_phase(shooting: Any, best: Outcome, segment: Segment) -> Outcome:
-    """What a phase has of an outcome."""
+    """The part of an outcome that belongs to a phase."""
     n, stages = segment.shooting.n, segment.stages
     defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)
     return best._replace(
