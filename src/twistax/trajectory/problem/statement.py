@@ -129,7 +129,7 @@ class PathRows:
     shown_equality: Array
 
     def asked(self, intervals: int, substeps: int) -> Array:
-        """(intervals, substeps + 1, rows) where rows are imposed. Those of states at a node belong to the next interval."""
+        """(intervals, substeps + 1, rows) where rows are imposed; states at a node belong to the next interval."""
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
         mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
