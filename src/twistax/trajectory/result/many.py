@@ -78,7 +78,7 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
 
 
 class PhasedResults(TrajectoryResults):
-    """The results of many cases of phases; see `TrajectoryResults`."""
+    """The results of many cases of phases: `xs[phase][state]` is (cases, nodes, ...); see `TrajectoryResults`."""
 
 
 def many_results(problem: Any, tried: Sequence[Tried]) -> TrajectoryResults:
