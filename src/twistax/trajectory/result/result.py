@@ -120,7 +120,8 @@ class TrajectoryResult(Quality):
 class PhasedResult(TrajectoryResult):
     """The result of a problem that was stated as a list of phases: `phases`, `durations`.
 
-    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names have the phase's in front. The multipliers of the join before a phase are "join before <phase>: <state>".
+    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names have the phase's in front. The
+    multipliers of the join before a phase are "join before <phase>: <state>".
     """
 
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> Any:
