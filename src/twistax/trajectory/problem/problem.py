@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -201,11 +201,9 @@ class Problem:
         #: The same problem by implicit steps.
         self.implicit: Any = None
 
-    @contextlib.contextmanager
-    def errors_of(self, name: str) -> Iterator[None]:
+    def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
         """A context in which errors get the name of the phase in front."""
-        with contextlib.nullcontext() if self.alone else in_phase(name):
-            yield
+        return contextlib.nullcontext() if self.alone else in_phase(name)
 
     def __repr__(self) -> str:
         if self.alone:

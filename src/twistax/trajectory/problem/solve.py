@@ -17,7 +17,7 @@ from ..adapters.solvers import SolvedBy
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
-from ..result.quality import Tried
+from ..result.quality import Attempts
 from ..result.refine import refined
 from ..result.result import best_result
 from ..strategy.accuracy import MESH
@@ -182,7 +182,7 @@ def _on_one_mesh(
             exceeded = tolerance if between is None else max(tolerance, between)
             outcomes.append(core.judge.judged(outcome, instance, options.mesh_tolerance, exceeded))
         done = time.perf_counter()
-    tried = Tried(outcomes, params, tolerance, compiled - begin, done - compiled)
+    tried = Attempts(outcomes, params, tolerance, compiled - begin, done - compiled)
     return best_result(problem, tried), plain, instance
 
 
@@ -256,7 +256,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
             outcome = outcomes[0].refused(str(case))
         else:
             outcome, (_, _, params, _) = next(left)
-        tried.append(Tried([outcome], params, tolerance, *times))
+        tried.append(Attempts([outcome], params, tolerance, *times))
     return many_results(problem, tried)
 
 

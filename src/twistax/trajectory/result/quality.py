@@ -132,7 +132,7 @@ class Quality:
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
-        return _explained(self)
+        return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
@@ -157,7 +157,7 @@ class Quality:
         )
 
 
-def _explained(result: Any) -> str:
+def _explained(result: Any, undetermined: list[Undetermined]) -> str:
     """The lines of `explain`."""
     size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
     errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
@@ -168,8 +168,8 @@ def _explained(result: Any) -> str:
     ]
     if result.soft:
         lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
-    if result._undetermined:
-        lines.append(_open(result._undetermined, result.problem.sign))
+    if undetermined:
+        lines.append(_open(undetermined, result.problem.sign))
     if result.accuracy is not None:
         lines.append(_mesh(result.accuracy, result.status))
     try:
@@ -220,7 +220,7 @@ def _mesh(accuracy: Accuracy, status: Status) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tried:
+class Attempts:
     """Runs of the solver on a problem.
 
     Attributes:

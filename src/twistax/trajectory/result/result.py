@@ -16,7 +16,7 @@ from ..strategy.outcome import Outcome
 from ..transcription.points import Values
 from ..transcription.shooting import Segment
 from .pictures import animated, drawn
-from .quality import Quality, Tried, params_of
+from .quality import Attempts, Quality, params_of
 from .refine import Meshed
 from .replay import Replay
 from .trajectory import Trajectory, multipliers_of, trajectory_at, violations_of
@@ -130,7 +130,7 @@ class PhasedResult(TrajectoryResult):
         return tuple(phase.replay(method, steps, **options) for phase in self.phases)
 
 
-def best_result(problem: Any, tried: Tried) -> TrajectoryResult:
+def best_result(problem: Any, tried: Attempts) -> TrajectoryResult:
     """The result of the best of several tries."""
     best, shooting = tried.best, problem.shooting
     params = params_of(problem.border, best, tried.params)
