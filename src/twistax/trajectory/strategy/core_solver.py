@@ -9,8 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.core import Solution, StopCheck, Units, solve
-from ...solver.core import Status as CoreStatus
+from ...solver.core import CoreSolution, CoreStatus, StopCheck, Units, solve
 from ...solver.options import Options
 from ..hessians.options import by_updates
 from ..hessians.quasi_newton import StageUpdates
@@ -149,7 +148,7 @@ class CoreSolver:
         start = _Start(point, instance, self.units(point, instance))
         return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
 
-    def _as_it_is(self, warm: Solution, start: _Start) -> Outcome:
+    def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
         """How far a warm start is from the conditions of an optimum."""
         result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
         return self.measure.outcome(result, start.units, start.instance, warm=True)
@@ -186,9 +185,9 @@ class CoreSolver:
         self,
         start: _Start,
         options: dict[str, float],
-        warm: Solution | None = None,
+        warm: CoreSolution | None = None,
         check: StopCheck | None = None,
-    ) -> Solution:
+    ) -> CoreSolution:
         """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
         staged, units, functions = self.staged, start.units, self.staged.transcription.functions
         if self._by_updates:
@@ -209,7 +208,7 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
-    def _warm(self, start: _Start, dynamics: Array, rows: Array) -> tuple[Solution, float]:
+    def _warm(self, start: _Start, dynamics: Array, rows: Array) -> tuple[CoreSolution, float]:
         """A warm start for the core, and the largest violation there in the core's units."""
         staged, units = self.staged, start.units
         y, ye, zl, zu = staged.split_rows(np.asarray(rows))
@@ -218,7 +217,7 @@ class CoreSolver:
         parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
         violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)
         slacks, lam = np.maximum(-at.h, 0.0), staged.unpadded(dynamics)
-        return Solution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
+        return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
 
 
 def _near(violated: float) -> dict[str, float]:
