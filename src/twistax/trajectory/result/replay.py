@@ -16,7 +16,7 @@ from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import Ambient
 from ..problem.statement import largest_by_name, violations
-from ..strategy.integration import Rollout
+from ..strategy.integration import CoreRollout
 from ..transcription.points import Point
 
 
@@ -117,7 +117,7 @@ def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
     data = staged.numbers.vector(started.given)
     rolling = problem.transcription.rolling(steps)
-    return Rollout(staged.parts[0], rolling, staged.border.size, data).states(point)
+    return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 
 
 def _start(result: Any) -> dict[str, Array]:
