@@ -13,7 +13,7 @@ from solver_problems import NODES, PROBLEMS, least_time, too_fast
 from solver_stages import AS_IPOPT, Stage, Staged
 
 import twistax as tx
-from twistax.solver import SOURCES, Options, Status
+from twistax.solver import SOURCES, CoreStatus, Options
 from twistax.solver.sources import amalgamation, fingerprint
 from twistax.solver.text import kept_text
 
@@ -24,7 +24,7 @@ def test_the_steps_of_ipopt(name: str) -> None:
     problem, start = PROBLEMS[name]()
     z, cost, iterations = problem.by_ipopt(start)
     solution = problem.solve(start, **AS_IPOPT)
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
     assert abs(solution.statistics["iterations"] - iterations) <= 1
     assert solution.statistics["cost"] == pytest.approx(cost, rel=1e-9)
     np.testing.assert_allclose(solution.z, z, atol=1e-7)
@@ -35,7 +35,7 @@ def test_default_options_find_the_same_optima(name: str) -> None:
     problem, start = PROBLEMS[name]()
     _, cost, iterations = problem.by_ipopt(start)
     solution = problem.solve(start)
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
     assert solution.statistics["cost"] == pytest.approx(cost, rel=1e-6)
     assert solution.statistics["iterations"] <= 1.5 * iterations
 
@@ -98,12 +98,12 @@ def test_units_change_nothing() -> None:
     assert in_metres[1] == pytest.approx(in_millimetres[1], rel=1e-8)
 
 
-@pytest.mark.parametrize(("duration", "status"), [(1.9, Status.INFEASIBLE), (2.1, Status.SOLVED)])
-def test_infeasible_is_told_from_hard(duration: float, status: Status) -> None:
+@pytest.mark.parametrize(("duration", "status"), [(1.9, CoreStatus.INFEASIBLE), (2.1, CoreStatus.SOLVED)])
+def test_infeasible_is_told_from_hard(duration: float, status: CoreStatus) -> None:
     problem, start = too_fast(duration)
     solution = problem.solve(start)
     assert solution.status is status
-    assert (solution.statistics["violation"] > 1e-3) == (status is Status.INFEASIBLE)
+    assert (solution.statistics["violation"] > 1e-3) == (status is CoreStatus.INFEASIBLE)
 
 
 def test_a_warm_start_ends_at_once() -> None:
@@ -111,7 +111,7 @@ def test_a_warm_start_ends_at_once() -> None:
     cold = problem.solve(start)
     near = {"barrier_start": 1e-9, "bound_push": 1e-9, "bound_share": 1e-9, "slack_push": 1e-9}
     warm = problem.solve(cold.z, warm=cold, **near)
-    assert warm.status is Status.SOLVED
+    assert warm.status is CoreStatus.SOLVED
     assert warm.statistics["iterations"] <= 2 < cold.statistics["iterations"]
     assert warm.statistics["cost"] == pytest.approx(cold.statistics["cost"], rel=1e-7)
 
@@ -119,19 +119,19 @@ def test_a_warm_start_ends_at_once() -> None:
 def test_a_solve_stops_when_asked() -> None:
     problem, start = PROBLEMS["swing_up"]()
     solution = problem.solve(start, stop=lambda iteration: iteration >= 3)
-    assert solution.status is Status.STOPPED
+    assert solution.status is CoreStatus.STOPPED
     assert solution.statistics["iterations"] == 3 == len(solution.log)
     assert np.isfinite(solution.z).all()
 
 
 def test_the_count_of_iterations_is_limited() -> None:
     problem, start = PROBLEMS["swing_up"]()
-    assert problem.solve(start, iterations=2).status is Status.MAX_ITERATIONS
+    assert problem.solve(start, iterations=2).status is CoreStatus.MAX_ITERATIONS
 
 
 def test_a_start_without_finite_values() -> None:
     stages = [Stage(1, 1, after=lambda x, u, p: [x[0] / u[0]]), Stage(1)]
-    assert Staged(stages).solve(np.zeros(3)).status is Status.NON_FINITE
+    assert Staged(stages).solve(np.zeros(3)).status is CoreStatus.NON_FINITE
 
 
 def test_bounds_that_fix_a_later_state_are_refused() -> None:
@@ -224,7 +224,7 @@ def test_a_start_that_is_not_finite_returns_no_leftovers() -> None:
     filled = [np.full(5000, 7.7e77) for _ in range(4)]
     del filled
     solution = Staged(stages).solve(np.zeros(3))
-    assert solution.status is Status.NON_FINITE
+    assert solution.status is CoreStatus.NON_FINITE
     np.testing.assert_array_equal(np.concatenate([solution.lam, solution.ye, solution.zl, solution.zu]), 0.0)
     assert np.isnan(solution.statistics["cost"])
     assert np.isnan(solution.statistics["error"])
@@ -246,7 +246,7 @@ def test_a_line_search_without_violation_ends() -> None:
     """There the shortest step is zero long: lengths that are halved must still come to an end."""
     problem = Staged([Stage(1, cost=lambda x, u, p: (x[0] - 1) ** 2, after=lambda x, u, p: [x[0]]), Stage(1)])
     calls = refusing(problem, 3, 10**9)
-    assert problem.solve(np.zeros(2)).status is not Status.SOLVED
+    assert problem.solve(np.zeros(2)).status is not CoreStatus.SOLVED
     assert calls[0] < 3000
 
 
@@ -258,7 +258,7 @@ def test_equalities_may_depend_on_each_other(count: int) -> None:
         Stage(1, equalities=lambda x, u, p: [x[0] - 1.0] * count),
     ]
     solution = Staged(stages).solve(np.zeros(5))
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
     assert solution.statistics["cost"] == pytest.approx(0.5, abs=1e-7)
     assert solution.ye.sum() == pytest.approx(-1.0, abs=1e-5)
 
@@ -270,11 +270,11 @@ def test_a_small_violation_is_restored(off: float) -> None:
     refusing(problem, 3, 60)
     solution = problem.solve(np.full(2, 1.0 + off))
     assert solution.statistics["restorations"] == 1
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
 
 
-@pytest.mark.parametrize(("most", "status"), [(5, Status.MAX_ITERATIONS), (100, Status.SOLVED)])
-def test_few_steps_of_a_restoration_say_nothing_of_feasibility(most: int, status: Status) -> None:
+@pytest.mark.parametrize(("most", "status"), [(5, CoreStatus.MAX_ITERATIONS), (100, CoreStatus.SOLVED)])
+def test_few_steps_of_a_restoration_say_nothing_of_feasibility(most: int, status: CoreStatus) -> None:
     """Source: A. Waechter, L. T. Biegler, Failure of global convergence for a class of interior point methods for
     nonlinear programming, Math. Program. 88 (2000), equation (5)."""
     rows = lambda x, u, p: [x[0] ** 2 - x[1] - 1.0, x[0] - x[2] - 0.5]  # noqa: E731

@@ -84,7 +84,7 @@ def assert_derivatives_of_the_core(problem: Problem, point: Point, given: Given)
         count = len(step) - stages.parameters
         product[a : a + count] += (block @ step)[:count]
         product[len(v) - stages.parameters :] += (block @ step)[count:]
-    expected = staged.step(*bent)
+    expected = staged.step(*map(np.asarray, bent))
     np.testing.assert_allclose(product, expected, atol=1e-9 * np.abs(expected).max())
 
 

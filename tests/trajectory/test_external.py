@@ -184,7 +184,7 @@ def test_saddles_are_left(monkeypatch: pytest.MonkeyPatch) -> None:
     assert result.solved
     assert not result.saddle
     assert result.final_time < 1.9
-    monkeypatch.setattr(tx.trajectory.strategies, "_AWAY", ())
+    monkeypatch.setattr(tx.trajectory.strategy.strategies, "_AWAY", ())
     result = problem.solve(solver=SOLVERS[0])
     assert result.saddle
     assert result.final_time == pytest.approx(2.0, rel=1e-5)

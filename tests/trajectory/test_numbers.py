@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
-from twistax.trajectory.strategy.integration import Rollout
+from twistax.trajectory.strategy.integration import CoreRollout
 
 pytest.importorskip("llvmlite")
 
@@ -185,7 +185,7 @@ def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any
     result = problem.solve()
     core, given = problem.core(1e-6, *problem.started()[:2]), problem.started().given
     data = core.staged.numbers.vector(given)
-    rollout = Rollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
+    rollout = CoreRollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
     found, expected = rollout.states(result.warm.point), result.replay(steps=12)
     for name, values in expected.xs.items():
         np.testing.assert_allclose(found[name], values, atol=1e-11)

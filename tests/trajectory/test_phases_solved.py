@@ -122,7 +122,7 @@ def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
     errors = result.accuracy.intervals
     assert [own.shape for own in errors] == [(NODES - 1,)] * 2
     assert np.max(errors) < 1e-9
-    finer, warm = refine._finer(result, errors, 1e-3, rests=False) or (None, None)
+    finer, warm = refine._finer(result, errors, 1e-3, is_settled=False) or (None, None)
     assert finer is not None
     assert all(part.nodes > NODES for part in finer.parts)
     staged = finer.core(1e-6, warm.point, finer.started().given).staged

@@ -33,6 +33,9 @@ MOVED = {
     "layout": "groups.columns",
     "table_load": "scalar.primitives.table_load",
     "tables": "expr.tables",
+    "trajectory.controls": "trajectory.problem.controls",
+    "trajectory.functionals": "trajectory.problem.functionals",
+    "trajectory.statement": "trajectory.problem.statement",
 }
 _EARLIER = {now: earlier for earlier, now in MOVED.items()}
 #: Packages that are gone; of their modules those above are left.

@@ -154,14 +154,18 @@ def _differentiated(
     n, controls = dynamics.dimension, Controls(dynamics.controls)
     multipliers = None
     if weights is not None:
-        given = real_array("weights", weights)
-        if given.shape != (n,):
-            raise InputError(f"weights expects shape ({n},), one number for each tangent of the end, got {given.shape}")
-        if not is_finite(given):
-            raise InputError(f"weights expects finite numbers, got {short(given)}")
-        multipliers = jnp.asarray(given, inputs.dtype)
-    held = controls.split(controls.join(inputs.u, inputs.dtype))
-    x1, slopes, hessian = second_order(dynamics, method, dataclasses.replace(inputs, u=held), h, substeps, multipliers)
+        multiplier_values = real_array("weights", weights)
+        if multiplier_values.shape != (n,):
+            raise InputError(
+                f"weights expects shape ({n},), one number for each tangent of the end, got {multiplier_values.shape}"
+            )
+        if not is_finite(multiplier_values):
+            raise InputError(f"weights expects finite numbers, got {short(multiplier_values)}")
+        multipliers = jnp.asarray(multiplier_values, inputs.dtype)
+    constant_u = controls.split(controls.join(inputs.u, inputs.dtype))
+    x1, slopes, hessian = second_order(
+        dynamics, method, dataclasses.replace(inputs, u=constant_u), h, substeps, multipliers
+    )
     A, B, by_h, by_t = jnp.split(slopes, [n, n + controls.dimension, n + controls.dimension + 1], axis=1)
     return Discretization(x1, A, B, by_h[:, 0], by_t[:, 0], hessian)
 
@@ -205,15 +209,15 @@ def step_derivatives(
     n, m = group.dimension, u.shape[0]
 
     def eta(z: jax.Array) -> jax.Array:
-        held = controls.split(z[n : n + m])
+        constant_u = controls.split(z[n : n + m])
         moved = group.retract(x, z[:n])
-        field = VectorField(dynamics, lambda _: held, params)
+        field = VectorField(dynamics, lambda _: constant_u, params)
         return group.join(method.increment(field, z[n + m + 1], moved, z[n + m]))
 
     point = jnp.concatenate([jnp.zeros(n, u.dtype), u, h[None], t[None]])
     value, slopes = value_and_jacobian(eta, point)
     # Ad(Exp(-eta)) = I - J_r(eta) ad_eta, which spares an exponential.
     transported = slopes.at[:, :n].add(-group.ad(value))
-    moves = group.right_jacobian(value) @ transported
-    by_state = jnp.eye(n, dtype=u.dtype) + moves[:, :n]
-    return group.retract(x, value), by_state, moves[:, n : n + m], moves[:, n + m], moves[:, n + m + 1]
+    increments = group.right_jacobian(value) @ transported
+    by_state = jnp.eye(n, dtype=u.dtype) + increments[:, :n]
+    return group.retract(x, value), by_state, increments[:, n : n + m], increments[:, n + m], increments[:, n + m + 1]

@@ -20,7 +20,7 @@ def labels(sizes: Mapping[str, tuple[int, ...]]) -> tuple[str, ...]:
 
 def tangent_shapes(group: Product) -> dict[str, tuple[int, ...]]:
     """The shapes of the tangents of states, as far as `labels` wants them: a scalar has ()."""
-    return {name: () if own.shape == () else (own.dimension,) for name, own in group.factors.items()}
+    return {name: () if factor.shape == () else (factor.dimension,) for name, factor in group.factors.items()}
 
 
 def entry(place: str, wanted: object, shapes: Mapping[str, tuple[int, ...]]) -> tuple[str, range]:
@@ -30,15 +30,15 @@ def entry(place: str, wanted: object, shapes: Mapping[str, tuple[int, ...]]) -> 
     """
     if not isinstance(wanted, str):
         raise InputError(f"{place} expects names such as 'V', 'V[3]' or 'V[3:6]', got {short(wanted)}")
-    found = _ENTRY.fullmatch(wanted)
-    name = wanted if found is None or wanted in shapes else found["name"]
+    match = _ENTRY.fullmatch(wanted)
+    name = wanted if match is None or wanted in shapes else match["name"]
     if name not in shapes:
         raise InputError(f"{place} names {wanted!r}, but expects one of {listed(shapes, name)}")
     size = prod(shapes[name])
-    if found is None or name == wanted:
+    if match is None or name == wanted:
         return name, range(size)
-    first, last = (int(text) if text else None for text in (found["first"], found["last"]))
-    if found["colon"]:
+    first, last = (int(text) if text else None for text in (match["first"], match["last"]))
+    if match["colon"]:
         chosen = range(size)[first:last]
     else:
         chosen = range(first, first + 1) if first is not None and 0 <= first < size else range(0)
@@ -60,10 +60,10 @@ def positions(place: str, wanted: Iterable[str], shapes: Mapping[str, tuple[int,
     starts, end = {}, 0
     for name, shape in shapes.items():
         starts[name], end = end, end + prod(shape)
-    found: list[int] = []
+    places: list[int] = []
     for one in wanted:
         name, chosen = entry(place, one, shapes)
-        found += [starts[name] + i for i in chosen]
-    if len(set(found)) < len(found):
+        places += [starts[name] + i for i in chosen]
+    if len(set(places)) < len(places):
         raise InputError(f"{place} names something twice: {listed(wanted)}")
-    return found
+    return places

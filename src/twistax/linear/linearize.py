@@ -151,7 +151,7 @@ def linearize(
 
 def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
     """The shapes of all outputs of a system."""
-    return {name: own[0].shape for name, own in dynamics._functions.families["outputs"].items()}
+    return {name: functions[0].shape for name, functions in dynamics._functions.families["outputs"].items()}
 
 
 def around(
@@ -215,11 +215,11 @@ def _kept(place: str, own: Sequence[str], wanted: Iterable[str] | None) -> list[
     for label in own:
         name, _, index = label.rstrip("]").partition("[")
         shapes[name] = (max(int(index) + 1, *shapes.get(name, (0,))),) if index else ()
-    found: list[int] = []
+    kept: list[int] = []
     for one in [wanted] if isinstance(wanted, str) else wanted:
         name, chosen = entry(place, one, shapes)
         wanted_labels = [label for i, label in enumerate(labels({name: shapes[name]})) if i in chosen]
-        found += [own.index(label) for label in wanted_labels if label in own]
-    if len(set(found)) < len(found):
+        kept += [own.index(label) for label in wanted_labels if label in own]
+    if len(set(kept)) < len(kept):
         raise InputError(f"{place} names something twice: {listed(wanted)}")
-    return found
+    return kept

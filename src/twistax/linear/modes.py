@@ -62,12 +62,12 @@ def modes(A: Any, states: Sequence[str]) -> list[Mode]:
         raise ModelError(f"modes expects one matrix of finite numbers, got shape {matrix.shape}")
     values, right = np.linalg.eig(matrix)
     left = np.linalg.pinv(right)  # rows; where eigenvectors coincide there is no inverse
-    found = []
+    result = []
     for k in np.argsort(-np.abs(values), kind="stable"):
         if values[k].imag < 0.0:
             continue
         shape = right[:, k] / right[np.argmax(np.abs(right[:, k])), k]
         shares = np.abs(left[k] * right[:, k])
         shares = shares / shares.sum()
-        found.append(Mode(complex(values[k]), dict(zip(states, shape.tolist())), dict(zip(states, shares.tolist()))))
-    return found
+        result.append(Mode(complex(values[k]), dict(zip(states, shape.tolist())), dict(zip(states, shares.tolist()))))
+    return result

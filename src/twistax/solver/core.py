@@ -26,7 +26,7 @@ from .library import library
 from .options import Options
 
 
-class Status(enum.Enum):
+class CoreStatus(enum.Enum):
     """How a solve ended; the values are those of `twx_status` in core.h."""
 
     SOLVED = 0
@@ -148,7 +148,7 @@ class Units(NamedTuple):
 
 
 @dataclasses.dataclass
-class Solution:
+class CoreSolution:
     """A result, in the problem's units, and the start of a warm solve.
 
     Attributes:
@@ -164,7 +164,7 @@ class Solution:
             size of the step, trials, and a character's code that tells the kind of step.
     """
 
-    status: Status
+    status: CoreStatus
     z: Array
     v: Array
     s: Array
@@ -276,9 +276,9 @@ def solve(
     units: Units | None = None,
     largest_step: Array | None = None,
     options: Options | None = None,
-    warm: Solution | None = None,
+    warm: CoreSolution | None = None,
     should_stop: StopCheck | None = None,
-) -> Solution:
+) -> CoreSolution:
     """Solve from a point.
 
     Args:
@@ -309,17 +309,17 @@ def solve(
     multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
-    status = Status(core.solve(*references[:2], *pointers))
+    status = CoreStatus(core.solve(*references[:2], *pointers))
     stop.check()
     functions.check()
-    if status is Status._BAD_PROBLEM:
+    if status is CoreStatus._BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return Solution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+    return CoreSolution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
 class _StopFunction:
@@ -361,7 +361,7 @@ def _checked(name: str, a: Any, count: int) -> Array:
     return array
 
 
-def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:
+def _start(stages: Stages, z: Array, v: Array, warm: CoreSolution | None) -> dict[str, Array]:
     sizes = {
         "z": stages.points,
         "v": stages.variables,

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import TrajectoryError
-from .core import ProblemStructure, Stages, Status, Units, as_problem
+from .core import CoreStatus, ProblemStructure, Stages, Units, as_problem
 from .library import library
 from .options import Options
 from .processors import processors
@@ -180,10 +180,13 @@ class Moves(_Form):
         moves, memory = np.array(sides, float), np.empty(self._doubles)
         address = ctypes.addressof(self.structure)
         pointers = row.ctypes.data, moves.ctypes.data, memory.ctypes.data
-        status = Status(library().linearised_members(address, 1, len(moves), *pointers))
+        status = CoreStatus(library().linearised_members(address, 1, len(moves), *pointers))
         self.transcription.check()
-        if status is not Status.SOLVED:
-            words = {Status.UNBOUNDED_CURVATURE: "no strict minimum", Status.NON_FINITE: "without finite derivatives"}
+        if status is not CoreStatus.SOLVED:
+            words = {
+                CoreStatus.UNBOUNDED_CURVATURE: "no strict minimum",
+                CoreStatus.NON_FINITE: "without finite derivatives",
+            }
             raise TrajectoryError(f"the solution is {words.get(status, status.name)}")
         return moves
 

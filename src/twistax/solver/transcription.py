@@ -22,7 +22,7 @@ DROPPED = -1
 
 
 @dataclasses.dataclass(frozen=True)
-class Method:
+class Scheme:
     """A Runge-Kutta method of intervals, with weights of the running cost.
 
     Attributes:
@@ -79,7 +79,7 @@ class JoinKernels:
 
 
 @dataclasses.dataclass(frozen=True)
-class Phase:
+class CorePhase:
     """A phase of a transcribed problem.
 
     Attributes:
@@ -94,7 +94,7 @@ class Phase:
     n: int
     m: int
     point: int
-    method: Method
+    method: Scheme
     kernels: PhaseKernels
     starts: Array
     widths: Array
@@ -209,7 +209,7 @@ class Transcription:
             of the last Jacobians.
     """
 
-    def __init__(self, phases: Sequence[Phase], parameters: int, data: Array) -> None:
+    def __init__(self, phases: Sequence[CorePhase], parameters: int, data: Array) -> None:
         self.phases = phases
         counts = [
             np.array([int(rows.sum()) for phase in phases for rows in phase.rows_by_stage(kind)], np.int64)
@@ -367,7 +367,7 @@ class Transcription:
         self._memory.append(structure)
         return ctypes.addressof(structure)
 
-    def _among_all(self, phase: Phase, first: int, numbers: Any) -> tuple[Array, list[Array]]:
+    def _among_all(self, phase: CorePhase, first: int, numbers: Any) -> tuple[Array, list[Array]]:
         """Numbers among the rows of all stages."""
         path, nodes = -np.ones(phase.path.shape, int), [-np.ones(len(rows), int) for rows in phase.conditions]
         for (of_path, of_nodes), name in zip(numbers, ("h", "e")):

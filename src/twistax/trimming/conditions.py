@@ -15,7 +15,7 @@ from ..linear.linearize import around, output_shapes
 from ..system.dynamics import Dynamics
 
 
-class Conditions:
+class TrimConditions:
     """What shall vanish, as one vector.
 
     Args:
@@ -62,10 +62,10 @@ class Conditions:
     def _target(name: str, value: Any, size: int) -> np.ndarray:
         if value is None:  # what it is at the start, which `hold` puts there
             return np.full(size, np.nan)
-        found = reals(f"fixed[{name!r}]", value, InputError).astype(np.float64)
-        if found.size != size or not np.isfinite(found).all():
+        target = reals(f"fixed[{name!r}]", value, InputError).astype(np.float64)
+        if target.size != size or not np.isfinite(target).all():
             raise InputError(f"fixed[{name!r}] expects {size} finite numbers, got {short(value)}")
-        return found.reshape(-1)
+        return target.reshape(-1)
 
     def hold(self, start: Inputs) -> None:
         """What is fixed without a value keeps the one that it has at the start."""

@@ -19,7 +19,7 @@ from ..linear.linearize import Linearization, linearize
 from ..system.dynamics import Dynamics, need_compiled
 from ..system.inputs import Values
 from ..units import same_unit, seconds
-from .conditions import Conditions
+from .conditions import TrimConditions
 from .unknowns import Unknowns
 
 #: Rounds of least squares, each in the chart about the last round's end.
@@ -139,20 +139,20 @@ def trim(
     named = {str(name).partition("[")[0] for name in sought}
     parameters = tuple(leaf.name for leaf in dynamics.parameters if leaf.name in named)
     with in_double():
-        conditions = Conditions(
+        conditions = TrimConditions(
             dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
         )
         inputs = dynamics._functions.prepare(t, x, u, params, reads=conditions.reads)
         start = _doubled(inputs)
         unknowns = Unknowns(dynamics, start, sought, parameters)
         conditions.hold(start)
-        found = _solve(conditions, unknowns, start)
-    found = dataclasses.replace(found, trimmed=found.measure <= tolerance)
-    if throw and not found.trimmed:
+        solution = _solve(conditions, unknowns, start)
+    solution = dataclasses.replace(solution, trimmed=solution.measure <= tolerance)
+    if throw and not solution.trimmed:
         raise TrajectoryError(
-            f"trim: no point meets the conditions.\n{found}\n  fix: free more, ask for less, or start nearer"
+            f"trim: no point meets the conditions.\n{solution}\n  fix: free more, ask for less, or start nearer"
         )
-    return found
+    return solution
 
 
 def _names(place: str, names: Any) -> list[str]:
@@ -165,8 +165,8 @@ def _names(place: str, names: Any) -> list[str]:
     return found
 
 
-def _mapping(place: str, given: Any) -> dict[str, Any]:
-    return dict(given) if isinstance(given, Mapping) else dict.fromkeys(_names(place, given))
+def _mapping(place: str, value: Any) -> dict[str, Any]:
+    return dict(value) if isinstance(value, Mapping) else dict.fromkeys(_names(place, value))
 
 
 def _doubled(inputs: Inputs) -> Inputs:
@@ -182,7 +182,7 @@ def _doubled(inputs: Inputs) -> Inputs:
     return Inputs(t, doubled(inputs.x), doubled(inputs.u), doubled(inputs.params), jnp.float64)
 
 
-def _solve(conditions: Conditions, unknowns: Unknowns, start: Inputs) -> Trim:
+def _solve(conditions: TrimConditions, unknowns: Unknowns, start: Inputs) -> Trim:
     """Least squares in the chart about the start, then about its end, until nothing moves."""
     now = unknowns.values(start)
     point = unknowns.moved(start, np.clip(now, unknowns.lower, unknowns.upper) - now)
@@ -199,7 +199,7 @@ def _solve(conditions: Conditions, unknowns: Unknowns, start: Inputs) -> Trim:
     return _judged(conditions, unknowns, point, turned, evaluations)
 
 
-def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs, every: np.ndarray) -> tuple[np.ndarray, int]:
+def _round(conditions: TrimConditions, unknowns: Unknowns, about: Inputs, every: np.ndarray) -> tuple[np.ndarray, int]:
     """The step to the least squares in the chart about a point, by scales, and how many evaluations it took."""
     from scipy.optimize import least_squares
 
@@ -218,7 +218,7 @@ def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs, every: np.
         _need_finite(conditions, value, slopes, "on the way")
         return slopes
 
-    found = least_squares(
+    result = least_squares(
         lambda z: at(z.tobytes())[0],
         np.zeros(len(now)),
         derivatives,
@@ -228,10 +228,10 @@ def _round(conditions: Conditions, unknowns: Unknowns, about: Inputs, every: np.
         ftol=1e-15,
         gtol=1e-15,
     )
-    return found.x * scales, found.nfev
+    return result.x * scales, result.nfev
 
 
-def _to_bounds(conditions: Conditions, unknowns: Unknowns, point: Inputs) -> np.ndarray:
+def _to_bounds(conditions: TrimConditions, unknowns: Unknowns, point: Inputs) -> np.ndarray:
     """The step of what is next to a bound to it, where that leaves less: least squares from inside never get there."""
     now, scales = unknowns.values(point), unknowns.scales(point)
     near = _AT_BOUND * scales[unknowns.columns]
@@ -242,11 +242,13 @@ def _to_bounds(conditions: Conditions, unknowns: Unknowns, point: Inputs) -> np.
     value, slopes = conditions.at(point)
     change = _changes(slopes, unknowns.columns, scales)
     rows = np.where(change > 0.0, change, 1.0)
-    left = [np.linalg.norm(each / rows) for each in (value, conditions.at(unknowns.moved(point, step))[0])]
+    left = [np.linalg.norm(entry / rows) for entry in (value, conditions.at(unknowns.moved(point, step))[0])]
     return step if left[1] < left[0] else np.zeros(len(now))
 
 
-def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int) -> Trim:
+def _judged(
+    conditions: TrimConditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int
+) -> Trim:
     """What was found, with its measures; `trimmed` is left to the caller."""
     value, slopes = conditions.at(point)
     every = unknowns.scales(point)
@@ -282,7 +284,7 @@ def _judged(conditions: Conditions, unknowns: Unknowns, point: Inputs, turned: n
 
 
 def _seen(
-    conditions: Conditions, unknowns: Unknowns, point: Inputs, value: np.ndarray, scales: np.ndarray
+    conditions: TrimConditions, unknowns: Unknowns, point: Inputs, value: np.ndarray, scales: np.ndarray
 ) -> tuple[np.ndarray, int]:
     """Slopes of the conditions by every perturbation as differences show them, the flatter side, and evaluations.
 
@@ -301,7 +303,7 @@ def _seen(
     return np.where(np.isfinite(slopes), slopes, 0.0), counted
 
 
-def _need_finite(conditions: Conditions, value: np.ndarray, slopes: np.ndarray, where: str) -> None:
+def _need_finite(conditions: TrimConditions, value: np.ndarray, slopes: np.ndarray, where: str) -> None:
     fine = np.isfinite(value) & np.isfinite(slopes).all(axis=1)
     if not fine.all():
         names = ", ".join(name for name, ok in zip(conditions.names, fine) if not ok)

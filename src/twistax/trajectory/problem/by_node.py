@@ -104,7 +104,7 @@ class ByNode:
 
     @property
     def width(self) -> int:
-        """Entries of a row."""
+        """The number of entries of a row."""
         return _HEAD + 2 * self._flat.size if self.leaves else 0
 
     def rows(self, params: Mapping[str, Any]) -> Array:
@@ -116,19 +116,19 @@ class ByNode:
         return np.concatenate([self.shares[:, None], slopes[:, None], here, here[[*range(1, len(here)), -1]]], axis=1)
 
     def at(self, row: Any, share: Any) -> dict[str, Any]:
-        """The values at a share of the duration, by the row of the node before it."""
+        """The values at a share of the duration, from the row of the node before it."""
         here, after = jnp.split(row[_HEAD:], 2)
         return self._flat.split(here + (share - row[0]) * row[1] * (after - here))
 
     def along(self, params: Mapping[str, Any], share: Any) -> dict[str, Any]:
-        """The values at a share of the duration, by those at the nodes."""
+        """The values at a share of the duration, from those at all nodes."""
         place = jnp.clip(jnp.searchsorted(self.shares, share, side="right") - 1, 0, len(self.shares) - 2)
         part = (share - jnp.asarray(self.shares)[place]) / jnp.diff(jnp.asarray(self.shares))[place]
         return {name: params[name][place] * (1.0 - part) + params[name][place + 1] * part for name in self.leaves}
 
 
 def only_once(parts: Sequence[ByNode]) -> None:
-    """Raise ModelError where two phases have one parameter, each with its nodes."""
+    """Raise ModelError where two phases name the same parameter in `by_node`."""
     seen = set[str]()
     for part in parts:
         for name in part.leaves:

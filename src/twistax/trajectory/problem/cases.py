@@ -44,11 +44,11 @@ class Cases:
             raise ShapeError(f"solve_many expects as many cases in every argument: {counts}")
 
     def case(self, k: int) -> dict[str, Any]:
-        """The arguments of one."""
+        """The arguments of one case."""
         return {name: choose(k) for name, choose in self._chosen.items()}
 
     def _of(self, what: str, value: Any, axes: Any) -> Choose:
-        """What has so many axes, or is a dict of what has; what is not known is the same in all cases."""
+        """How to choose an argument of a case: an array with so many axes, or a dict of such arrays."""
         if isinstance(axes, int):
             return self._axis(what, value, axes)
         if not isinstance(value, Mapping) or axes is None:
@@ -60,7 +60,7 @@ class Cases:
         return lambda k: {name: choose(k) for name, choose in choices.items()}
 
     def _axis(self, what: str, value: Any, dimensions: int) -> Choose:
-        """An argument with so many axes in each case; with one more, the first counts the cases."""
+        """How to choose an array of a case: with one axis more than `dimensions`, the first one counts the cases."""
         try:
             shared = value is None or isinstance(value, Mapping) or np.ndim(value) <= dimensions
         except ValueError as error:

@@ -56,7 +56,7 @@ class Conditions:
         return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
 
     def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
-        """(entries,) those that nothing can change where these entries of the states are fixed."""
+        """(entries,) residuals that no unknown can change where these entries of the states are fixed."""
         fixed_states, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
         decided: list[bool] = []
         for residual in self.residuals:
@@ -72,7 +72,7 @@ class Conditions:
 
 
 def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constraint]) -> Conditions:
-    """The residuals of constraints on a node, with the place in their names."""
+    """The residuals of the constraints on a node, named with the node."""
     names: list[str] = []
     residuals: list[Expr] = []
     equality: list[bool] = []
@@ -125,7 +125,7 @@ def stated_values(
 
 
 def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
-    """The state, the index into it and the value that an equality says; None if it says none."""
+    """The state, the index into it and the value that an equality prescribes; None if it prescribes none."""
     left, right = constraint.lhs, constraint.rhs
     moving = (State, Control, Time)
     if left.is_group_element and right.is_group_element:
@@ -143,7 +143,7 @@ def _stated_value(constraint: Constraint) -> tuple[str, Any, Expr] | None:
 
 
 def split(what: str, end: Any) -> tuple[dict[Any, Any], dict[str, Asked]]:
-    """Values and named constraints from what an end may be: a mapping, a constraint, or a list of both."""
+    """The values and the named constraints of an end: a mapping, a constraint, or a list of both."""
     values: dict[Any, Any] = {}
     constraints: dict[str, Asked] = {}
     items: Sequence[Any] = list(end) if isinstance(end, (list, tuple)) else [] if end is None else [end]

@@ -48,7 +48,7 @@ class Spline:
             raise ModelError(f"{name}: rate expects positive numbers, got {short(self.rate)}")
 
     def leaves(self, leaf: Control) -> tuple[list[State], Control]:
-        """The control and its derivatives, all but the last as states, the last as a held control."""
+        """A chain of states for the control and its derivatives, and a held control for the last derivative."""
         if self.rate is not None and np.ndim(self.rate) and np.shape(self.rate) != leaf.shape:
             name = type(self).__name__
             raise ShapeError(f"{name}: rate of {leaf.name!r} expects shape {leaf.shape}, got {np.shape(self.rate)}")

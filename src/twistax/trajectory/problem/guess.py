@@ -106,7 +106,7 @@ def resample(group: Group, samples: Array, shares: Array) -> Array:
 
 
 def _geodesic(group: Group, share: jax.Array, first: jax.Array, last: jax.Array) -> jax.Array:
-    """The point at a share of the way between two."""
+    """The point at a share of the geodesic between two elements."""
     a, b = first.reshape(group.shape), last.reshape(group.shape)
     return group.retract(a, share[0] * group.difference(a, b)).reshape(-1)
 
@@ -116,7 +116,7 @@ def _known(values: Array | None, otherwise: Any) -> Any:
 
 
 def with_stated(values: Array | None, end_values: Array | None) -> Array | None:
-    """Values, and others where these are free."""
+    """Values, and those of conditions where the former are free."""
     return values if end_values is None else _known(values, end_values)
 
 

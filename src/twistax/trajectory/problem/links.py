@@ -59,7 +59,6 @@ def _sources(
 
 
 def joined(parts: Sequence[StatedPhase], sources: Sequence[Sources], names: Sequence[str]) -> Joined:
-    """The phases as one discrete problem."""
     joins = []
     for before, after, source in zip(parts, parts[1:], sources):
         ends = after.ends

@@ -53,7 +53,7 @@ class Phase:
 
 
 def initials_of(phase: Phase) -> list[Initial]:
-    """Where states began, for the objective and the conditions of a phase."""
+    """The functionals `Initial(...)` in the objective and the conditions of a phase."""
     exprs: list[Any] = [getattr(phase.objective, field, None) for field in ("final", "running")]
     at = phase.at.values() if isinstance(phase.at, Mapping) else []
     for what, conditions in (("initial", phase.initial), ("final", phase.final), *(("at", rows) for rows in at)):
@@ -64,7 +64,7 @@ def initials_of(phase: Phase) -> list[Initial]:
 
 
 def check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
-    """Raise ModelError unless they are phases, and nothing else is stated that belongs to each of them."""
+    """Raise ModelError unless all are phases, and no argument of a phase is given beside them."""
     strangers = [phase for phase in phases if not isinstance(phase, Phase)]
     if strangers or not phases:
         got = short(strangers[0]) if strangers else "none"
@@ -82,7 +82,7 @@ def check_phases(phases: Sequence[Any], arguments: Mapping[str, Any]) -> None:
 
 
 def kind_of(phases: Sequence[Phase]) -> type[Objective]:
-    """Whether the phases minimise or maximise."""
+    """`Minimize` or `Maximize`, whichever the phases have."""
     kinds = {type(phase.objective) for phase in phases if phase.objective is not None}
     if not kinds or len(kinds) > 1 or not all(issubclass(kind, Objective) for kind in kinds):
         raise ModelError(

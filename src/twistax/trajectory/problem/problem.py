@@ -5,7 +5,7 @@ from __future__ import annotations
 import contextlib
 import dataclasses
 import threading
-from collections.abc import Collection, Iterator, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -162,7 +162,7 @@ class Problem:
         return parts
 
     def _state_parameters(self, params: Mapping[Any, Any] | None, free: Any) -> None:
-        """One set of parameters, and of unknowns that all phases share."""
+        """Collect the parameters and the free unknowns of all phases."""
         params = {name_of(key): value for key, value in (params or {}).items()}
         exprs = [e for sources in self.sources for e in sources.values() if e is not None]
         read = {leaf.name: leaf for leaf in leaves_of(*exprs) if isinstance(leaf, Parameter)}
@@ -188,7 +188,7 @@ class Problem:
         return values
 
     def _build(self) -> None:
-        """What compiles."""
+        """Transcribe the phases; solvers are made when first needed."""
         for number, (part, name) in enumerate(zip(self.parts, self.names)):
             with self.errors_of(name):
                 part.transcribe(number, self.border)
@@ -196,16 +196,14 @@ class Problem:
         self.forget()
 
     def forget(self) -> None:
-        """Forget the solvers that were made."""
+        """Drop compiled solvers; they are made again when needed."""
         self._cores: dict[tuple[float, int, int], CoreSolver] = {}
         #: The same problem by implicit steps.
         self.implicit: Any = None
 
-    @contextlib.contextmanager
-    def errors_of(self, name: str) -> Iterator[None]:
-        """Errors have the name of the phase in front."""
-        with contextlib.nullcontext() if self.alone else in_phase(name):
-            yield
+    def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
+        """A context in which errors get the name of the phase in front."""
+        return contextlib.nullcontext() if self.alone else in_phase(name)
 
     def __repr__(self) -> str:
         if self.alone:
@@ -213,14 +211,14 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """What a problem of one phase has of that: nodes, mesh, dynamics, objective, transcription, hessian."""
+        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
         return getattr(parts[0], name)
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what compiles anew in another process."""
+        """Everything but compiled functions, which compile again in another process."""
         return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
@@ -388,7 +386,7 @@ class Problem:
         return solved_many(self, arguments | {"free": free}, options)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
-        """The solver of this thread; its kernels compile once, its memory is of one solve at a time."""
+        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)

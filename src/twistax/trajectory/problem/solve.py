@@ -17,7 +17,7 @@ from ..adapters.solvers import SolvedBy
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
 from ..result.many import many_results
-from ..result.quality import Tried
+from ..result.quality import Attempts
 from ..result.refine import refined
 from ..result.result import best_result
 from ..strategy.accuracy import MESH
@@ -99,17 +99,17 @@ class SolveOptions:
 
     @property
     def needed(self) -> float:
-        """The tolerance of the solver."""
+        """The tolerance of the solver: a refinement needs a smaller one."""
         return float(self.tolerance if self.refine is None else min(self.tolerance, CLOSER * self.refine))
 
     @property
     def arguments(self) -> dict[str, Any]:
-        """Those that say what is solved for, and where it starts without a warm start."""
+        """The arguments of `Problem.started`."""
         names = ("guess", "initial", "final", "params", "final_time", "final_time_guess", "free")
         return {name: getattr(self, name) for name in names}
 
     def again(self, **changed: Any) -> dict[str, Any]:
-        """The arguments of another solve of the same, from another start and on one mesh."""
+        """The arguments of another solve of the same problem, from another start and on one mesh."""
         left_out = ("warm", "guesses", "between", "refine", *_STARTS)
         fields = {field.name: getattr(self, field.name) for field in dataclasses.fields(self)}
         kept = {name: value for name, value in fields.items() if name not in left_out}
@@ -117,7 +117,7 @@ class SolveOptions:
 
 
 def solved(problem: Any, options: SolveOptions) -> Any:
-    """What `Problem.solve` does."""
+    """Solve a problem; see `Problem.solve`."""
     if options.solver is not None and by_updates(problem.parts):
         raise TrajectoryError(
             f"QuasiNewton() has no second derivatives for {options.solver!r}.\n  fix: leave out hessian= or solver="
@@ -143,7 +143,7 @@ def solved(problem: Any, options: SolveOptions) -> Any:
 def _on_one_mesh(
     problem: Any, options: SolveOptions, budget: Budget, report: Callback | None
 ) -> tuple[Any, Point, Given]:
-    """The best of the tries on the mesh as stated, where the first starts without a warm one, and what it is for."""
+    """The best result of all tries, the guess of the first one, and what was solved for."""
     between, tolerance = options.between, options.needed
     with in_double():
         begin = time.perf_counter()
@@ -182,14 +182,14 @@ def _on_one_mesh(
             exceeded = tolerance if between is None else max(tolerance, between)
             outcomes.append(core.judge.judged(outcome, instance, options.mesh_tolerance, exceeded))
         done = time.perf_counter()
-    tried = Tried(outcomes, params, tolerance, compiled - begin, done - compiled)
+    tried = Attempts(outcomes, params, tolerance, compiled - begin, done - compiled)
     return best_result(problem, tried), plain, instance
 
 
 def _by_implicit_steps(
     problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
 ) -> tuple[Any, str]:
-    """A result, or a better one by implicit steps where explicit ones are unstable; and a sentence that says so."""
+    """The result, or a better one by implicit steps where explicit steps are unstable; and a remark for its message."""
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""
@@ -211,7 +211,7 @@ def _by_implicit_steps(
 
 
 def _on_finer_meshes(first: Any, options: SolveOptions, budget: Budget, remark: str) -> Any:
-    """The result on the finest mesh, with the time of all."""
+    """The result of a refinement, with the wall time of all meshes."""
     results = [first]
 
     def again(problem: Any, warm: Any, between: float | None = None) -> Any:
@@ -229,7 +229,7 @@ def _on_finer_meshes(first: Any, options: SolveOptions, budget: Budget, remark: 
 
 
 def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOptions) -> Any:
-    """What `Problem.solve_many` does."""
+    """Solve many cases; see `Problem.solve_many`."""
     cases, tolerance = Cases(axes(problem), arguments), options.needed
     with in_double():
         begin = time.perf_counter()
@@ -256,12 +256,12 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
             outcome = outcomes[0].refused(str(case))
         else:
             outcome, (_, _, params, _) = next(left)
-        tried.append(Tried([outcome], params, tolerance, *times))
+        tried.append(Attempts([outcome], params, tolerance, *times))
     return many_results(problem, tried)
 
 
 def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, instance: Given) -> list[dict[str, Array]]:
-    """Sizes of the controls of each phase, continuous ones too, by name, as they are measured at a start."""
+    """Typical sizes of the controls of each phase by name, measured at a start."""
     units, by_phase = core.units(point, instance), []
     for part, segment, sizes in zip(problem.parts, problem.shooting.segments, units.parts):
         columns_of, states = segment.shooting.local.controls.slices, segment.shooting.dynamics.group.slices

@@ -74,7 +74,7 @@ def started(
 
 
 def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
-    """An argument of each phase."""
+    """The value of an argument for each phase."""
     if problem.alone:
         return [value]
     if value is not None and not isinstance(value, Mapping):
@@ -86,7 +86,7 @@ def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
 
 
 def axes(problem: Any) -> dict[str, Any]:
-    """How many axes each argument of `started` has, in dicts as the arguments are."""
+    """The number of axes of each argument of `started`, in dicts as the arguments are."""
     params = {name: value.ndim for name, value in problem.params.items()}
     if problem.alone:
         axes = problem.parts[0].axes()
@@ -105,7 +105,7 @@ def _start(
     limits: Array,
     sizes: Sequence[Mapping[str, Array]],
 ) -> Any:
-    """The guesses of the phases; states without one go between what is known of them at the ends of phases."""
+    """The guesses of all phases. States without a guess go between the values that are known at ends of phases."""
     if problem.alone:
         return problem.parts[0].start(guesses[0], ends[0], params, durations, limits, sizes[0])
     guess = {name: value for phase_guess in guesses for name, value in phase_guess.items()}
@@ -126,7 +126,7 @@ def _start(
 
 
 def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:
-    """Values at both ends of a phase, of states that go on from others or into them, along geodesics."""
+    """Values at both ends of a phase for states that continue across phases, between known values."""
     between, times = {}, np.concatenate([[0.0], np.cumsum(durations)])
     for state in problem.parts[index].dynamics.states:
         if state.guess is not None:
@@ -154,13 +154,13 @@ def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -
 
 
 def _goes_on(problem: Any, join: int, state: State) -> bool:
-    """Whether a state is the same on both sides of a join."""
+    """Whether a state is unchanged at a join."""
     source = problem.sources[join].get(state.name)
     return isinstance(source, State) and source.key() == state.key()
 
 
 def _with_stated(ends: Ends, end_values: tuple[dict[str, Array], dict[str, Array]]) -> Ends:
-    """Ends, with what conditions say where they are free."""
+    """Ends whose free entries have the values that conditions prescribe."""
     initial, final = (
         {name: with_stated(value, values.get(name)) for name, value in side.items()}
         for side, values in zip((ends.initial, ends.final), end_values)

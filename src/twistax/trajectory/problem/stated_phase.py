@@ -116,7 +116,7 @@ class StatedPhase:
         self._check_by_node = functools.partial(self.by_node.check, priced, elsewhere, of_system)
 
     def transcribe(self, number: int, border: Border) -> None:
-        """Make it a phase of a problem with these durations and free parameters: what compiles."""
+        """Transcribe the phase with these durations and free parameters of its problem."""
         self.number, self.border = number, border
         free = {box.name for box in border.boxes}
         self._check_by_node(free)
@@ -141,7 +141,7 @@ class StatedPhase:
         self.shooting.alike = {name: state.name for name, state in self.functionals.starts.items()}
 
     def __getstate__(self) -> dict[str, Any]:
-        """Without what compiles anew in another process."""
+        """Everything but compiled functions, which compile again in another process."""
         return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "squares")}
 
     def __repr__(self) -> str:
@@ -151,7 +151,7 @@ class StatedPhase:
 
     @property
     def bounded(self) -> bool:
-        """Whether bridges added bounds of norms or magnitudes, or extremes."""
+        """Whether bridges introduced bounds of norms, or extremes, whose start depends on sizes of controls."""
         functionals, continuous = self.functionals, self.continuous
         return bool(self.path_bounds.controls or functionals.bounds or functionals.extremes or continuous.bounds)
 
@@ -162,7 +162,7 @@ class StatedPhase:
 
     @property
     def final_rows(self) -> Conditions:
-        """Those at the last node."""
+        """The conditions at the last node."""
         return self.conditions[self.nodes - 1]
 
     @property
@@ -175,7 +175,7 @@ class StatedPhase:
 
     @property
     def order(self) -> int:
-        """Of the derivatives that are compiled."""
+        """The order of the derivatives that are compiled."""
         return 2 if self.hessian is None else 1
 
     def check_weights(self, params: Mapping[str, Array]) -> None:
@@ -189,7 +189,7 @@ class StatedPhase:
         return local.along(local.expressions.shown, ts, xs, us, params)
 
     def path_rows(self, ts: Array, xs: Mapping[str, Any], us: Mapping[str, Any], params: Mapping[str, Any]) -> Array:
-        """The same as the solver sees them."""
+        """(points, rows) the path rows as the solver sees them, at many points."""
         local = self.shooting.local
         return local.along(local.expressions.rows, ts, xs, us, params)
 
@@ -210,7 +210,7 @@ class StatedPhase:
         }
 
     def other_ends(self, initial: Mapping[Any, Any] | None, final: Mapping[Any, Any] | None) -> Ends:
-        """The ends with other values; the same entries are fixed."""
+        """The ends with other values; the same entries have to be fixed."""
         if initial is None and final is None:
             return self.ends
         sides: list[Any] = []
@@ -235,7 +235,7 @@ class StatedPhase:
         return ends
 
     def other_times(self, limits: Any, guess: Any) -> tuple[tuple[float, float], float]:
-        """Other limits of the final time, and where it starts."""
+        """Other limits of the final time, and its initial guess."""
         if limits is None and guess is None:
             return self.time_limits, self.time_guess
         times = times_of(self.time_limits if limits is None else limits, guess)
@@ -246,7 +246,7 @@ class StatedPhase:
         return times
 
     def checked_guess(self, guess: Mapping[Any, Any] | None) -> dict[str, Array]:
-        """A guess by name, on top of that of the statement."""
+        """A guess by name, in addition to that of the statement."""
         return self.own_guess | user_guess(guess, self._guessed, self._lengths)
 
     @property
@@ -261,7 +261,7 @@ class StatedPhase:
         return {"guess": longer, "initial": leaves, "final": leaves, "final_time": times}
 
     def stated_values(self, params: Mapping[str, Array]) -> tuple[dict[str, Array], dict[str, Array]]:
-        """What conditions say of states at both ends."""
+        """The values that conditions prescribe for states at both ends."""
         known = {**params, **self.node_slacks.without}
         ends = (self.rows[0], self.rows[self.nodes - 1])
         first, last = (stated_values(self.dynamics.states, rows.values(), known) for rows in ends)
@@ -304,21 +304,21 @@ class StatedPhase:
     # ---- between a trajectory as stated and as solved ----------------------------------------------------------------
 
     def seen(self, xs: Mapping[str, Any], us: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """States and controls as they are stated."""
+        """States and controls as stated, from those of the transcription."""
         states, controls = dict(xs), dict(us)
         for bridge in reversed(self.bridges):
             states, controls = bridge.back(states, controls)
         return states, controls
 
     def lifted(self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]) -> Path:
-        """States at nodes, those added among them, and held controls, of controls as they are stated."""
+        """States and held controls of the transcription, from a trajectory as stated."""
         path = Path(ts, dict(xs), dict(us), params)
         for bridge in self.bridges:
             bridge.forward(path)
         return path
 
     def filled(self, values: Mapping[str, Array | None]) -> dict[str, Array]:
-        """Values of the states, with anything where they are free."""
+        """Values of the states; free entries are zero, or those of the identity."""
         filled = {}
         for state in self.dynamics.states:
             value = values[state.name]

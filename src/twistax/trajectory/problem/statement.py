@@ -87,7 +87,7 @@ class Maximize(Objective):
 
 
 class Reads(enum.Enum):
-    """What a constraint depends on, and so at which points of an interval with held controls it has to be asked."""
+    """What a constraint reads, which decides at which points of an interval it is imposed."""
 
     NOTHING = "parameters alone: once, at the end"
     CONTROL = "controls alone: once an interval"
@@ -129,7 +129,7 @@ class PathRows:
     shown_equality: Array
 
     def asked(self, intervals: int, substeps: int) -> Array:
-        """Where rows are asked: bool (intervals, substeps + 1, rows). States at a node belong to what follows it."""
+        """(intervals, substeps + 1, rows) where rows are imposed; states at a node belong to the next interval."""
         mask = np.ones((intervals, substeps + 1, len(self.names)), bool)
         mask[:, :, [reads is Reads.NOTHING for reads in self.reads]] = False
         mask[:, 1:, [reads is Reads.CONTROL for reads in self.reads]] = False
@@ -138,11 +138,11 @@ class PathRows:
         return mask
 
     def at_nodes(self) -> Array:
-        """(rows,) those that a node alone decides, controls not."""
+        """(rows,) those that depend on a node alone, not on controls."""
         return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
 
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
-        """(rows,) those that nothing can change at an end where these entries of the states are fixed."""
+        """(rows,) those that no unknown can change at an end where these entries of the states are fixed."""
         fixed_states = {name for name, mask in fixed.items() if mask.all()}
         alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
         rows = [reads in alone and states <= fixed_states for reads, states in zip(self.reads, self.states)]
@@ -254,12 +254,12 @@ def bounds_of(leaves: Sequence[State | Control]) -> list[Bound]:
 
 
 def violations(rows: Array, equality: Array) -> Array:
-    """How far rows are from holding, zero where they do."""
+    """The violations of rows, zero where they hold."""
     return np.where(equality, np.abs(rows), np.maximum(rows, 0.0))
 
 
 def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
-    """The largest size of each name; names may repeat."""
+    """The largest size for each name; names may repeat."""
     largest: dict[str, float] = {}
     for name, size in zip(names, sizes):
         largest[name] = max(largest.get(name, 0.0), float(size))

@@ -78,7 +78,7 @@ def continuous_bound(size: Expr, s: Control) -> Expr:
 
 
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
-    """Expressions of controls and parameters for every row of the controls."""
+    """(rows, ...) values of expressions of controls and parameters, for each row of the controls."""
     rows = max((len(values) for values in us.values()), default=1)
     values = PointValues.of(sizes)(np.zeros(rows), {}, us, params)
     ends = np.cumsum([math.prod(size.shape) for size in sizes])
@@ -98,12 +98,12 @@ def bounds_along(
 
 
 def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
-    """Whether it is one of controls that jump at nodes and of some that do not: a bound of either kind is not tight."""
+    """Whether it reads both held and continuous controls: no bound is tight for it."""
     return len({leaf.name in smooth for leaf in leaves_of(size) if isinstance(leaf, Control)}) > 1
 
 
 def above(values: np.ndarray) -> np.ndarray:
-    """Bounds a little above what they bound."""
+    """Initial values of bounds, slightly above what they bound."""
     bounds: np.ndarray = values + 0.1 * (values.max() or 1.0)
     return bounds
 
@@ -127,7 +127,7 @@ def sizes_in(running: Expr | None, sign: float) -> tuple[Expr | None, list[Contr
 
 
 def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:
-    """The terms of a sum with numbers in front of them."""
+    """The terms of a sum, each with its coefficient."""
     if isinstance(expr, Add):
         return [term for part in expr.terms for term in linear_terms(part, factor)]
     if isinstance(expr, Sub):
@@ -148,7 +148,7 @@ def linear_terms(expr: Expr, factor: float = 1.0) -> list[Term]:
 
 
 def sum_of(terms: list[Term]) -> Expr:
-    """The sum again."""
+    """The expression of a list of terms."""
     total: Expr = Constant(0.0)
     for factor, part in terms:
         total = total + factor * part

@@ -15,7 +15,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..strategy.integration import Rollout
+from ..strategy.integration import CoreRollout
 from ..strategy.outcome import Outcome
 from ..strategy.status import Status
 from ..strategy.warm import WarmStart
@@ -51,7 +51,7 @@ def hold_between_nodes(
     """
     data = staged.numbers.vector(instance)
     rollouts = [
-        Rollout(values, part.transcription.rolling(_SAMPLES), staged.border.size, data)
+        CoreRollout(values, part.transcription.rolling(_SAMPLES), staged.border.size, data)
         for values, part in zip(staged.parts, problem.parts, strict=True)
     ]
     shooting, parts = problem.shooting, list(zip(problem.parts, problem.shooting.segments, strict=True))
@@ -85,18 +85,18 @@ def hold_between_nodes(
 
 
 def _tightened(margins: Array, over: Array) -> Array:
-    """The margins of a phase after its limits were exceeded; tightened in one interval it touches them in the next."""
+    """New margins of a phase whose limits were exceeded; neighbouring intervals are tightened, too."""
     over = np.maximum(over, np.maximum(0.0, _beside(over)))
     return np.maximum(0.0, margins + np.where(over > 0.0, _MORE * over, over))
 
 
 def _beside(over: Array) -> Array:
-    """The larger of what both neighbours have."""
+    """The larger value of both neighbouring intervals."""
     closed = np.pad(over, ((1, 1), (0, 0)), constant_values=-np.inf)
     return np.maximum(closed[:-2], closed[2:])
 
 
-def _excess(problem: StatedPhase, point: Point, params: dict[str, Array], rollout: Rollout) -> Array:
+def _excess(problem: StatedPhase, point: Point, params: dict[str, Array], rollout: CoreRollout) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))

@@ -14,7 +14,7 @@ from ...checks import short
 from ...errors import InputError
 from ..strategy.status import Status
 from ..transcription.points import Point
-from .quality import Optimality, Tried, params_of
+from .quality import Attempts, Optimality, params_of
 from .result import TrajectoryResult, best_result
 
 
@@ -46,7 +46,7 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
     xs: dict[str, Any]
     us: dict[str, Any]
     durations: dict[str, Array]
-    _tried: Sequence[Tried]
+    _tried: Sequence[Attempts]
 
     @property
     def solved(self) -> Array:
@@ -78,10 +78,10 @@ class TrajectoryResults(Sequence[TrajectoryResult]):
 
 
 class PhasedResults(TrajectoryResults):
-    """The results of many cases of phases; see `TrajectoryResults`."""
+    """The results of many cases of phases: `xs[phase][state]` is (cases, nodes, ...); see `TrajectoryResults`."""
 
 
-def many_results(problem: Any, tried: Sequence[Tried]) -> TrajectoryResults:
+def many_results(problem: Any, tried: Sequence[Attempts]) -> TrajectoryResults:
     """The results of all cases."""
     outcomes = [case.best for case in tried]
     params = [params_of(problem.border, case.best, case.params) for case in tried]

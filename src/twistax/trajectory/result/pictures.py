@@ -76,7 +76,7 @@ def _outputs(part: Any, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Arr
 
 
 def _panels(parts: Sequence[Any], leaf: State | Control, unit: str) -> list[Panel]:
-    """States have dots at the nodes and the line of a rollout; controls go on from node to node as they are."""
+    """States: dots at nodes and the line of a rollout. Controls: as they go on from node to node."""
     marks, curves, is_held = [], [], False
     for part in parts:
         values = part.xs.get(leaf.name, part.us.get(leaf.name))

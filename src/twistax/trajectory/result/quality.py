@@ -132,7 +132,7 @@ class Quality:
 
     def explain(self) -> str:
         """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
-        return _explained(self)
+        return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:
         """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
@@ -145,7 +145,7 @@ class Quality:
         return self.warm.shifted(steps)
 
     def _need_finite(self) -> None:
-        """Raise TrajectoryError where the dynamics have no value between some nodes: nothing is rolled out there."""
+        """Raise TrajectoryError where the solution is not finite: there is no rollout of it."""
         if not np.isfinite(list(self.violations.values())).all():
             raise TrajectoryError(f"there is no rollout of a point that is not finite. {self.message}")
 
@@ -157,8 +157,8 @@ class Quality:
         )
 
 
-def _explained(result: Any) -> str:
-    """How good a result is, a line each."""
+def _explained(result: Any, undetermined: list[Undetermined]) -> str:
+    """The lines of `explain`."""
     size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
     errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
     lines = [
@@ -168,8 +168,8 @@ def _explained(result: Any) -> str:
     ]
     if result.soft:
         lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
-    if result._undetermined:
-        lines.append(_open(result._undetermined, result.problem.sign))
+    if undetermined:
+        lines.append(_open(undetermined, result.problem.sign))
     if result.accuracy is not None:
         lines.append(_mesh(result.accuracy, result.status))
     try:
@@ -212,7 +212,7 @@ def _open(every: list[Undetermined], sign: float) -> str:
 
 
 def _mesh(accuracy: Accuracy, status: Status) -> str:
-    """How far dynamics and nodes are apart, where most, and what to do where that is much."""
+    """A sentence on the error of the mesh, and what to do where it is large."""
     line = f"largest miss of an interval, in scales of the states: {accuracy.error:.1e} {accuracy.place}"
     if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
         line += f"; a mesh without error changes the objective by about {accuracy.change:.2g}"
@@ -220,7 +220,7 @@ def _mesh(accuracy: Accuracy, status: Status) -> str:
 
 
 @dataclasses.dataclass(frozen=True)
-class Tried:
+class Attempts:
     """Runs of the solver on a problem.
 
     Attributes:
@@ -287,12 +287,12 @@ class Tried:
 
 
 def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
-    """The parameters with those that were found."""
+    """The parameters, those that the solve has chosen among them."""
     return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
 
 
 def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
-    """The names of rows whose multipliers, scaled, are not nothing."""
+    """The names of constraints with a multiplier that is not zero, the largest first."""
     names, sizes = shooting.names, np.abs(outcome.scaled_rows)
     largest = largest_by_name([str(name) for name in names], sizes)
     return tuple(sorted((name for name, size in largest.items() if size > _ACTIVE), key=lambda n: -largest[n]))
@@ -301,7 +301,7 @@ def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
 def _message(
     shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
 ) -> str:
-    """The status, and where it is no success what does not hold: the worst constraint, the dynamics, the conditions."""
+    """The status, and of a failure the worst constraint and the errors."""
     if outcome.status is Status.REFUSED:
         return f"{outcome.status}. {outcome.refusal}"
     worst, count = [], shooting.intervals * shooting.n
@@ -332,7 +332,7 @@ def _message(
 
 
 def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
-    """Sentences on a row without slope, on a mesh that is too coarse, and on limits between nodes."""
+    """Sentences on constraints without slope, a coarse mesh, and limits exceeded between nodes."""
     sentences, accuracy = list[str](), outcome.accuracy
     if outcome.flat is not None:
         name, place, size = outcome.flat
@@ -365,7 +365,7 @@ def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
 
 
 def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
-    """A sentence on what is not finite at an end of a phase."""
+    """A sentence on an expression that is not finite at an end of a phase."""
     if outcome.status is not Status.NON_FINITE:
         return ""
     for part, segment in zip(problem.parts, problem.shooting.segments):
@@ -376,7 +376,7 @@ def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
-    """What it is, and where."""
+    """The first row or defect that is not finite."""
     values = outcome.values
     rows, defects = np.asarray(values.rows), np.asarray(values.defects)
     for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.decided)):

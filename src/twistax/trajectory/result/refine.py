@@ -85,7 +85,7 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
 
 
 def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: float) -> str:
-    """What a refinement that has come to its end has reached, and what else may help."""
+    """Why a refinement ended without success, how far it came, and what else may help."""
     last, accuracy = meshes[-1], result.accuracy
     limit = f"at most {_MESHES} meshes" if len(meshes) >= _MESHES else f"a finer mesh has more than {_NODES:,} nodes"
     moved = f", and the objective still changes by {change:.1g} of itself" if np.isfinite(change) else ""
@@ -98,19 +98,19 @@ def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: 
 
 
 def _trajectories(result: Any) -> list[Trajectory]:
-    """Of each phase, as it is solved."""
+    """The trajectory of each phase of a result."""
     problem, point = result.problem, result.warm.point
     pairs = zip(problem.parts, problem.shooting.segments, strict=True)
     return [Trajectory(**trajectory_at(part, segment.of(point), result.params)) for part, segment in pairs]
 
 
 def _states(trajectory: Trajectory) -> dict[str, Array]:
-    """All states at the nodes."""
+    """All states at the nodes, with those that bridges introduced."""
     return trajectory.xs | trajectory.added
 
 
 def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: bool) -> tuple[Any, WarmStart] | None:
-    """The problem on the next meshes with a start for it; None where these would be too large."""
+    """The problem on finer meshes and a warm start for it; None where these would be too large."""
     problem, segments = result.problem, result.problem.shooting.segments
     meshes, splits = [], []
     for trajectory, segment, interval_errors in zip(_trajectories(result), segments, errors):
@@ -165,7 +165,7 @@ def _marked(trajectory: Trajectory, point: Point) -> Array:
 
 
 def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
-    """What was found as a start on the next mesh: half of an interval has its controls, and half of its multipliers."""
+    """A warm start on finer meshes: halves of an interval have its controls, and half of its multipliers each."""
     warm, scales = result.warm, result.warm.scales
     old, new = result.problem.shooting, problem.shooting
     split = np.zeros(old.intervals, bool)
@@ -199,14 +199,14 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
 
 
 def _costates(dynamics: Array, split: Array) -> Array:
-    """Multipliers of the dynamics: those of the nodes, and between two of them their mean."""
+    """Multipliers of the dynamics on the finer mesh: between two nodes their mean."""
     at = np.flatnonzero(split)
     before = dynamics[np.maximum(at - 1, 0)]
     return np.insert(dynamics, at, 0.5 * (before + dynamics[at]), axis=0)
 
 
 class _Moved:
-    """Numbers of the rows of a phase, brought to its next mesh."""
+    """Maps numbers of the rows of a phase to its next mesh."""
 
     def __init__(self, old: Segment, new: Segment, split: Array) -> None:
         self._old, self._split = old.shooting, split
@@ -227,7 +227,7 @@ class _Moved:
 
 
 def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:
-    """Which of the old rows of an interval are at the place of each new one, or before it, and whether at it."""
+    """For each row of an interval on the next mesh the row at its place or before it, and whether it is at it."""
     points, row = np.divmod(new.asked, new.path_rows)
     place = points * substeps / finer
     where = {index: k for k, index in enumerate(old.asked)}

@@ -16,7 +16,7 @@ from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import Ambient
 from ..problem.statement import largest_by_name, violations
-from ..strategy.integration import Rollout
+from ..strategy.integration import CoreRollout
 from ..transcription.points import Point
 
 
@@ -80,7 +80,7 @@ def _need_finite(result: Any) -> None:
 
 
 def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
-    """All states along a rollout. Equal intervals are one integration, others one each."""
+    """The rollout by a method. Equal intervals are one integration, others one each."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
     ts, count, x = times_along(result, steps), problem.nodes - 1, _start(result)
@@ -106,7 +106,7 @@ def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
 
 
 def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
-    """The same by the solver's core, which compiles nothing for other numbers: not finite from where it fails."""
+    """The rollout by the solver's core, which compiles nothing for other numbers."""
     problem, us, (solved, border) = result.problem, lifted(result).us, result.solve
     columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
@@ -117,11 +117,11 @@ def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
     data = staged.numbers.vector(started.given)
     rolling = problem.transcription.rolling(steps)
-    return Rollout(staged.parts[0], rolling, staged.border.size, data).states(point)
+    return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 
 
 def _start(result: Any) -> dict[str, Array]:
-    """The first node, with what was added to the states."""
+    """All states at the first node."""
     return {name: np.asarray(values[0]) for name, values in lifted(result).xs.items()}
 
 
@@ -169,7 +169,7 @@ def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: fl
 
 
 def lifted(result: Any) -> Any:
-    """States and held controls of the system that is integrated; bounds on norms are as tight as they can be."""
+    """States and held controls of the system that is integrated; bounds of norms are tight."""
     return result.problem.lifted(result.ts, result.xs | result.added, result.us, result.params)
 
 
@@ -211,7 +211,7 @@ def _judged(result: Any, xs: dict[str, Array], steps: int) -> Replay:
 
 
 def _difference(group: Group, a: Array, b: Array) -> Array:
-    """The tangent from a to b."""
+    """The tangent from one element to another."""
     return np.ravel(b - a) if group.flat else np.asarray(_curved_difference(group, a, b))
 
 
@@ -229,7 +229,7 @@ def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[s
 
 
 def _shown_along(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> Array:
-    """The path rows as users wrote them along a rollout."""
+    """The path rows as stated, along a rollout."""
     problem = result.problem
     if not problem.path.shown:
         return np.zeros((1, 0))

@@ -16,7 +16,7 @@ from ..strategy.outcome import Outcome
 from ..transcription.points import Values
 from ..transcription.shooting import Segment
 from .pictures import animated, drawn
-from .quality import Quality, Tried, params_of
+from .quality import Attempts, Quality, params_of
 from .refine import Meshed
 from .replay import Replay
 from .trajectory import Trajectory, multipliers_of, trajectory_at, violations_of
@@ -120,7 +120,8 @@ class TrajectoryResult(Quality):
 class PhasedResult(TrajectoryResult):
     """The result of a problem that was stated as a list of phases: `phases`, `durations`.
 
-    Names have the phase's in front. The multipliers of the join before a phase are "join before <phase>: <state>".
+    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names have the phase's in front. The
+    multipliers of the join before a phase are "join before <phase>: <state>".
     """
 
     def replay(self, method: Any = None, steps: int = 20, **options: Any) -> Any:
@@ -129,8 +130,8 @@ class PhasedResult(TrajectoryResult):
         return tuple(phase.replay(method, steps, **options) for phase in self.phases)
 
 
-def best_result(problem: Any, tried: Tried) -> TrajectoryResult:
-    """The best of several tries."""
+def best_result(problem: Any, tried: Attempts) -> TrajectoryResult:
+    """The result of the best of several tries."""
     best, shooting = tried.best, problem.shooting
     params = params_of(problem.border, best, tried.params)
     solve = (problem, np.asarray(best.point.border)) if problem.alone else None
@@ -160,7 +161,7 @@ def best_result(problem: Any, tried: Tried) -> TrajectoryResult:
 
 
 def _of_phase(shooting: Any, best: Outcome, segment: Segment) -> Outcome:
-    """What a phase has of an outcome."""
+    """The part of an outcome that belongs to a phase."""
     n, stages = segment.shooting.n, segment.stages
     defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)
     return dataclasses.replace(

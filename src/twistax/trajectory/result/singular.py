@@ -46,7 +46,7 @@ def singular(problem: StatedPhase, point: Point, params: Mapping[str, Any], dura
 
 
 def _first(roots: list[Expr], inputs: Inputs) -> tuple[str, Expr] | None:
-    """What is not finite, and the expression, for the first node whose operands are finite."""
+    """The first expression that is not finite, whose operands are, and what it is."""
     values: dict[str, jax.Array] = {}
     read = lambda leaf: leaf.read(inputs)  # noqa: E731
     slopes: tuple[str, Expr] | None = None

@@ -145,7 +145,7 @@ def times_of(problem: StatedPhase, point: Point) -> Array:
 
 
 def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
-    """By the names of rows."""
+    """The multipliers of a phase by the names of its rows."""
     shooting = problem.shooting
     multipliers = {
         f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()
@@ -156,7 +156,7 @@ def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
 
 
 def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
-    """At the nodes, in the constraints' own units."""
+    """The violations at the nodes by name, in the units of the constraints."""
     shooting, path, point = problem.shooting, problem.path, outcome.point
     defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
     largest = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}

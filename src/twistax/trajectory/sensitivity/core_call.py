@@ -15,8 +15,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...errors import TrajectoryError
-from ...solver.core import Solution, Units
-from ...solver.core import Status as CoreStatus
+from ...solver.core import CoreSolution, CoreStatus, Units
 from ...solver.members import MEASURES, Solves
 from ...solver.options import Options
 from ..problem.problem import Problem
@@ -111,7 +110,7 @@ class CoreCall:
         arrays = {name: np.asarray(a) for name, a in values.items() if name not in MEASURES}
         status = CoreStatus(int(numbers.pop("status")))
         core.staged.set_given(instance)
-        result = Solution(status=status, **arrays, statistics=numbers, log=np.zeros((0, 10)))
+        result = CoreSolution(status=status, **arrays, statistics=numbers, log=np.zeros((0, 10)))
         outcome = core.measure.outcome(result, self.units, instance)
         if core.measure.violated_at_once(outcome.point, instance, self.units) > core.tolerance:
             return Status.INFEASIBLE

@@ -3,15 +3,13 @@
 from __future__ import annotations
 
 import copy
-import functools
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.core import Solution, StopCheck, Units, solve
-from ...solver.core import Status as CoreStatus
+from ...solver.core import CoreSolution, CoreStatus, StopCheck, Units, solve
 from ...solver.options import Options
 from ..hessians.options import by_updates
 from ..hessians.quasi_newton import StageUpdates
@@ -42,6 +40,14 @@ _FITTED_AT, _MISFIT = (7, 80), 10.0
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
 #: Options that change nothing of a start: it is only measured.
 _AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+
+
+class _Start(NamedTuple):
+    """Where a run begins, what it is for, and its units."""
+
+    point: Point
+    instance: Given
+    units: StartUnits
 
 
 class CoreSolver:
@@ -120,88 +126,78 @@ class CoreSolver:
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()
-        options = self.options(max_iterations)
-        call = functools.partial(self._call, point, instance, units)
+        begin, options = _Start(point, instance, units), self.options(max_iterations)
         violated = self.measure.violated_at_once(point, instance, units)
         if not violated <= self.tolerance:
             status = Status.INFEASIBLE if np.isfinite(violated) else Status.NON_FINITE
-            return self.measure.outcome(call({**options, "iterations": 0}), units, instance, status)
+            return self.measure.outcome(self._call(begin, {**options, "iterations": 0}), units, instance, status)
         check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
-            fitted = _FITTED_AT if rescaling and not as_stated else ()
-            return self._from_point(point, instance, units, options, check, fitted)
-        warm, violated = self._warm(point, start.dynamics, start.rows, units)
+            return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
+        warm, violated = self._warm(begin, start.dynamics, start.rows)
         if violated <= self.tolerance:
-            outcome = self._as_it_is(warm, point, instance, units)
+            outcome = self._as_it_is(warm, begin)
             if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
                 return outcome
         closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
         near = {"complementarity": closer, **_near(violated)}
-        return self.measure.outcome(call({**options, **near}, warm, check), units, instance)
+        return self.measure.outcome(self._call(begin, {**options, **near}, warm, check), units, instance)
 
     def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
         """How far a point with multipliers is from the conditions of an optimum, in units that fit it."""
-        units = self.units(point, instance)
-        return self._as_it_is(self._warm(point, dynamics, rows, units)[0], point, instance, units)
+        start = _Start(point, instance, self.units(point, instance))
+        return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
 
-    def _as_it_is(self, warm: Solution, point: Point, instance: Given, units: StartUnits) -> Outcome:
+    def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
         """How far a warm start is from the conditions of an optimum."""
-        result = self._call(point, instance, units, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
-        return self.measure.outcome(result, units, instance, warm=True)
+        result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self.measure.outcome(result, start.units, start.instance, warm=True)
 
     def _from_point(
-        self,
-        point: Point,
-        instance: Given,
-        units: StartUnits,
-        options: dict[str, float],
-        check: _IterationCheck,
-        fitted: Sequence[int],
+        self, start: _Start, options: dict[str, float], check: _IterationCheck, fitted: Sequence[int]
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
         left = list(fitted)
         while True:
-            fresh: StartUnits | None = None
+            fresh: _Start | None = None
 
-            def is_misfit(iteration: int, z: Array, used: StartUnits = units) -> bool:
-                nonlocal fresh, point
+            def is_misfit(iteration: int, z: Array, used: _Start = start) -> bool:
+                nonlocal fresh
                 if not left or iteration < left[0]:
                     return False
                 del left[0]
-                here = self.staged.point(z.copy())
-                measured = StartUnits(self.staged, here)
-                if measured.distance(used) > np.log(_MISFIT):
-                    fresh, point = measured, here
+                point = self.staged.point(z.copy())
+                units = StartUnits(self.staged, point)
+                if units.distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, units)
                 return fresh is not None
 
             check.extra = is_misfit
-            result = self._call(point, instance, units, options, None, check)
+            result = self._call(start, options, None, check)
             check.before += int(result.statistics["iterations"])
             if fresh is None:
                 break
-            options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
+            options, start = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
         result.statistics["iterations"] = check.before
-        return self.measure.outcome(result, units, instance)
+        return self.measure.outcome(result, start.units, start.instance)
 
     def _call(
         self,
-        point: Point,
-        instance: Given,
-        units: StartUnits,
+        start: _Start,
         options: dict[str, float],
-        warm: Solution | None = None,
+        warm: CoreSolution | None = None,
         check: StopCheck | None = None,
-    ) -> Solution:
+    ) -> CoreSolution:
         """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
-        staged, functions = self.staged, self.staged.transcription.functions
+        staged, units, functions = self.staged, start.units, self.staged.transcription.functions
         if self._by_updates:
             functions = StageUpdates(staged.transcription, units.v, units.cost).functions
         result = solve(
             staged.transcription.stages,
             functions,
-            *staged.limits(point, instance),
-            staged.flat(point),
-            staged.coordinates(point),
+            *staged.limits(start.point, start.instance),
+            staged.flat(start.point),
+            staged.coordinates(start.point),
             units=Units(units.v, units.rows, units.equalities, COST * units.cost),
             largest_step=self.largest_step,
             options=Options(**options),
@@ -212,16 +208,16 @@ class CoreSolver:
             result.status = CoreStatus.STALLED
         return result
 
-    def _warm(self, point: Point, dynamics: Array, rows: Array, units: StartUnits) -> tuple[Solution, float]:
+    def _warm(self, start: _Start, dynamics: Array, rows: Array) -> tuple[CoreSolution, float]:
         """A warm start for the core, and the largest violation there in the core's units."""
-        staged = self.staged
+        staged, units = self.staged, start.units
         y, ye, zl, zu = staged.split_rows(np.asarray(rows))
-        z, v = staged.flat(point), staged.coordinates(point)
+        z, v = staged.flat(start.point), staged.coordinates(start.point)
         at = Evaluated(staged.transcription, z)
         parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
         violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)
         slacks, lam = np.maximum(-at.h, 0.0), staged.unpadded(dynamics)
-        return Solution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
+        return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
 
 
 def _near(violated: float) -> dict[str, float]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...solver.kernels import Argument
-from ...solver.transcription import INEQUALITY, NONE, Phase, Transcription
+from ...solver.transcription import INEQUALITY, NONE, CorePhase, Transcription
 from ..transcription.evaluation import Evaluated, moved
 from ..transcription.methods import Collocation, MultipleShooting
 from ..transcription.points import Given, Point
@@ -46,7 +46,7 @@ class CloseIntegration:
     """
 
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given) -> None:
-        self._staged, self._phases = staged, list[Phase]()
+        self._staged, self._phases = staged, list[CorePhase]()
         for part, problem in zip(staged.parts, problems):
             method = problem.transcription.finer.scheme
             shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
@@ -120,7 +120,7 @@ class CloseIntegration:
         return Changes(rows, cost)
 
 
-class Rollout:
+class CoreRollout:
     """Rolls the controls of a phase out.
 
     Args:

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.core import Solution
-from ...solver.core import Status as CoreStatus
+from ...solver.core import CoreSolution, CoreStatus
 from ..start_units import StartUnits
 from ..transcription.evaluation import Evaluated
 from ..transcription.points import Given, Point, Values
@@ -80,7 +79,7 @@ class Measure:
 
     @np.errstate(all="ignore")
     def outcome(
-        self, result: Solution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
+        self, result: CoreSolution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
     ) -> Outcome:
         """What came out; the status is that of the core unless it is known."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
@@ -121,7 +120,7 @@ class Measure:
             units=units,
         )
 
-    def _status(self, result: Solution, violated: float, errors: Errors) -> Status:
+    def _status(self, result: CoreSolution, violated: float, errors: Errors) -> Status:
         numbers, tolerance = result.statistics, self._tolerance
         holds = numbers["violation"] <= tolerance and violated <= tolerance
         optimal = max(errors.stationarity, errors.complementarity, errors.gap) <= tolerance

@@ -61,8 +61,8 @@ class Outcome:
 
     def refused(self, refusal: str) -> Outcome:
         """That of a case which was not solved, of the same shapes: all numbers are NaN."""
-        others = ("status", "iterations", "accuracy", "units", "flat", "saddle", "refusal")
-        numbers = {name: value for name, value in self._asdict().items() if name not in others}
+        names = [field.name for field in dataclasses.fields(self) if field.default is dataclasses.MISSING]
+        numbers = {name: getattr(self, name) for name in names if name not in ("status", "iterations")}
         nothing = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)
         return Outcome(**nothing, status=Status.REFUSED, iterations=0, refusal=refusal)
 

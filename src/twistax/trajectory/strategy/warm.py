@@ -13,7 +13,7 @@ from ...checks import short, whole
 from ...errors import TrajectoryError
 from ...jax_inside import in_double
 from ..start_units import StartUnits
-from ..strategy.integration import Rollout
+from ..strategy.integration import CoreRollout
 from ..transcription.points import Given, Point
 from .outcome import Scales
 
@@ -64,7 +64,7 @@ class WarmStart:
             instance = self.problem.started(begin=point).given._replace(params=self.params)
             staged = self.problem.core(1e-6, point, instance).staged
             last, data = staged.parts[0], staged.numbers.vector(instance)
-            rollout = Rollout(last, problem.transcription, staged.border.size, data)
+            rollout = CoreRollout(last, problem.transcription, staged.border.size, data)
             nodes = list(last.point.joined(point.xs, 1))
             for _ in range(steps):
                 ends = rollout.interval(shooting.intervals - 1, nodes[-1], rest, nodes[-1], np.ravel(point.border))

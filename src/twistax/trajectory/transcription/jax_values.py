@@ -17,7 +17,7 @@ import numpy as np
 from ...scalar.backends import XLA, chosen
 from ...scalar.fast import fast
 from ...scalar.targets.llvm.backend import Auto, Native, installed
-from ...solver.transcription import Method
+from ...solver.transcription import Scheme
 from ...system.dynamics import Arrays
 from .points import Given, Point, Values
 from .shooting import Shooting
@@ -108,7 +108,7 @@ class JaxValues:
 _Slope = Callable[[int, jax.Array], jax.Array]
 
 
-def _explicit(method: Method, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
+def _explicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
     """The stages of a substep, one after the other, and their slopes."""
     points, slopes = list[jax.Array](), list[jax.Array]()
     for k, weights in enumerate(method.a):
@@ -117,7 +117,7 @@ def _explicit(method: Method, length: Any, eta: jax.Array, slope: _Slope) -> tup
     return jnp.stack(points), jnp.stack(slopes)
 
 
-def _implicit(method: Method, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
+def _implicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
     """The same of stages that are solved for together, by Newton's method."""
     a, (count, n) = length * jnp.asarray(method.a, eta.dtype), (len(method.b), len(eta))
 

@@ -85,7 +85,7 @@ class Local:
         Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), for the other side.
         """
         exprs = {s.name: [e] for s, e in zip(self._dynamics.states, self.expressions.rates, strict=True)}
-        rates = self._dynamics._functions.values(exprs, False, at.t, at.x, at.u, at.params)
+        rates = self._dynamics._functions.values(exprs, False, at.t, dict(at.x), dict(at.u), dict(at.params))
         parts = []
         for name, factor in self.group.factors.items():
             rate = rates[name].reshape(-1)

@@ -13,7 +13,7 @@ from ...errors import TrajectoryError
 from ...integrators import RKMK, ImplicitRKMK, Method
 from ...integrators.tableaus import DOP853, RK4, CollocationTableau
 from ...linear.discretize import method_of
-from ...solver.transcription import Method as Scheme
+from ...solver.transcription import Scheme
 
 #: Steps of a close integration of an interval at least, for limits are checked at their ends; an even number.
 _LOOKS = 8

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Phase, PhaseKernels
+from ...solver.transcription import EQUALITY, INEQUALITY, NONE, CorePhase, JoinKernels, PhaseKernels
 from ..problem.conditions import Conditions
 from .kernels import point_of
 from .shooting import Segment, Shooting
@@ -61,7 +61,7 @@ class StagedPhase:
         self.bounds = _bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
         kinds[self.bounds.rows] = NONE
-        self.phase = Phase(
+        self.phase = CorePhase(
             shooting.n,
             shooting.m,
             self.point.size,

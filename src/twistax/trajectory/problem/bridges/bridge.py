@@ -59,7 +59,7 @@ class Statement(NamedTuple):
 
 
 def place_of(node: int, last: int) -> str:
-    """What a node is called in names of conditions."""
+    """The name of a node in the names of its conditions."""
     return {0: "initial", last: "final"}.get(node, f"node {node}")
 
 
@@ -119,12 +119,12 @@ class Path:
     sizes: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     def sized(self, side: float = 1.0) -> Path:
-        """The same, with controls that are nothing beside their sizes at these, or at their opposites."""
+        """The same path, in which controls that are nearly zero have their typical sizes, or the opposites of these."""
         sizes = {name: side * size for name, size in self.sizes.items()}
         return dataclasses.replace(self, xs=_sized(self.xs, sizes), us=_sized(self.us, sizes))
 
     def add_bounds(self, bounds: Mapping[str, Expr]) -> None:
-        """Bounds a little above sizes of controls, by name; controls that are nothing count with their sizes."""
+        """Start bounds slightly above what they bound; controls that are nearly zero count with typical sizes."""
         sized = self.sized()
         for name, values in bounds_along(bounds, sized.xs | sized.us, self.params).items():
             (self.us if name in self.us else self.xs)[name] = above(values)
@@ -150,15 +150,15 @@ class Bridge:
     free: Mapping[str, tuple[Any, Any]] = {}
 
     def complete(self, guess: Path) -> None:
-        """Put what it added into a guess, so that it fits what was there before."""
+        """Add initial values of the states and controls that this bridge introduced."""
 
     def parameters(self, guess: Path, phase: Any) -> dict[str, Array]:
-        """Values of the parameters that it added, by a complete guess of the phase."""
+        """Initial values of the parameters that this bridge introduced, from a complete guess."""
         return {}
 
     def forward(self, path: Path) -> None:
-        """Put what it added into a trajectory as stated; bounds are as tight as they can be."""
+        """Add what this bridge introduced to a trajectory as stated; bounds are tight."""
 
     def back(self, xs: dict[str, Any], us: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """States and controls without what it added."""
+        """Remove what this bridge introduced from states and controls."""
         return xs, us

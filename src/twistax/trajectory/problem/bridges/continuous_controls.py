@@ -85,19 +85,19 @@ class ContinuousControls(Bridge):
         self.statement = statement
 
     def _add(self, leaf: Control, spline: Spline) -> None:
-        """A continuous control as states."""
+        """Replace a continuous control by a chain of states with a held last derivative."""
         states, last = self._chains[leaf.name] = spline.leaves(leaf)
         self.rates[last.name] = len(states)
         self._exchange |= {leaf.key(): states[0], last.key(): last}
         self._exchange |= {Control(s.name, s.shape).key(): s for s in states[1:]}
 
     def put(self, expr: Expr, last: bool = False) -> Expr:
-        """The same expression, restated. At the last node time is the final time."""
+        """An expression with states for continuous controls and time. At the last node time is the final time."""
         clock = Time().key()
         return substitute(expr, {key: e for key, e in self._exchange.items() if not (last and key == clock)})
 
     def _compiled(self, dynamics: Dynamics, rows: Mapping[str, Constraint], clock: State) -> Dynamics:
-        """The system with continuous controls as states, and its own time if nodes are free."""
+        """The system with continuous controls as states, and with a clock if node times are free."""
         rates: dict[State, Any] = {}
         for states, last in self._chains.values():
             rates |= zip(states, [*states[1:], last])
@@ -110,12 +110,12 @@ class ContinuousControls(Bridge):
 
     @property
     def smooth(self) -> Collection[str]:
-        """The names of the continuous controls, and of continuous bounds on their sizes."""
+        """The names of the continuous controls, and of continuous bounds on their norms."""
         return self._smooth.keys()
 
     @property
     def derivatives(self) -> dict[str, str]:
-        """Name of a held derivative of a continuous control -> what it is, in the language."""
+        """Name of the held derivative of a continuous control -> the expression that users write for it."""
         return {
             last.name: f"{'Rate(' * len(states)}{name}{')' * len(states)}"
             for name, (states, last) in self._chains.items()
@@ -124,7 +124,7 @@ class ContinuousControls(Bridge):
     # ---- between what users see and what is solved ------------------------------------------------------------------
 
     def times(self, xs: Mapping[str, Any], shares: Array) -> Any:
-        """The times of the nodes, given the states there and the times at their shares."""
+        """The times of the nodes, by the states there and the times at which fixed nodes would lie."""
         return shares if self.pace is None else xs[_CLOCK]
 
     def back(self, xs: dict[str, Any], us: dict[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
@@ -132,7 +132,7 @@ class ContinuousControls(Bridge):
         return seen, {c.name: xs[c.name] if c.name in self._smooth else us[c.name] for c in self.controls}
 
     def held(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Array]:
-        """The held controls of the restated system, from what users see and all states at the nodes."""
+        """The held controls of the system after the bridge, by the controls and states of a trajectory."""
         controls = {name: values for name, values in us.items() if name not in self._smooth}
         steps = np.diff(ts)
         for states, last in self._chains.values():
@@ -143,7 +143,7 @@ class ContinuousControls(Bridge):
         return controls
 
     def over_time(self, ts: Array, us: Mapping[str, Array], xs: Mapping[str, Array]) -> dict[str, Any]:
-        """The controls that users see as tables over time, from them and all states at the nodes."""
+        """The controls of a trajectory as functions of time."""
         tables: dict[str, Any] = {}
         derivatives = self.held(ts, us, xs)
         for name, values in us.items():
@@ -168,12 +168,12 @@ class ContinuousControls(Bridge):
         path.us = self.held(path.ts, path.us, path.xs)
 
     def at_rest(self, controls: dict[str, Any]) -> dict[str, Any]:
-        """Held controls under which linear ones stay as they are, and splines go on as their derivatives say."""
+        """Held controls that keep linear controls constant, and let splines continue with their derivatives."""
         return {name: 0.0 * values if name in self.rates else values for name, values in controls.items()}
 
 
 def _with_bounds(objective: Objective, smooth: set[str]) -> tuple[Expr | None, list[tuple[Control, Expr]]]:
-    """The running cost with a bound, a linear control of its own, in place of each size of continuous controls."""
+    """The running cost with a linear control in place of each norm of continuous controls, and what that bounds."""
     running, controls, sizes = sizes_in(objective.running, objective.sign)
     bounds, back = [], {}
     for bound, size in zip(controls, sizes):

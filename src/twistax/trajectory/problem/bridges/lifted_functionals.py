@@ -102,7 +102,7 @@ class LiftedFunctionals(Bridge):
         self.free = {name: (None, None) for _, name in self.extremes.values()}
 
     def _smooth_bounds(self, controls: Mapping[str, Spline]) -> dict[str, Spline]:
-        """Bounds of continuous controls go on like these, linear in time."""
+        """Bounds on norms of continuous controls are linear in time."""
         return {
             name: Linear()
             for name, part in self.bounds.items()
@@ -128,7 +128,7 @@ class LiftedFunctionals(Bridge):
         return {s.name: xs[s.name] for s in self.states}, {n: a for n, a in us.items() if n not in self.bounds}
 
     def extremes_of(self, rows: Array, names: Sequence[str], params: Mapping[str, Array]) -> dict[str, Array]:
-        """Name of a parameter -> the extreme it stands for, given rows (points, rows) and their names."""
+        """Name of the parameter of an extreme -> its value along rows (points, rows) with these names."""
         extremes = {}
         for row, (leaf, name) in self.extremes.items():
             entries = [k for k, shown in enumerate(names) if shown == row or shown.startswith(f"{row}[")]
@@ -138,7 +138,7 @@ class LiftedFunctionals(Bridge):
     # ---- what becomes of a functional ---------------------------------------------------------------------------
 
     def _add(self, dynamics: Dynamics, leaf: Functional) -> None:
-        """Put it in place, once."""
+        """Replace a functional by a state or a parameter, once."""
         if leaf.key() in self._exchange:
             return
         for part in _functionals([leaf.operand]):
@@ -172,7 +172,7 @@ class LiftedFunctionals(Bridge):
             self.starts[name], self._exchange[leaf.key()] = leaf.operand, state
 
     def _bounded(self, leaf: Functional) -> Expr:
-        """The integrand with a bound in place of each norm of controls that jump at nodes, or of such that do not."""
+        """The integrand with a bound in place of each norm of controls that are all held, or all continuous."""
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
             if is_size(part) and factor > 0.0 and not is_mixed(part, self._smooth):
@@ -189,7 +189,7 @@ class LiftedFunctionals(Bridge):
 
 
 def _check_places(statement: Statement) -> None:
-    """Raise ModelError where a functional has no meaning, or would be unbounded."""
+    """Raise ModelError for a functional where it has no meaning, or where its bound would be unbounded."""
     objective = statement.objective
     for node, rows in statement.rows.items():
         for name, constraint in rows.items():
@@ -218,7 +218,7 @@ def _check_places(statement: Statement) -> None:
 
 
 def functionals_of(*exprs: Expr) -> list[Functional]:
-    """The functionals that expressions read, each once, also those inside of others."""
+    """The functionals in expressions, each once, with those nested in others."""
     functionals: dict[str, Functional] = {}
     for leaf in _functionals(exprs):
         functionals.setdefault(leaf.key(), leaf)
@@ -249,7 +249,7 @@ def _check_pushed(place: str, expr: Expr, sign: float) -> None:
 
 
 def _pushed_down(objective: Objective, constraints: Iterable[Constraint]) -> set[str]:
-    """The keys of integrals that stand in sums of inequalities alone, each of which wants less of them."""
+    """The keys of integrals that only inequalities limit from above."""
     seen = {leaf.key() for leaf in _functionals(e for e in (objective.final, objective.running) if e is not None)}
     low, other = set[str](), seen
     for constraint in constraints:
@@ -260,7 +260,7 @@ def _pushed_down(objective: Objective, constraints: Iterable[Constraint]) -> set
 
 
 def _with_running(objective: Objective) -> Objective:
-    """The objective with integrals that stand in its sum as running cost: they need no state."""
+    """The objective with integrals in its sum as running cost: they need no state."""
     if objective.final is None or not any(isinstance(leaf, Integral) for leaf in _functionals([objective.final])):
         return objective
     terms = linear_terms(objective.final.canonicalize())

@@ -75,7 +75,7 @@ class NodeSlacks(Bridge):
         self.free = {name: (None if is_free(slack.soft) else 0.0, None) for name, slack in self.slacks.items()}
 
     def _soften(self, place: str, name: str, soft: Soft, front: str, rows: dict[str, Constraint]) -> Expr:
-        """Make it hard; its price."""
+        """Add the hard constraint with a slack to the rows, and return the price of the slack."""
         residual = residual_of(soft.constraint)
         slack = Parameter(free_name(f"{front}slack of {place}: {name}", self.slacks), residual.check_shape())
         if is_free(soft) and isinstance(soft.constraint, Equality):
@@ -89,18 +89,18 @@ class NodeSlacks(Bridge):
 
     @property
     def without(self) -> dict[str, Array]:
-        """Slacks with which residuals are those of the soft constraints."""
+        """Zero for every slack: with these, residuals are those of the soft constraints."""
         return {name: np.zeros(slack.parameter.shape) for name, slack in self.slacks.items()}
 
     @property
     def rows(self) -> set[str]:
-        """Names of the entries of soft constraints."""
+        """Names of the entries of soft conditions."""
         return {row for slack in self.slacks.values() for row in slack.rows}
 
     def values(
         self, conditions: Mapping[int, Conditions], xs: Mapping[str, Array], ts: Array, params: Mapping[str, Array]
     ) -> dict[str, float]:
-        """The residuals of soft constraints by the names of their entries, at nodes along a trajectory."""
+        """The residuals of soft conditions along a trajectory, by the names of their entries."""
         residuals, wanted = dict[str, float](), self.rows
         if not wanted:
             return residuals
@@ -115,7 +115,7 @@ class NodeSlacks(Bridge):
     def violations(
         self, conditions: Mapping[int, Conditions], xs: Mapping[str, Array], ts: Array, params: Mapping[str, Array]
     ) -> dict[str, float]:
-        """How far soft constraints are from holding, by the names of their entries."""
+        """The violations of soft conditions along a trajectory, by the names of their entries."""
         values = self.values(conditions, xs, ts, params)
         equal = {row: isinstance(s.soft.constraint, Equality) for s in self.slacks.values() for row in s.rows}
         return {name: abs(value) if equal[name] else max(value, 0.0) for name, value in values.items()}
@@ -131,7 +131,7 @@ class NodeSlacks(Bridge):
 
 
 def is_free(soft: Soft) -> bool:
-    """Whether its slack needs no limit."""
+    """Whether a slack of the constraint may be negative: without `l1` its price is smooth."""
     return soft.l1 is None
 
 
@@ -172,7 +172,7 @@ class PathBounds(Bridge):
         self.controls = (*bounds, *self.slacks.values())
 
     def asked(self, name: str, residual: Expr, is_equality: bool) -> list[tuple[Expr, bool]]:
-        """The residuals that stand for that of a constraint along the path, and which are equalities."""
+        """The residuals that replace that of a constraint along the path, each with whether it is an equality."""
         if name not in self.soft:
             return [(residual, is_equality)]
         if name not in self.slacks:
@@ -235,7 +235,7 @@ def _size(values: Array, is_equality: bool) -> Array:
 
 
 def _start(values: Array, is_equality: bool) -> Array:
-    """A little above the violations that residuals are."""
+    """Slacks slightly above the violations that these residuals mean."""
     values = np.where(np.isfinite(values), values, 0.0)
     most = np.abs(values).max(initial=0.0) or 1.0
     return np.maximum(_size(values, is_equality), 0.0) + _ABOVE * most
