@@ -99,7 +99,7 @@ def with_options(
             try:
                 first = [*arguments[: len(names)], *(named[name] for name in names[len(arguments) :])]
                 fields = {name: value for name, value in named.items() if name not in names}
-                options = record(*arguments[len(names) :], **fields)  # type: ignore[arg-type]
+                options = record(*arguments[len(names) :], **fields)
                 assert len(fields) == len(named) - max(len(names) - len(arguments), 0)
             except (TypeError, KeyError, AssertionError):
                 try:
@@ -194,7 +194,6 @@ def _method_of(dynamics: Dynamics, options: Options) -> Method:
 
 
 def _inputs_of(dynamics: Dynamics, x0: Any, options: Options, controls: Signals) -> Inputs:
-    """Start, controls at the start and parameters, checked. Raises InputError."""
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
     dtype = precision(x0, options.params)
     u = _controls_at_start(dynamics, controls, options.t0, dtype)

@@ -58,7 +58,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """Says what is wrong with a term, where diffrax would only say that it does not fit."""
+    """Names what is wrong with a term, which diffrax does not."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))

@@ -1,4 +1,4 @@
-"""The search of a step for the times at which the conditions of an integration become zero, and what follows there."""
+"""The search of a step for the roots of event conditions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...scalar.small_call import held, small_call
-from ..loop.kernels import Packed, beside, in_one, opened
+from ..loop.kernels import Packed, in_one, opened, shared_kernel
 from ..loop.outcome import Halt, Result, Watched
 from ..method import Stepper
 from .conditions import Advance, Watch
@@ -74,7 +74,7 @@ class _Along(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _Task:
-    """A job as loops carry it."""
+    """A job, packed for a loop."""
 
     job: Any  # packed
     place: Any  # where the condition is to be evaluated for it
@@ -82,7 +82,7 @@ class _Task:
 
 
 class _Root(NamedTuple):
-    """A root of a condition, where the last place is one."""
+    """Whether the last place is a root of a condition, and of which."""
 
     stops: jax.Array  # whether it is there, of an event that ends the integration
     crosses: jax.Array  # whether it is there, of one that does not
@@ -106,10 +106,10 @@ class _Halted(NamedTuple):
         return halted
 
 
-def watched_along(
+def find_crossings(
     watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, known: Watched, taken: Any, ends: Any
 ) -> Watched:
-    """What is known of the conditions after a step.
+    """The state of the events after a step.
 
     Args:
         taken: whether the step counts.
@@ -121,12 +121,12 @@ def watched_along(
 
         def at(share: jax.Array) -> jax.Array:
             moved = advance(share * h)
-            return beside(Watch.values, watch, stepper, t, h, t + share * h, moved)
+            return shared_kernel(Watch.values, watch, stepper, t, h, t + share * h, moved)
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
         known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
     states = y, stride.end, inside
-    samples, after, first = beside(_first, watch, stepper, t, h, states, known.values, ends)
+    samples, after, first = shared_kernel(_first, watch, stepper, t, h, states, known.values, ends)
     before = None if known.crossed is None else known.crossed.used
 
     def goes_on(now: tuple[_Task, Watched]) -> jax.Array:
@@ -138,7 +138,7 @@ def watched_along(
         halted = _Halted(known.halt, known.y)
         # Hundreds of scalars: as part of the loop they take XLA longer than all else.
         inputs = (samples, task, halted), (stride.steps, y), advance(task.place)
-        following, halted, row, crosses = beside(_next, watch, stepper, t, h, *inputs)
+        following, halted, row, crosses = shared_kernel(_next, watch, stepper, t, h, *inputs)
         if known.crossed is not None:
             nothing = known.crossed, row, jnp.asarray(False)
             crossed, left_out, full = jax.lax.cond(

@@ -1,4 +1,4 @@
-"""What is said after an integration that ended early: time, states, the likely cause and what to do.
+"""The error of an integration that ended early: time, states, the likely cause and what to do.
 
 Everything is made from numbers that the integration left behind, by NumPy: an error compiles nothing.
 """

@@ -1,4 +1,4 @@
-"""What a loop over steps leaves behind, and how an integration ends."""
+"""What the loop over steps returns, and how an integration ends."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Trail(NamedTuple):
 
 
 class Saved(NamedTuple):
-    """What a loop over steps leaves behind for the saved times, all with a leading axis n."""
+    """The states from which the saved times are reached, all with a leading axis n."""
 
     steps: jax.Array  # the accepted steps before each
     t: jax.Array  # time and stored state after that many steps
@@ -86,7 +86,7 @@ class Halt(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Watched:
-    """What a loop over steps knows of the conditions."""
+    """The state of the events in the loop over steps."""
 
     values: Any  # (m,) where the next step begins; the last ones that were not NaN
     met: Any  # (m,) whether each was zero, or past it, at the start
@@ -97,7 +97,7 @@ class Watched:
     crossed: Any = None
 
     def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> Watched:
-        """What the loop leaves behind, after so many accepted steps; `read` unpacks a state."""
+        """The state after the loop, with so many accepted steps; `read` unpacks a state."""
         table: CrossingTable | None = self.crossed
         crossed = None if table is None else table.rows(read, steps, self.halt.s)
         return dataclasses.replace(self, y=read(self.y), crossed=crossed)
@@ -106,7 +106,7 @@ class Watched:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What a loop over steps leaves behind. It halts before the step with an event."""
+    """The result of the loop over steps. It halts before the step with an event."""
 
     end: Any  # the stored state it reached
     outcome: Any

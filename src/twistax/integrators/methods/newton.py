@@ -97,7 +97,7 @@ class Factors:
         self.real, self.pairs = inverses[:count], inverses[count:]
 
     @staticmethod
-    def found(tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> tuple[Parts, ...]:
+    def inverses_of(tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> tuple[Parts, ...]:
         """The inverses for a step of length h."""
         eye, scaled = jnp.eye(J.shape[0], dtype=J.dtype), h * J
         real = [inverse((mu * eye - scaled,)) for mu in tableau.real]
