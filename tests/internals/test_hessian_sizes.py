@@ -11,7 +11,7 @@ import twistax as tx
 from oracles import skew
 from twistax.report.sections import hessians as of_the_arm
 from twistax.scalar.graph import TooLarge
-from twistax.system.system import hessian as hessians
+from twistax.system import hessian as hessians
 
 RNG = np.random.default_rng(0)
 

@@ -9,12 +9,12 @@ from typing import Any
 
 import jax
 import numpy as np
-from twistax.system.system.export.saved import read_nodes, write_nodes
 
 import twistax as tx
 import twistax.mechanics
 from twistax.expr import Example, Expr, all_nodes, leaves_of
 from twistax.groups import SpecialOrthogonal
+from twistax.system.export.saved import read_nodes, write_nodes
 
 
 def again(dynamics: tx.Dynamics, folder: Path) -> tx.Dynamics:

@@ -11,7 +11,7 @@ import pytest
 
 import twistax as tx
 from twistax.scalar.graph import TooLarge
-from twistax.system.system import jacobian
+from twistax.system import jacobian
 
 V, mass = tx.State("V", (6,)), tx.State("mass")
 

@@ -15,7 +15,7 @@ import twistax as tx
 from oracles import skew
 from twistax.expr import Expr
 from twistax.scenes import SCENES
-from twistax.system.system import hessian as hessians
+from twistax.system import hessian as hessians
 
 mp = pytest.importorskip("mpmath")
 

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from twistax.system.system.export.casadi_function import expression
 
 import twistax as tx
 from twistax.scalar.primitives.entry import convert
 from twistax.scalar.primitives.table import OPERATIONS
+from twistax.system.export.casadi_function import expression
 
 
 @pytest.fixture
