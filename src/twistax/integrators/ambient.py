@@ -16,7 +16,7 @@ from ..system.dynamics import Arrays, Dynamics, need_compiled
 from .controls import OfTime, controls_of
 
 
-class Ambient:
+class AmbientSystem:
     """A system's state and rates in numbers that a general ODE solver can add and scale.
 
     Poses become [quaternion, position] (7,), rotations quaternions (4,), w first, or both stay matrices; states

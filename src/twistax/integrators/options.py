@@ -37,6 +37,9 @@ Second = TypeVar("Second")
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
+#: The methods of fixed and of adaptive steps, and the step control, unless given.
+_FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
+
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StepOptions:
@@ -185,7 +188,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
 def _method_of(dynamics: Dynamics, options: Options) -> Method:
     method = options.method
     if method is None:
-        method = RKMK(DOP853, Ambient()) if options.adaptive else RKMK(RK4)
+        method = _ADAPTIVE if options.adaptive else _FIXED
     instance("method", method, Method, "an object like tx.RKMK(tx.tableaus.RK4)", InputError)
     if dynamics.system.corrections:
         method = projected(method)
@@ -243,7 +246,7 @@ def _adaptive_steps(
         need_held("dt", real_array("dt", dt), dtype)
     first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
     tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
-    control = options.control or StepControl()
+    control = options.control or _CONTROL
     return AdaptiveSteps(start, first, stops, tolerances, control, options.dense, options.between, watch)
 
 

@@ -17,25 +17,34 @@ from ..events.crossings import CrossingTable
 class Result(enum.IntEnum):
     """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
 
-    SUCCESS = 0, "the end time was reached"
-    NON_FINITE = 1, "a state became infinite or NaN"
-    MAX_STEPS = 2, "the steps ran out before the end time"
-    STEP_TOO_SMALL = 3, "no step is small enough for the tolerances"
-    NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
-    EVENT = 5, "an event stopped it"
-    NO_EVENT = 6, "a phase ended without its event"
-    MAX_CROSSINGS = 7, "there was no room for another crossing"
+    SUCCESS = 0
+    NON_FINITE = 1
+    MAX_STEPS = 2
+    STEP_TOO_SMALL = 3
+    NEWTON_FAILED = 4
+    EVENT = 5
+    NO_EVENT = 6
+    MAX_CROSSINGS = 7
 
-    #: What happened, in plain words.
-    sentence: str
-
-    def __new__(cls, code: int, sentence: str = "") -> Result:
-        result = int.__new__(cls, code)
-        result._value_, result.sentence = code, sentence
-        return result
+    @property
+    def sentence(self) -> str:
+        """What happened, in plain words."""
+        return _SENTENCES[self]
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
+
+
+_SENTENCES = {
+    Result.SUCCESS: "the end time was reached",
+    Result.NON_FINITE: "a state became infinite or NaN",
+    Result.MAX_STEPS: "the steps ran out before the end time",
+    Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
+    Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
+    Result.EVENT: "an event stopped it",
+    Result.NO_EVENT: "a phase ended without its event",
+    Result.MAX_CROSSINGS: "there was no room for another crossing",
+}
 
 
 @jax.tree_util.register_dataclass

@@ -21,7 +21,7 @@ from ..charts.chart import Chart, Exponential, chart_of
 from ..charts.coordinates import Blocks
 from ..method import Carry, ChartMethod, StepAttempt, VectorField
 from ..step_control import Tolerances
-from ..tableaus import ButcherTableau, Stages
+from ..tableaus import ButcherTableau, StageRows
 from .interpolant import interpolant
 
 Aside = TypeVar("Aside")
@@ -169,7 +169,7 @@ class Slopes(NamedTuple):
 
 
 def stage_slopes(
-    stages: Stages,
+    stages: StageRows,
     slope: Callable[[jax.Array, Any], tuple[Any, Aside]],
     first: Any,
     aside: Aside,

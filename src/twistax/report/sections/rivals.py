@@ -17,7 +17,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...integrators.ambient import Ambient
+from ...integrators.ambient import AmbientSystem
 from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
 from ...trajectory.problem.conditions import split
@@ -99,7 +99,7 @@ class Rival:
         return Found(said["value"], said["converged"], path, *(said[n] for n in ("iterations", "initialize", "solve")))
 
     def _numbers(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """Our states as `Ambient` has them, of theirs; leading axis the points."""
+        """Our states as `AmbientSystem` has them, of theirs; leading axis the points."""
         found = {}
         for state in self.known.problem.dynamics.system.states:
             parts = self.parts.get(state.name)
@@ -112,7 +112,7 @@ class Rival:
         return {c.name: np.asarray(values[c.name]).reshape(-1, *c.shape) for c in leaves}
 
     def _states(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        read = Ambient(self.known.problem.dynamics).from_ambient
+        read = AmbientSystem(self.known.problem.dynamics).from_ambient
         return {n: np.asarray(a) for n, a in jax.jit(jax.vmap(read))(self._numbers(values)).items()}
 
     def trajectory(self, nodes: Mapping[str, Any], held: bool) -> Trajectory:
@@ -132,7 +132,7 @@ class Rival:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
         stated, system = problem.stated, problem.dynamics.system
-        plain, points = Ambient(problem.dynamics), self._numbers(said["points"])
+        plain, points = AmbientSystem(problem.dynamics), self._numbers(said["points"])
         rows = [each.residual() for each in system.constraints.values()]
         rows += [cost for cost in (stated["objective"].running,) if cost is not None]
 
