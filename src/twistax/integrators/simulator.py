@@ -65,7 +65,7 @@ class _Slot:
 
 
 class Simulator:
-    """What `tx.simulator` makes: called with starts, controls and parameters, it integrates.
+    """A compiled integration, called with starts, controls and parameters. `tx.simulator` makes it.
 
     Attributes:
         dynamics: the compiled system.

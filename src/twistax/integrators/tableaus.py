@@ -28,7 +28,7 @@ _TOLERANCE = 1e-13
 
 
 class Coefficients:
-    """What the data of all methods share: a name, an order, numbers that are checked when it is made, and messages."""
+    """Base of tableaus and compositions: a name, an order, and coefficients that are checked at construction."""
 
     name: str
     order: int

@@ -137,7 +137,7 @@ class ChartedSystem:
         return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
 
     def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
-        """The deviations again, from what `errors` made of them."""
+        """The deviations, the inverse of `errors`."""
         groups, parts = self.dynamics.group.factors, self.local.parts
         return {
             name: parts[name].rate(group.body_velocity(x[name], errors[name]).reshape(group.tangent_shape))

@@ -118,14 +118,14 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return self.solver.error_order(terms)
 
     def func(self, terms: Any, t0: Any, y0: Mapping[str, Any], args: Any) -> Arrays:
-        """The rates of the entries of y0, matrices changing as matrices do; for what diffrax measures with them."""
+        """The rates of the entries of y0, matrices as matrices."""
         parts = self._parts(terms)
         arguments = read_arguments(self.frame.dynamics, parts[0].direction * t0, y0, args)
         rates = [arguments.rates(part.dynamics) for part in parts]
         return self.frame.ambient.rates(arguments.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *rates))
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> Any:
-        """What a step hands to the next: the rate there, as a body velocity, or the wrapped solver's state."""
+        """The solver state: the rate at the start, as a body velocity, or the state of the wrapped solver."""
         arguments, h = self._begin(terms, t0, t1, y0, args)
         if not _is_explicit(self.solver):
             return self.solver.init(

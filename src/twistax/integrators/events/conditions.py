@@ -55,7 +55,7 @@ _ROOM = 128
 
 
 class AtStart(enum.Enum):
-    """What becomes of an event whose condition is zero at the start, or past zero already.
+    """How an event is treated whose condition is zero at the start, or past zero already.
 
     It is past zero on the side that the event's direction leads to. Zero means zero up to round-off. Whatever is
     chosen, `Solution.at_start` says of which events the conditions were zero or past it.
@@ -246,7 +246,7 @@ class Watch:
     def seen(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, states: tuple[Any, Any, Any], old: jax.Array, ends: Any
     ) -> tuple[jax.Array, jax.Array]:
-        """What the conditions are along a step of length h.
+        """The values of the conditions along a step of length h.
 
         Args:
             states: the states at both ends of the step, and its slopes; or in their place (k, m) values of the

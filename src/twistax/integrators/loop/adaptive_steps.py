@@ -155,7 +155,7 @@ class AdaptiveSteps(Steps):
         return state, Visits(jnp.append(stops.ts, end), stops.count, like)
 
     def carry_and_first_step(self, stepper: Stepper, packed: Packed) -> tuple[Packed, jax.Array]:
-        """What the method carries at the start, and the first step to try."""
+        """The carry of the method at the start, and the first step to try."""
         y = packed.open()
         room = self.stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
@@ -246,7 +246,7 @@ class AdaptiveSteps(Steps):
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
-        """The same with these limits, without saved times and events: others need no other kernel."""
+        """These steps without saved times and events, with these limits: all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
     def row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
@@ -260,7 +260,7 @@ class AdaptiveSteps(Steps):
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
     def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, _Step | None]:
-        """One step, taken or taken back, and what its polynomial is of, where the method has one."""
+        """One try of a step, accepted or rejected, and the data of its polynomial, where the method has one."""
         control, order, t, before = self.control, stepper.method.error_order, state.t, state.y.open()
         end, h, planned, least = control.length(t, state.h, self.stops.next_limit(t))
         cut = h < planned

@@ -1,4 +1,4 @@
-"""What the loop over steps returns, and how an integration ends."""
+"""The result of the loop over steps, and how an integration ends."""
 
 from __future__ import annotations
 

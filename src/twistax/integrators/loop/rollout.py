@@ -87,7 +87,7 @@ def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
 
 
 def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
-    """The same, batched where one of the inputs is: JAX expects the batch axes of a function in its derivative too."""
+    """The result, batched where an input is: JAX expects the batch axes of a function in its derivative too."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
@@ -212,7 +212,7 @@ def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
 
 
 def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    """Flags of rows, with as many axes as what they are of."""
+    """Flags of rows with as many axes as the array."""
     return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 

@@ -1,4 +1,4 @@
-"""NaN in place of what an integration did not reach, in values and in derivatives."""
+"""NaN, in values and derivatives, for states that an integration did not reach."""
 
 from __future__ import annotations
 

@@ -128,7 +128,7 @@ class PhasedSolution(AnySolution):
         return draw(drawn)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """All phases one after the other in three dimensions: what all of them have; see `Solution.show`.
+        """An animation of all phases in three dimensions, with the states that all have; see `Solution.show`.
 
         Raises:
             InputError: as `Solution.show`; no saved times.

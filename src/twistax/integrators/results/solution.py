@@ -84,7 +84,7 @@ class Crossings:
 
 
 class Dense(NamedTuple):
-    """The starts of all steps and what takes a step.
+    """Dense output: the starts of all steps, and the stepper.
 
     Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
     the others; an interpolating polynomial would cost order and leave the group.
