@@ -114,6 +114,7 @@ def with_options(
 
         result = inspect.signature(function).return_annotation
         parameters = [*leading, *inspect.signature(record).parameters.values()]
+        parameters.sort(key=lambda parameter: (parameter.kind, parameter.default is not parameter.empty))
         signature = inspect.Signature(parameters, return_annotation=result)
         call.__signature__ = signature  # type: ignore[attr-defined]
         del call.__wrapped__  # its arguments are others

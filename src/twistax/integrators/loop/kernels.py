@@ -114,11 +114,9 @@ def kernel_steps(
         attempts: list[StepAttempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
-            k, (grid, stepper), (y, carry, slopes) = jax.tree.unflatten(structure, leaves)
-            t, h = grid.step(k)
-            attempts.append(stepper.in_arrays.follow(t, y, carry, h, slopes is not None))
-            slopes = None if slopes is None else attempts[-1].slopes
-            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, slopes))
+            k, (grid, stepper), state = jax.tree.unflatten(structure, leaves)
+            attempts.append(grid.attempt(stepper.in_arrays, k, state))
+            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
 
         repeated = stepper.dynamics.backend.repeated(step, types, count)
         # A step that solves equations may fail, which a kernel does not see.
