@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.integrators.loop import progress_callback as meter
-from twistax.integrators.loop.progress_callback import metered
+from twistax.integrators.loop.progress_callback import calling_back
 
 FIXED, CHOSEN = {"dt": 5e-3}, {"rtol": 1e-10}
 START = {"x": np.array([1.0, 0.0])}
@@ -42,7 +42,7 @@ def test_it_tells_how_far_it_is_and_changes_nothing(steps: dict[str, float]) -> 
     again: list[float] = []
     flown(**steps, progress=lambda t, share: again.append(t))
     assert again == [t for t, _ in told]
-    assert meter._ASKED == {}
+    assert meter._CALLBACKS == {}
 
 
 def test_an_error_of_the_function_is_raised_once() -> None:
@@ -55,7 +55,7 @@ def test_an_error_of_the_function_is_raised_once() -> None:
     with pytest.raises(RuntimeError, match="enough"):
         flown(**FIXED, progress=no)
     assert len(calls) == 1
-    assert meter._ASKED == {}
+    assert meter._CALLBACKS == {}
 
 
 def test_nothing_is_told_where_something_is_traced() -> None:
@@ -86,6 +86,6 @@ def test_a_line_shows_it() -> None:
     assert "t           50 s    25.0 %" in line.getvalue()
     assert line.getvalue().endswith("\r\033[K")
     progress.reached(50.0, 0.25)
-    with metered(progress.reached):  # ends on the way, by an event
+    with calling_back(progress.reached):  # ends on the way, by an event
         pass
     assert line.getvalue().endswith("\r\033[K")

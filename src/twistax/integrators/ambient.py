@@ -1,4 +1,4 @@
-"""The same system as a plain ODE in quaternions or matrices, as one would write it without groups; diffrax's args."""
+"""A system as a plain ODE in quaternions or matrices, and the arguments `args` of diffrax."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..system.dynamics import Arrays, Dynamics, need_compiled
 from .controls import OfTime, controls_of
 
 
-class Ambient:
+class AmbientSystem:
     """A system's state and rates in numbers that a general ODE solver can add and scale.
 
     Poses become [quaternion, position] (7,), rotations quaternions (4,), w first, or both stay matrices; states
@@ -88,7 +88,7 @@ def _moved(y: jax.Array, twist: jax.Array) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Arguments:
-    """What diffrax calls args, read as `integrate` reads u and params: what a step needs besides its length."""
+    """Time, state, controls and parameters: the `args` of diffrax, read as `integrate` reads u and params."""
 
     t: Any
     x: Any

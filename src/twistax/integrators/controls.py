@@ -133,7 +133,6 @@ class ControlTable(ABC):
         return value
 
     def _missing(self, t: jax.Array) -> jax.Array:
-        """Whether there is no value at a time."""
         return t < self.ts[0] if self.holds_on else (t < self.ts[0]) | (t > self.ts[-1])
 
     @abstractmethod

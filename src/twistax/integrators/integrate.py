@@ -22,7 +22,7 @@ from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
 from .loop.loop import Steps, ended_well
 from .loop.outcome import Result
-from .loop.progress_callback import asked_for, metered
+from .loop.progress_callback import callback_of, calling_back
 from .loop.rollout import RolloutResult, rollout
 from .loop.unreached import nan_unless
 from .method import Stepper
@@ -98,11 +98,11 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
     plan = plan_of(dynamics, x0, options)
     need_flag("throw", options.throw)
     stepper, steps = plan.stepper, plan.steps
-    callback = None if options.progress is None else asked_for(options.progress)
+    callback = None if options.progress is None else callback_of(options.progress)
     if callback is None or plan.traced or is_tracing():
         result = rollout(steps, stepper, plan.x)
     else:
-        with metered(callback) as meter:
+        with calling_back(callback) as meter:
             result = rollout(dataclasses.replace(steps, meter=meter), stepper, plan.x)
     if is_traced((options.t0, options.t1, options.save_at)):
         times = (plan.t0, jnp.asarray(options.t1, plan.t0.dtype), plan.ts)
@@ -111,7 +111,7 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
 
 
 def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
-    """NON_FINITE for traced times that would be refused if they were known, and NaN for the states there."""
+    """The result of traced times: NON_FINITE and NaN where known ones would be refused."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
@@ -123,7 +123,7 @@ def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Arr
 
 
 def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
-    """Times and states by name, and the end behind them."""
+    """Times and states with the end appended."""
     joined = {name: array.concatenate([value, array.asarray(end[name])[None]]) for name, value in xs.items()}
     return array.append(ts, t), joined
 
@@ -131,7 +131,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 def solution_of(
     stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
 ) -> Solution:
-    """What the user gets; where numbers are known a failure raises, or leaves the good part."""
+    """The `Solution` of a rollout; with known numbers a failure raises, or the part before it is returned."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)
     code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations

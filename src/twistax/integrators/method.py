@@ -1,4 +1,4 @@
-"""What every integration method offers, and a method bound to a system: what every loop over steps calls."""
+"""The interface of integration methods, and `Stepper`, a method on a system, which the loop over steps calls."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from .charts.coordinates import Blocks, StateCoordinates, StoredState
 from .controls import Signals
 from .step_control import Tolerances
 
-#: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
+#: State of a method between steps: a pytree of arrays of the precision of the system's state.
 Carry: TypeAlias = Any
 
 
@@ -84,7 +84,7 @@ class Method(ABC):
         """Evaluations of the right-hand side in a step of `advance`."""
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
-        """The same for one system, where a method takes more for some."""
+        """Evaluations of the right-hand side in a step of `advance` on one system."""
         return self.evaluations
 
     def check(self, dynamics: Dynamics) -> None:
@@ -130,7 +130,7 @@ class Method(ABC):
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        """What the first `follow` is given."""
+        """The carry of the first `follow`."""
         return ()
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
@@ -147,11 +147,11 @@ class Method(ABC):
     resume_evaluations: int = 1
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        """What the first `attempt` is given: the rate there, if a method wants nothing else."""
+        """The carry of the first `attempt`: the rate at the start, unless a method overrides this."""
         return rate
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
-        """What `attempt` is given at a time where rates may have jumped."""
+        """The carry of `attempt` at a time where rates may have jumped."""
         return self.rate(field, t, y)
 
     def attempt(
@@ -248,12 +248,12 @@ class Stepper:
 
     @property
     def in_arrays(self) -> Stepper:
-        """The same, rates as arrays: for what is scalarised as a whole."""
+        """This stepper with rates as arrays, for a step that becomes scalars as a whole."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
 
     @property
     def beside_loops(self) -> Stepper:
-        """The same for what stands beside loops in kernels."""
+        """This stepper for functions outside of the kernel of a loop."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
 
     def clock(self, t: Any) -> Any:
@@ -287,7 +287,7 @@ class Stepper:
         return self.method.advance(field, t, y, h)
 
     def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> StepAttempt:
-        """The same, after a step that left `carry`; with the slopes of the step, if it has any, where it is sampled."""
+        """The step of `advance` after a step that left `carry`; sampled, with the slopes of the step if it has any."""
         field, t, h = self._in_s(t, h)
         return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
 
@@ -297,7 +297,7 @@ class Stepper:
         return self.method.rate(field, t, y)
 
     def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
-        """What `attempt` is given where rates may have jumped before a step of length h."""
+        """The carry of `attempt` where rates may have jumped before a step of length h."""
         field, t, _ = self._in_s(t, h)
         return self.method.resume(field, t, y, carry)
 
@@ -349,7 +349,7 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
 def flattened(
     make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any
 ) -> tuple[Callable[..., Any], list[Any], Any]:
-    """The same function of the arrays in its arguments, those arrays, and the structure they came in.
+    """The jitted function on the arrays of its arguments, those arrays, and their structure.
 
     JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
     with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures

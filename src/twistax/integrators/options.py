@@ -37,6 +37,9 @@ Second = TypeVar("Second")
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
+#: The methods of fixed and of adaptive steps, and the step control, unless given.
+_FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
+
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StepOptions:
@@ -99,7 +102,7 @@ def with_options(
             try:
                 first = [*arguments[: len(names)], *(named[name] for name in names[len(arguments) :])]
                 fields = {name: value for name, value in named.items() if name not in names}
-                options = record(*arguments[len(names) :], **fields)  # type: ignore[arg-type]
+                options = record(*arguments[len(names) :], **fields)
                 assert len(fields) == len(named) - max(len(names) - len(arguments), 0)
             except (TypeError, KeyError, AssertionError):
                 try:
@@ -111,6 +114,7 @@ def with_options(
 
         result = inspect.signature(function).return_annotation
         parameters = [*leading, *inspect.signature(record).parameters.values()]
+        parameters.sort(key=lambda parameter: (parameter.kind, parameter.default is not parameter.empty))
         signature = inspect.Signature(parameters, return_annotation=result)
         call.__signature__ = signature  # type: ignore[attr-defined]
         del call.__wrapped__  # its arguments are others
@@ -185,7 +189,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
 def _method_of(dynamics: Dynamics, options: Options) -> Method:
     method = options.method
     if method is None:
-        method = RKMK(DOP853, Ambient()) if options.adaptive else RKMK(RK4)
+        method = _ADAPTIVE if options.adaptive else _FIXED
     instance("method", method, Method, "an object like tx.RKMK(tx.tableaus.RK4)", InputError)
     if dynamics.system.corrections:
         method = projected(method)
@@ -194,7 +198,6 @@ def _method_of(dynamics: Dynamics, options: Options) -> Method:
 
 
 def _inputs_of(dynamics: Dynamics, x0: Any, options: Options, controls: Signals) -> Inputs:
-    """Start, controls at the start and parameters, checked. Raises InputError."""
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
     dtype = precision(x0, options.params)
     u = _controls_at_start(dynamics, controls, options.t0, dtype)
@@ -244,7 +247,7 @@ def _adaptive_steps(
         need_held("dt", real_array("dt", dt), dtype)
     first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
     tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
-    control = options.control or StepControl()
+    control = options.control or _CONTROL
     return AdaptiveSteps(start, first, stops, tolerances, control, options.dense, options.between, watch)
 
 

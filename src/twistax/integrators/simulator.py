@@ -18,7 +18,7 @@ from ..system.dynamics import Dynamics
 from ..system.inputs import read_values
 from .controls import ControlTable
 from .integrate import integrated, solution_of
-from .loop.rollout import handed_over, in_few_arrays
+from .loop.rollout import packed_rollout, unpacked
 from .method import flattened
 from .methods.projected import need_start_on_manifold
 from .options import Options, need_element, plan_of
@@ -65,7 +65,7 @@ class _Slot:
 
 
 class Simulator:
-    """What `tx.simulator` makes: called with starts, controls and parameters, it integrates.
+    """A compiled integration, called with starts, controls and parameters. `tx.simulator` makes it.
 
     Attributes:
         dynamics: the compiled system.
@@ -81,7 +81,7 @@ class Simulator:
             )
         self._stepper, self._steps = plan.stepper, plan.steps
         self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
-        self._run, leaves, structure = flattened(in_few_arrays, plan.stepper, plan.steps, plan.x)
+        self._run, leaves, structure = flattened(packed_rollout, plan.stepper, plan.steps, plan.x)
         self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
         stepper, _, x = jax.tree.unflatten(structure, range(len(leaves)))
         signals: Any = plan.stepper.signals
@@ -137,12 +137,12 @@ class Simulator:
             stepper = dataclasses.replace(stepper, params=stepper.params | changed["params"])
         if self.dynamics.system.corrections and changed:
             self._need_manifold(stepper, changed.get("x0", {}))
-        result = handed_over(self._run(*leaves))
+        result = unpacked(self._run(*leaves))
         options = self._options
         return solution_of(stepper, self._steps, result, self._ts, options.save_at is None, options.throw)
 
     def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
-        """The values, checked and cast, and put in their places."""
+        """The values, checked and cast, written into the leaves."""
         slots, placed = self._slots[kind], {}
         if not isinstance(values, Mapping):
             raise InputError(f"{kind} must be a dict from names to values, got {short(values)}")

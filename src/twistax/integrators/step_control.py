@@ -131,7 +131,7 @@ class StepControl:
 
 
 def _log(square: jax.Array) -> jax.Array:
-    """The logarithm of the root; of an infinite error that of the largest number."""
+    """The logarithm of the root, within the range of the numbers."""
     largest = jnp.finfo(square.dtype).max
     return 0.5 * jnp.log(jnp.clip(square, _LEAST**2, largest))
 

@@ -134,7 +134,7 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
 
 
 def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> Saves:
-    """The same where times are traced."""
+    """`_places` of traced times."""
     ts = jnp.asarray(save_at, start.dtype)
     place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
     before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
@@ -142,7 +142,7 @@ def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> Saves:
 
 
 def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves:
-    """The same where jumps add steps before the saved times."""
+    """The places, moved on by the steps that jumps add before them."""
     if splits is None:
         return at
     array: Any = jnp if is_traced((at, splits, start, h)) else np

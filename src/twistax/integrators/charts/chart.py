@@ -226,7 +226,8 @@ class Chart(ABC):
             return FlatCoordinates(group)
         if not group.rigid:
             return GroupCoordinates(group)
-        return self.for_rotation() if group.dimension == 3 else self.for_pose(group)
+        pose: Any = group
+        return self.for_rotation() if group.dimension == 3 else self.for_pose(pose)
 
     @abstractmethod
     def for_rotation(self) -> Coordinates:

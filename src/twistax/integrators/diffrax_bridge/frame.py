@@ -17,12 +17,12 @@ from ...errors import ModelError
 from ...jax_inside import wrapped_terms
 from ...scalar.small_call import small_call
 from ...system.dynamics import Arrays, Dynamics, need_compiled
-from ..ambient import Ambient, Arguments, read_arguments
+from ..ambient import AmbientSystem, Arguments, read_arguments
 from ..charts.chart import Chart, coordinates_of
 from ..charts.coordinates import Blocks, StateCoordinates
 from ..loop.loop import all_finite
 from ..methods.rkmk import stage_slopes
-from ..tableaus import Stages, lower_triangle
+from ..tableaus import StageRows, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
@@ -58,7 +58,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """Says what is wrong with a term, where diffrax would only say that it does not fit."""
+    """Names what is wrong with a term, which diffrax does not."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))
@@ -114,9 +114,9 @@ class ChartedSystem:
         return coordinates_of(self.chart, self.dynamics.group)
 
     @property
-    def ambient(self) -> Ambient:
+    def ambient(self) -> AmbientSystem:
         """The state in its matrices, for errors and plain rates."""
-        return Ambient(self.dynamics, quaternion=False)
+        return AmbientSystem(self.dynamics, quaternion=False)
 
     def rate(self, dynamics: Dynamics, arguments: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
         """The rate at given.t and given.x for controls within the step from t to t + h."""
@@ -137,7 +137,7 @@ class ChartedSystem:
         return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
 
     def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
-        """The deviations again, from what `errors` made of them."""
+        """The deviations, the inverse of `errors`."""
         groups, parts = self.dynamics.group.factors, self.local.parts
         return {
             name: parts[name].rate(group.body_velocity(x[name], errors[name]).reshape(group.tangent_shape))
@@ -164,7 +164,7 @@ def explicit_step(
     the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
     at the start, flat. Traceable.
     """
-    stages, local = Stages(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
+    stages, local = StageRows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
     def plainly(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
         start = local.enter(arguments.x)

@@ -118,14 +118,14 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return self.solver.error_order(terms)
 
     def func(self, terms: Any, t0: Any, y0: Mapping[str, Any], args: Any) -> Arrays:
-        """The rates of the entries of y0, matrices changing as matrices do; for what diffrax measures with them."""
+        """The rates of the entries of y0, matrices as matrices."""
         parts = self._parts(terms)
         arguments = read_arguments(self.frame.dynamics, parts[0].direction * t0, y0, args)
         rates = [arguments.rates(part.dynamics) for part in parts]
         return self.frame.ambient.rates(arguments.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *rates))
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> Any:
-        """What a step hands to the next: the rate there, as a body velocity, or the wrapped solver's state."""
+        """The solver state: the rate at the start, as a body velocity, or the state of the wrapped solver."""
         arguments, h = self._begin(terms, t0, t1, y0, args)
         if not _is_explicit(self.solver):
             return self.solver.init(
@@ -168,7 +168,6 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return x, error, {"start": arguments.x, "within": within}, state, result
 
     def _in_chart(self, terms: Any, arguments: Arguments, h: jax.Array) -> Any:
-        """The terms in coordinates around the start of a step."""
         frame, local = self.frame, self.frame.local
         start, read = local.enter(arguments.x), frame.packed(arguments.x)[1]
 
@@ -196,7 +195,6 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return ravel_pytree(local.first_slope(end, local.rate(omega)))[0]
 
     def _rate(self, arguments: Arguments, h: jax.Array) -> jax.Array:
-        """The rate at the start of a step, flat."""
         return ravel_pytree(self.frame.rate(self.frame.dynamics, arguments, arguments.t, h))[0]
 
     def _hands_on(self, arguments: Arguments) -> bool:
@@ -232,7 +230,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
 
 def _is_explicit(solver: Any) -> bool:
-    """Whether the solver's tableau is all there is to it."""
+    """Whether the solver is fully described by an explicit tableau."""
     if not isinstance(solver, diffrax.AbstractERK) or isinstance(solver, diffrax.HalfSolver):
         return False
     return isinstance(solver.tableau, diffrax.ButcherTableau) and not solver.tableau.c1
@@ -263,7 +261,7 @@ def _check(solver: Any, dynamics: Any, chart: Any) -> None:
 
 
 class _State(eqx.Module):
-    """What the controller remembers: the PID controller's state, and what the first call learned of the system."""
+    """The state of the PID controller, the tolerances and the system in its chart."""
 
     pid: Any
     tolerances: Tolerances

@@ -1,1 +1,3 @@
-"""Events: conditions along an integration, the search for their roots, and what follows there."""
+"""Events: conditions along an integration, and the search for their roots."""
+
+from .conditions import AtStart, Event

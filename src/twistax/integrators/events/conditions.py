@@ -1,4 +1,4 @@
-"""Conditions that an integration is watched for, and their values along a step."""
+"""Events: their conditions, evaluated at the start and along each step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ from ...jax_inside import is_traced, is_tracing
 from ...system.dynamics import Arrays, Dynamics
 from ...system.inputs import need_held
 from ..controls import Signals
-from ..loop.kernels import Packed, beside, opened
+from ..loop.kernels import Packed, opened, shared_kernel
 from ..loop.outcome import Halt, Result, Watched
 from ..method import Stepper
 from .crossings import CrossingTable
@@ -55,7 +55,7 @@ _ROOM = 128
 
 
 class AtStart(enum.Enum):
-    """What becomes of an event whose condition is zero at the start, or past zero already.
+    """How an event is treated whose condition is zero at the start, or past zero already.
 
     It is past zero on the side that the event's direction leads to. Zero means zero up to round-off. Whatever is
     chosen, `Solution.at_start` says of which events the conditions were zero or past it.
@@ -156,7 +156,7 @@ class _OfExpression:
 
 
 def _level(number: int) -> str:
-    """What a number that a condition is compared with is called as an input."""
+    """The name of the input for a number that a condition is compared with."""
     return f"level {number} of an event"
 
 
@@ -188,7 +188,7 @@ class Watch:
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, met, code, which, tags, count = beside(Watch.before, self, stepper, t, y, s, advance(s))
+        values, met, code, which, tags, count = shared_kernel(Watch.before, self, stepper, t, y, s, advance(s))
         none = Halt.none(t)
         halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
         crossed = None
@@ -246,7 +246,7 @@ class Watch:
     def seen(
         self, stepper: Stepper, t: jax.Array, h: jax.Array, states: tuple[Any, Any, Any], old: jax.Array, ends: Any
     ) -> tuple[jax.Array, jax.Array]:
-        """What the conditions are along a step of length h.
+        """The values of the conditions along a step of length h.
 
         Args:
             states: the states at both ends of the step, and its slopes; or in their place (k, m) values of the

@@ -34,7 +34,7 @@ class Crossed:
 
 
 def row_of(steps: Any, t: jax.Array, h: jax.Array, s: jax.Array, y: jax.Array, which: Any, rises: Any) -> Row:
-    """A row of a table, of what `Crossed` has; the state is packed."""
+    """A row of a table from the fields of `Crossed`; the state is packed."""
     tags = [jnp.asarray(a, jnp.result_type(int)) for a in (steps, which, rises)]
     return jnp.concatenate([jnp.stack([t, h, s]), y]), jnp.stack(tags)
 
@@ -109,7 +109,7 @@ def _written(table: jax.Array, place: jax.Array, row: jax.Array) -> jax.Array:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class CrossingRows:
-    """What users get of crossings, rows (n, ...): NaN beyond the count."""
+    """Crossings as `Solution.crossings` has them, rows (n, ...): NaN beyond the count."""
 
     ts: Any  # in s
     xs: Any  # the states by name

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -43,7 +44,7 @@ class Meeting:
 
 
 def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
-    """The same meeting, whose root moves as the condition does with all inputs: by the implicit function theorem."""
+    """The meeting with a root that is differentiable in all inputs, by the implicit function theorem."""
     which = jnp.maximum(meeting.which, 0)
 
     # At the start of the integration it stays.

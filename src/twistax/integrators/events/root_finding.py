@@ -73,7 +73,7 @@ class Bracket:
         return jnp.where(jnp.isnan(value), self.at_low, jnp.where(value == 0.0, past, value))
 
     def looking(self, share: jax.Array) -> Bracket:
-        """With the next place a share of the way from a to b, unless what is known is enough."""
+        """The bracket with its next place at a share of the way from a to b, or done where it is narrow enough."""
         signs_differ = jnp.sign(self.a[1]) * jnp.sign(self.b[1]) < 0.0
         wide = jnp.abs(self.b[0] - self.a[0]) > 2.0 * self.finest
         place = self.a[0] + share * (self.b[0] - self.a[0])

@@ -1,4 +1,4 @@
-"""The search of a step for the times at which the conditions of an integration become zero, and what follows there."""
+"""The search of a step for the roots of event conditions."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...scalar.small_call import held, small_call
-from ..loop.kernels import Packed, beside, in_one, opened
+from ..loop.kernels import Packed, in_one, opened, shared_kernel
 from ..loop.outcome import Halt, Result, Watched
 from ..method import Stepper
 from .conditions import Advance, Watch
@@ -35,9 +35,7 @@ class Stride(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _Job:
-    """What is looked for between two neighbouring places: an extremum past zero, then the roots before and after it;
-    or a root.
-    """
+    """A search between two neighbouring places, for a root, or for an extremum past zero and then both roots."""
 
     item: Any  # of the pair and the condition; beyond all of them where nothing is left
     looks: Any  # whether it is an extremum
@@ -57,7 +55,7 @@ class _Job:
         return jnp.where(self.looks, self.extremum.place, root)
 
 
-class _Along(NamedTuple):
+class _Samples(NamedTuple):
     """The conditions along a step, at k + 1 places at equal distances, and what may be crossed between them."""
 
     values: jax.Array  # (k + 1, m)
@@ -66,15 +64,15 @@ class _Along(NamedTuple):
     flags: jax.Array  # (k m,) whether there may be a crossing
 
     @classmethod
-    def of(cls, watch: Watch, values: jax.Array) -> _Along:
+    def of(cls, watch: Watch, values: jax.Array) -> _Samples:
         suspects, tips = near_zero(values)
         return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class _Task:
-    """A job as loops carry it."""
+class _PackedJob:
+    """A job, packed for a loop."""
 
     job: Any  # packed
     place: Any  # where the condition is to be evaluated for it
@@ -82,7 +80,7 @@ class _Task:
 
 
 class _Root(NamedTuple):
-    """A root of a condition, where the last place is one."""
+    """Whether the last place is a root of a condition, and of which."""
 
     stops: jax.Array  # whether it is there, of an event that ends the integration
     crosses: jax.Array  # whether it is there, of one that does not
@@ -97,7 +95,7 @@ class _Halted(NamedTuple):
     y: jax.Array
 
     def or_earlier(self, here: jax.Array, result: Result, which: jax.Array, s: jax.Array, y: jax.Array) -> _Halted:
-        """Halted by something else, where that is here and earlier; of two at the same time by the event."""
+        """The earlier one of this and another halt, if there is one; at the same time an event comes first."""
         code = jnp.full_like(which, result.value)
         same = (s == self.halt.s) & (code < self.halt.code)
         sooner = here & ((s < self.halt.s) | same)
@@ -106,10 +104,10 @@ class _Halted(NamedTuple):
         return halted
 
 
-def watched_along(
+def find_crossings(
     watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, known: Watched, taken: Any, ends: Any
 ) -> Watched:
-    """What is known of the conditions after a step.
+    """The state of the events after a step.
 
     Args:
         taken: whether the step counts.
@@ -121,24 +119,24 @@ def watched_along(
 
         def at(share: jax.Array) -> jax.Array:
             moved = advance(share * h)
-            return beside(Watch.values, watch, stepper, t, h, t + share * h, moved)
+            return shared_kernel(Watch.values, watch, stepper, t, h, t + share * h, moved)
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
         known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
     states = y, stride.end, inside
-    samples, after, first = beside(_first, watch, stepper, t, h, states, known.values, ends)
+    samples, after, first = shared_kernel(_first, watch, stepper, t, h, states, known.values, ends)
     before = None if known.crossed is None else known.crossed.used
 
-    def goes_on(now: tuple[_Task, Watched]) -> jax.Array:
+    def goes_on(now: tuple[_PackedJob, Watched]) -> jax.Array:
         return now[0].left
 
-    def one(now: tuple[_Task, Watched]) -> tuple[_Task, Watched]:
+    def one(now: tuple[_PackedJob, Watched]) -> tuple[_PackedJob, Watched]:
         task, known = now
         known = dataclasses.replace(known, evaluations=known.evaluations + cost)
         halted = _Halted(known.halt, known.y)
         # Hundreds of scalars: as part of the loop they take XLA longer than all else.
         inputs = (samples, task, halted), (stride.steps, y), advance(task.place)
-        following, halted, row, crosses = beside(_next, watch, stepper, t, h, *inputs)
+        following, halted, row, crosses = shared_kernel(_next, watch, stepper, t, h, *inputs)
         if known.crossed is not None:
             nothing = known.crossed, row, jnp.asarray(False)
             crossed, left_out, full = jax.lax.cond(
@@ -161,10 +159,10 @@ def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
 
 def _first(
     watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
-) -> tuple[_Along, jax.Array, _Task]:
-    """The conditions along a step, and those to go on with, as of `Watch.seen`; and what is looked for first."""
+) -> tuple[_Samples, jax.Array, _PackedJob]:
+    """The conditions along a step and at its end, as of `Watch.seen`, and the first search."""
     values, after = watch.seen(stepper, t, h, states, old, ends)
-    samples = held(_Along.of(watch, values))
+    samples = held(_Samples.of(watch, values))
     return samples, after, _Search(watch, t, h, samples).first()
 
 
@@ -173,11 +171,11 @@ def _next(
     stepper: Stepper,
     t: jax.Array,
     h: jax.Array,
-    search: tuple[_Along, _Task, _Halted],
+    search: tuple[_Samples, _PackedJob, _Halted],
     start: tuple[jax.Array, Packed],
     moved: Packed,
-) -> tuple[_Task, _Halted, Row | None, jax.Array]:
-    """What is looked for after the step to the place of a task was taken, and where the loop halts then.
+) -> tuple[_PackedJob, _Halted, Row | None, jax.Array]:
+    """The next search after the step to the place of a task was taken, and where the loop halts.
 
     Args:
         start: the accepted steps before, and the state where the step begins.
@@ -201,7 +199,7 @@ class _Search:
     It takes a part of the step in each pass of one loop: a compiled step is large.
     """
 
-    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, samples: _Along) -> None:
+    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, samples: _Samples) -> None:
         self.watch, self.h = watch, h
         self.values, self.suspects, self.tips, self.flags = samples
         self.pairs, self.width = self.tips.shape
@@ -213,16 +211,16 @@ class _Search:
         self.rows, self.numbers = jnp.asarray(np.minimum(pairs, self.pairs - 1)), jnp.asarray(numbers)
         self.senses = jnp.asarray(np.asarray(watch.senses, h.dtype))
 
-    def first(self) -> _Task:
-        """What is looked for first."""
-        index = self._after(jnp.zeros((), int) - 1)
+    def first(self) -> _PackedJob:
+        """The first search."""
+        index = self._next_item(jnp.zeros((), int) - 1)
         return self._task(self._job(index, *self._pair(index)))
 
-    def _task(self, job: _Job) -> _Task:
-        return _Task(in_one(job, self.h.dtype), job.place, job.item < self.flags.size)
+    def _task(self, job: _Job) -> _PackedJob:
+        return _PackedJob(in_one(job, self.h.dtype), job.place, job.item < self.flags.size)
 
-    def _after(self, index: jax.Array) -> jax.Array:
-        """The next of the pairs and conditions that may have a crossing."""
+    def _next_item(self, index: jax.Array) -> jax.Array:
+        """The next pair of places and condition that may have a crossing."""
         every = jnp.arange(self.flags.size)
         return jnp.where(self.flags & (every > index), every, self.flags.size).min()
 
@@ -233,7 +231,7 @@ class _Search:
         return self.suspects[row, number], jnp.sign(self.values[row, number]), low, high, -jnp.ones_like(high)
 
     def _at(self, row: jax.Array) -> jax.Array:
-        """Where a place is, by its row."""
+        """The place of a row, as a time since the start of the step."""
         return jnp.where(row >= self.pairs, self.h, row.astype(self.spacing.dtype) * self.spacing)
 
     def _job(
@@ -246,8 +244,8 @@ class _Search:
         bracket = Bracket.between(low, high, sign, -sign, self.finest)
         return _Job(index, looks, none > 0, sign, low, high, rest, none, extremum, bracket)
 
-    def after(self, job: _Job, values: jax.Array, end: jax.Array) -> tuple[_Task, _Root]:
-        """What is looked for after the values of all conditions at the place of a job are known, and the root there.
+    def after(self, job: _Job, values: jax.Array, end: jax.Array) -> tuple[_PackedJob, _Root]:
+        """The next search, from the values of all conditions at the place of a job, and the root there.
 
         Args:
             end: how far into the step the integration ends, as far as is known.
@@ -275,13 +273,13 @@ class _Search:
         tip, wanted = job.extremum.middle[0], self.senses[number]
         first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
         extremum_found = job.looks & job.extremum.past
-        half, follows = 0.5 * self.spacing, self._after(job.item)
+        half, follows = 0.5 * self.spacing, self._next_item(job.item)
         # What begins where the integration has ended is not looked at.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
         follows = held(jnp.where(over, self.flags.size, follows))
         none = -jnp.ones_like(h)
         parts = [
-            (widens, (job.item, job.looks, job.sign, *self._beside(job, at_low, half), job.rest)),
+            (widens, (job.item, job.looks, job.sign, *self._next_to(job, at_low, half), job.rest)),
             (
                 extremum_found & first,
                 (job.item, ~extremum_found, job.sign, job.low, tip, jnp.where(second, job.high, none)),
@@ -299,7 +297,7 @@ class _Search:
         )
         return self._task(job), root
 
-    def _beside(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+    def _next_to(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The half of a pair next to a part."""
         low = jnp.where(at_low, jnp.maximum(job.low - half, 0.0), job.high)
         return low, jnp.where(at_low, job.low, jnp.minimum(job.high + half, self.h))

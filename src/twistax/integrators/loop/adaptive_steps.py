@@ -20,7 +20,7 @@ from ..method import Stepper
 from ..methods.interpolant import Between
 from ..step_control import ErrorHistory, StepControl, Tolerances
 from ..times import Stops
-from .kernels import Packed, beside, kernel_tries
+from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import Halt, LoopOutcome, Result, Run, Saved, StepPart, Watched
 from .progress_callback import Meter
@@ -123,7 +123,7 @@ class AdaptiveSteps(Steps):
     def begin(self, stepper: Stepper, inputs: Packed, record: bool) -> tuple[_State, Visits | jax.Array]:
         stops, y, t = self.stops, inputs, self.t0
         bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
-        carry, h = beside(AdaptiveSteps.carry_and_first_step, bare, stepper, y)
+        carry, h = shared_kernel(AdaptiveSteps.carry_and_first_step, bare, stepper, y)
         slopes = None
         if self.watch is not None:
             room = zeros_like(lambda: stepper.attempt(t, y.open(), carry.open(), h, self.tolerances).slopes)
@@ -155,7 +155,7 @@ class AdaptiveSteps(Steps):
         return state, Visits(jnp.append(stops.ts, end), stops.count, like)
 
     def carry_and_first_step(self, stepper: Stepper, packed: Packed) -> tuple[Packed, jax.Array]:
-        """What the method carries at the start, and the first step to try."""
+        """The carry of the method at the start, and the first step to try."""
         y = packed.open()
         room = self.stops.limits[-1] - self.t0
         guess = jnp.where(self.first > 0.0, self.first, 1e-6 * room)
@@ -228,7 +228,6 @@ class AdaptiveSteps(Steps):
         return run
 
     def _tries(self, stepper: Stepper, state: _State, stop: Any) -> Any:
-        """`kernel_tries` of `one_try` up to a stop."""
         # Kernels count evaluations in the precision of the state.
         most = self.bound * (stepper.method.evaluations_of(stepper.dynamics) + 1)
         if most >= 2 ** jnp.finfo(self.t0.dtype).nmant:
@@ -247,7 +246,7 @@ class AdaptiveSteps(Steps):
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
-        """The same with these limits, without saved times and events: others need no other kernel."""
+        """These steps without saved times and events, with these limits: all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
     def row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
@@ -261,7 +260,7 @@ class AdaptiveSteps(Steps):
         return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
 
     def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, _Step | None]:
-        """One step, taken or taken back, and what its polynomial is of, where the method has one."""
+        """One try of a step, accepted or rejected, and the data of its polynomial, where the method has one."""
         control, order, t, before = self.control, stepper.method.error_order, state.t, state.y.open()
         end, h, planned, least = control.length(t, state.h, self.stops.next_limit(t))
         cut = h < planned
@@ -310,7 +309,7 @@ class AdaptiveSteps(Steps):
         return after, _Step(after.t, t, state.y.flat, h, stepper.clock(h), attempt.slopes, after.y.flat)
 
     def _resumed(self, stepper: Stepper, state: _State, y: Blocks, h: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """What the method begins the step with, packed, and the evaluations so far."""
+        """The packed carry that the step begins with, and the evaluations so far."""
         limits, carry, evaluations = self.stops.limits, state.carry, state.evaluations
         if limits.size <= 1:
             return carry.flat, evaluations
@@ -341,7 +340,7 @@ class AdaptiveSteps(Steps):
 
     def halted(self, stepper: Stepper, before: _State, after: _State, watched: Watched, h: jax.Array) -> _State:
         states = [state.bare(path=None, every=None) for state in (before, after)]
-        kept = beside(_halted, None, stepper, *states, watched.halt, h)
+        kept = shared_kernel(_halted, None, stepper, *states, watched.halt, h)
         return dataclasses.replace(kept, watched=watched, rows=after.rows, path=after.path, every=after.every)
 
     @property
@@ -355,7 +354,6 @@ class AdaptiveSteps(Steps):
         return self.tolerances.by_state(stepper.coordinates, attempt.errors[0], y, attempt.y)
 
     def _longer_path(self, state: _State, end: jax.Array) -> _Path | None:
-        """The path with one more step, up to a time."""
         if state.path is None:
             return None
         leg = jnp.minimum((self.stops.limits <= state.t).sum(), self.stops.limits.size - 1)
@@ -378,7 +376,7 @@ class AdaptiveSteps(Steps):
 
 
 def _halted(_: None, __: Stepper, before: _State, after: _State, halt: Halt, h: jax.Array) -> _State:
-    """After a try, or before it where it halts."""
+    """The state after a try; the one before it where an event halts the loop."""
     code = halted_code(halt, after.code)
     hit = code != after.code
     names = ("t", "y", "carry", "errors", "accepted", "last")

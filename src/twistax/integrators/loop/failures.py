@@ -1,4 +1,4 @@
-"""What is said after an integration that ended early: time, states, the likely cause and what to do.
+"""The error of an integration that ended early: time, states, the likely cause and what to do.
 
 Everything is made from numbers that the integration left behind, by NumPy: an error compiles nothing.
 """
@@ -26,7 +26,7 @@ _FAR = 2.0
 
 
 def numbers(tree: Any) -> Any:
-    """The same in arrays of NumPy; of what a derivative traces around known numbers those."""
+    """The pytree in arrays of NumPy, without the tracing of derivatives around known numbers."""
     return jax.tree.map(np.asarray, jax.lax.stop_gradient(tree) if is_traced(tree) else tree)
 
 
@@ -84,7 +84,7 @@ def _end(stepper: Stepper, t: Any, h: Any, x: dict[str, Any]) -> Arrays:
 
 
 def _not_finite_end(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, Any]) -> tuple[str, str, str]:
-    """What happened in the step from x whose end is not finite, the likely cause and what to do."""
+    """The failure of a step from x whose end is not finite, its likely cause and the fix."""
     t, h = stepper.clock(outcome.t), stepper.clock(outcome.h)
     rates = on_host(_rates, stepper, t, h, x) or {}
     # The end may be finite and the rate there not. Equations of implicit steps are not solved here.

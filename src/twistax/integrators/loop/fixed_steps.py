@@ -15,7 +15,7 @@ from ...jax_inside import is_traced
 from ..charts.coordinates import Blocks
 from ..controls import row_at
 from ..events.search import Stride, halted_code
-from ..method import Stepper
+from ..method import StepAttempt, Stepper
 from .kernels import Packed, kernel_steps
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart, Watched
@@ -73,6 +73,14 @@ class Grid(NamedTuple):
             return t, self.h
         end, to_jump = self.begin(k + 1)
         return t, jnp.where(from_jump | to_jump, end - t, self.h)
+
+    def attempt(self, stepper: Stepper, k: jax.Array, state: tuple[Any, Any, Any]) -> StepAttempt:
+        """Step k from a stored state, with what the method carries, and slopes where the step is sampled.
+
+        The loop takes it, and kernels are made of it.
+        """
+        (t, h), (y, carry, slopes) = self.step(k), state
+        return stepper.follow(t, y, carry, h, slopes is not None)
 
     def one_step(self, t: jax.Array, h: jax.Array) -> Grid:
         """A grid of the same structure whose first step is that of length h from t."""
@@ -206,8 +214,7 @@ class FixedSteps(Steps):
 
     def one_step(self, stepper: Stepper, state: _State) -> _State:
         """The next step; the state stays where it fails."""
-        t, h = self.grid.step(state.steps)
-        attempt = stepper.follow(t, state.y, state.carry, h, state.slopes is not None)
+        attempt = self.grid.attempt(stepper, state.steps, (state.y, state.carry, state.slopes))
         good = all_finite(attempt.y)
         code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
         if attempt.solved is not None:

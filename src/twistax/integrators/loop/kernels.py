@@ -1,4 +1,4 @@
-"""Steps as programs of scalars, where the system's backend makes them: loops in one kernel, a step for derivatives.
+"""Kernels: the loop over steps in one, and single steps for derivatives, where the backend of the system makes them.
 
 Each is made once for a structure and types of its inputs, and kept with the system; None where there is none.
 """
@@ -30,7 +30,7 @@ _WIDEST = 400
 
 @dataclasses.dataclass(frozen=True)
 class _Unpacked:
-    """Makes a pytree of numbers of one type again what it was before."""
+    """Reads a flat array as the pytree it was made of."""
 
     structure: Any
     types: tuple[jax.ShapeDtypeStruct, ...]
@@ -74,7 +74,7 @@ def in_one(tree: Tree, dtype: Any) -> Any:
 
 
 def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:
-    """What is kept with the system under the key, made the first time; None for states that are too wide."""
+    """The kernel of the key from the cache of the system; None for states that are too wide."""
     if sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST:
         return None
     return stepper.dynamics._functions.steps.get(key, make)
@@ -114,11 +114,9 @@ def kernel_steps(
         attempts: list[StepAttempt] = []
 
         def step(*leaves: jax.Array) -> list[jax.Array]:
-            k, (grid, stepper), (y, carry, slopes) = jax.tree.unflatten(structure, leaves)
-            t, h = grid.step(k)
-            attempts.append(stepper.in_arrays.follow(t, y, carry, h, slopes is not None))
-            slopes = None if slopes is None else attempts[-1].slopes
-            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, slopes))
+            k, (grid, stepper), state = jax.tree.unflatten(structure, leaves)
+            attempts.append(grid.attempt(stepper.in_arrays, k, state))
+            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
 
         repeated = stepper.dynamics.backend.repeated(step, types, count)
         # A step that solves equations may fail, which a kernel does not see.
@@ -188,7 +186,7 @@ def kernel_tries(
     return run
 
 
-def beside(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
+def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
     """function(of, stepper, *rest), which stands beside loops in kernels, as a kernel that all its places share.
 
     XLA would compile it for each place. Where there is no kernel it is one small function.
@@ -213,7 +211,7 @@ def beside(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: An
         program = stepper.dynamics.backend.beside(flat, types)
         return None if program is None else (program, shapes[-1])
 
-    made = _made(stepper, rest, (beside, function, structure, types), make)
+    made = _made(stepper, rest, (shared_kernel, function, structure, types), make)
     if made is None:
         return small_call(function, of, stepper.beside_loops, *rest)
     program, shape = made

@@ -15,7 +15,7 @@ from jax.flatten_util import ravel_pytree
 from ...scalar.small_call import small_call
 from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
-from ..events.search import Stride, halted_code, watched_along
+from ..events.search import Stride, find_crossings, halted_code
 from ..method import Stepper
 from .kernels import Packed
 from .outcome import Result, Run, Saved, StepPart, Trail, Watched
@@ -79,7 +79,7 @@ class Steps(ABC):
         if self.meter is None:
             return self._steps_to(stepper, stop, state, None)
         steps_to = functools.partial(self._steps_to, stepper, stop)
-        return self.meter.along(steps_to, state, *self.parts_of_progress(stepper, stop))
+        return self.meter.loop(steps_to, state, *self.parts_of_progress(stepper, stop))
 
     def _steps_to(self, stepper: Stepper, stop: Any, state: Any, most: Any) -> Any:
         """Steps to a stop, or until `most` were tried; in a kernel where there is one."""
@@ -99,7 +99,7 @@ class Steps(ABC):
         """After a step, or as before it where it meets an event that ends the integration."""
         stride, taken, ends = self.stride(before, after)
         advance = functools.partial(self.advance, stepper, before)
-        watched = watched_along(self.watch, advance, stepper, stride, before.watched, taken, ends)
+        watched = find_crossings(self.watch, advance, stepper, stride, before.watched, taken, ends)
         return self.halted(stepper, before, after, watched, stride.h)
 
     # ---- what a subclass says of its steps ---------------------------------------------------------------------------
@@ -156,7 +156,7 @@ class Steps(ABC):
 
     @abstractmethod
     def parts_of_progress(self, stepper: Stepper, stop: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
-        """For `Meter.along`: the last count of steps, steps between two calls, and how far a state is."""
+        """For `Meter.loop`: the last count of steps, steps between two calls, and how far a state is."""
 
     @abstractmethod
     def result(self, state: Any, saved: Any) -> Run:

@@ -1,4 +1,4 @@
-"""What a loop over steps leaves behind, and how an integration ends."""
+"""The result of the loop over steps, and how an integration ends."""
 
 from __future__ import annotations
 
@@ -17,25 +17,34 @@ from ..events.crossings import CrossingTable
 class Result(enum.IntEnum):
     """How an integration ended; `sentence` says it in words. SUCCESS and EVENT are no failures."""
 
-    SUCCESS = 0, "the end time was reached"
-    NON_FINITE = 1, "a state became infinite or NaN"
-    MAX_STEPS = 2, "the steps ran out before the end time"
-    STEP_TOO_SMALL = 3, "no step is small enough for the tolerances"
-    NEWTON_FAILED = 4, "the equations of an implicit step could not be solved"
-    EVENT = 5, "an event stopped it"
-    NO_EVENT = 6, "a phase ended without its event"
-    MAX_CROSSINGS = 7, "there was no room for another crossing"
+    SUCCESS = 0
+    NON_FINITE = 1
+    MAX_STEPS = 2
+    STEP_TOO_SMALL = 3
+    NEWTON_FAILED = 4
+    EVENT = 5
+    NO_EVENT = 6
+    MAX_CROSSINGS = 7
 
-    #: What happened, in plain words.
-    sentence: str
-
-    def __new__(cls, code: int, sentence: str = "") -> Result:
-        result = int.__new__(cls, code)
-        result._value_, result.sentence = code, sentence
-        return result
+    @property
+    def sentence(self) -> str:
+        """What happened, in plain words."""
+        return _SENTENCES[self]
 
     def __str__(self) -> str:
         return f"{self.name}: {self.sentence}"
+
+
+_SENTENCES = {
+    Result.SUCCESS: "the end time was reached",
+    Result.NON_FINITE: "a state became infinite or NaN",
+    Result.MAX_STEPS: "the steps ran out before the end time",
+    Result.STEP_TOO_SMALL: "no step is small enough for the tolerances",
+    Result.NEWTON_FAILED: "the equations of an implicit step could not be solved",
+    Result.EVENT: "an event stopped it",
+    Result.NO_EVENT: "a phase ended without its event",
+    Result.MAX_CROSSINGS: "there was no room for another crossing",
+}
 
 
 @jax.tree_util.register_dataclass
@@ -60,7 +69,7 @@ class Trail(NamedTuple):
 
 
 class Saved(NamedTuple):
-    """What a loop over steps leaves behind for the saved times, all with a leading axis n."""
+    """The states from which the saved times are reached, all with a leading axis n."""
 
     steps: jax.Array  # the accepted steps before each
     t: jax.Array  # time and stored state after that many steps
@@ -86,7 +95,7 @@ class Halt(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Watched:
-    """What a loop over steps knows of the conditions."""
+    """The state of the events in the loop over steps."""
 
     values: Any  # (m,) where the next step begins; the last ones that were not NaN
     met: Any  # (m,) whether each was zero, or past it, at the start
@@ -97,7 +106,7 @@ class Watched:
     crossed: Any = None
 
     def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> Watched:
-        """What the loop leaves behind, after so many accepted steps; `read` unpacks a state."""
+        """The state after the loop, with so many accepted steps; `read` unpacks a state."""
         table: CrossingTable | None = self.crossed
         crossed = None if table is None else table.rows(read, steps, self.halt.s)
         return dataclasses.replace(self, y=read(self.y), crossed=crossed)
@@ -106,7 +115,7 @@ class Watched:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Run:
-    """What a loop over steps leaves behind. It halts before the step with an event."""
+    """The result of the loop over steps. It halts before the step with an event."""
 
     end: Any  # the stored state it reached
     outcome: Any

@@ -1,4 +1,4 @@
-"""How far an integration is, told while it runs. Where nobody asks, nothing of it is in the program."""
+"""Calls of a progress callback while an integration runs. Without one, programs have no trace of it."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ from ...progress import Progress
 
 Now = TypeVar("Now")
 #: Called with the time that was reached, and the share of the way to the end.
-Told = Callable[[float, float], Any]
+ProgressCallback = Callable[[float, float], Any]
 
 #: Who asked, while their integrations run: the programs, which are kept, know the number alone.
-_ASKED: dict[int, tuple[Told, list[Exception]]] = {}
+_CALLBACKS: dict[int, tuple[ProgressCallback, list[Exception]]] = {}
 _NUMBERS = itertools.count()
 
 
-def _tell(number: Any, t: Any, share: Any) -> None:
-    callback, raised = _ASKED.get(int(number), (None, []))
+def _call_back(number: Any, t: Any, share: Any) -> None:
+    callback, raised = _CALLBACKS.get(int(number), (None, []))
     if callback is None or raised:
         return
     try:
@@ -38,11 +38,11 @@ def _tell(number: Any, t: Any, share: Any) -> None:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Meter:
-    """What a loop over steps tells: a pytree, so that another one who asks compiles nothing anew."""
+    """Calls the progress callback in a loop over steps. A pytree: another callback compiles nothing."""
 
     number: Any
 
-    def along(
+    def loop(
         self,
         steps_to: Callable[[Now, jax.Array], Now],
         now: Now,
@@ -50,7 +50,7 @@ class Meter:
         part: jax.Array,
         at: Callable[[Now], tuple[jax.Array, jax.Array, jax.Array]],
     ) -> Now:
-        """steps_to(now, stop) in parts of some steps, with a word after each.
+        """steps_to(now, stop) in parts of some steps, with a call of the callback after each.
 
         Args:
             at: of what is carried the number of steps, the time, and the share of the way to the end; the number is
@@ -59,14 +59,14 @@ class Meter:
 
         def one(now: Now) -> Now:
             now = steps_to(now, jnp.minimum(stop, at(now)[0] + part))
-            jax.debug.callback(_tell, self.number, *at(now)[1:])
+            jax.debug.callback(_call_back, self.number, *at(now)[1:])
             return now
 
         return jax.lax.while_loop(lambda now: at(now)[0] < stop, one, now)
 
 
-def asked_for(progress: Any) -> Told | None:
-    """What `progress` of `integrate` asks for. Raises InputError."""
+def callback_of(progress: Any) -> ProgressCallback | None:
+    """The callback for the argument `progress` of `integrate`. Raises InputError."""
     if progress is False:
         return None
     if progress is True:
@@ -79,15 +79,15 @@ def asked_for(progress: Any) -> Told | None:
 
 
 @contextlib.contextmanager
-def metered(callback: Told) -> Iterator[Meter]:
-    """A meter for the loops inside. What the function raised is raised at the end."""
+def calling_back(callback: ProgressCallback) -> Iterator[Meter]:
+    """A meter for the loops inside. An exception of the callback is raised at the end."""
     number, raised = next(_NUMBERS), list[Exception]()
-    _ASKED[number] = callback, raised
+    _CALLBACKS[number] = callback, raised
     try:
         yield Meter(np.asarray(number))
         jax.effects_barrier()
     finally:
-        del _ASKED[number]
+        del _CALLBACKS[number]
         line = getattr(callback, "__self__", None)
         if isinstance(line, Progress):  # an event may have ended it on the way
             line.close()

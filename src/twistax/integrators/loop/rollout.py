@@ -19,22 +19,22 @@ from ..charts.coordinates import Blocks
 from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
-from .kernels import Packed, advance_again, beside, opened
+from .kernels import Packed, advance_again, opened, shared_kernel
 from .loop import Steps, all_finite, ended_well, first_rows
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart
-from .unreached import nan_unless, nothing_of
+from .unreached import nan_unless, zero_of
 
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class RolloutResult:
-    """Where the steps led."""
+    """The result of the loop over steps."""
 
     #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
     xs: Any
     end: Any  # the state they reached; None: that of the only row
     reached: Any  # (n,) whether they came so far; None without saved times
-    outcome: Any  # how they went, an `LoopOutcome`, those of saved times included in the evaluations
+    outcome: Any  # how they went, a `LoopOutcome`, those of saved times included in the evaluations
     trail: Any  # where it is kept
     event: Any  # the number of the event that ended it, -1 for none; None where none is watched for
     at_start: Any = None  # (m,) whether each condition was zero or past it at the start
@@ -48,28 +48,29 @@ def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> RolloutResult:
     that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
     all times are right.
     """
-    return handed_over(jitted(in_few_arrays, stepper, steps, x))
+    return unpacked(jitted(packed_rollout, stepper, steps, x))
 
 
-def in_few_arrays() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
-    """What makes a rollout for `handed_over`: JAX takes 2 us for each array of a result."""
+def packed_rollout() -> Callable[[Stepper, Steps, Arrays], tuple[Any, ...]]:
+    """Makes a rollout whose result is a tuple of few arrays, for `unpacked`: JAX takes 2 us for each array."""
     rollout = differentiable()
 
-    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> RolloutResult:
-        result = rollout(stepper, steps, x)
-        outcome = result.outcome
-        counts = (outcome.code, outcome.tried, outcome.accepted, outcome.evaluations)
-        end = None if result.reached is None else result.end
-        return dataclasses.replace(result, end=end, outcome=(jnp.stack(counts), jnp.stack([outcome.t, outcome.h])))
+    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> tuple[Any, ...]:
+        r = rollout(stepper, steps, x)
+        counts = jnp.stack([r.outcome.code, r.outcome.tried, r.outcome.accepted, r.outcome.evaluations])
+        times = jnp.stack([r.outcome.t, r.outcome.h])
+        end = None if r.reached is None else r.end
+        return r.xs, end, r.reached, (counts, times), r.trail, r.event, r.at_start, r.crossings
 
     return packed
 
 
-def handed_over(result: RolloutResult) -> RolloutResult:
-    """With its outcome, in numbers of NumPy where they are known."""
-    array: Any = jnp if is_traced(result.outcome) else np
-    counts, times = map(array.asarray, result.outcome)
-    return dataclasses.replace(result, outcome=LoopOutcome(*counts, *times))
+def unpacked(values: tuple[Any, ...]) -> RolloutResult:
+    """The result of a `packed_rollout`, its outcome in numbers of NumPy where they are known."""
+    xs, end, reached, outcome, *rest = values
+    array: Any = jnp if is_traced(outcome) else np
+    counts, times = map(array.asarray, outcome)
+    return RolloutResult(xs, end, reached, LoopOutcome(*counts, *times), *rest)
 
 
 def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
@@ -86,7 +87,7 @@ def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
 
 
 def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
-    """The same, batched where one of the inputs is: JAX expects the batch axes of a function in its derivative too."""
+    """The result, batched where an input is: JAX expects the batch axes of a function in its derivative too."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
@@ -114,7 +115,7 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
 
 
 def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: Any = crossing_rows) -> RolloutResult:
-    """With what is known of the conditions; `rows` makes those of crossings."""
+    """With the crossings, and which conditions were met at the start."""
     if run.watched is None:
         return result
     crossed = run.watched.crossed
@@ -133,7 +134,7 @@ def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutRe
     assert saved is not None
 
     def row(y: Blocks, t: jax.Array) -> tuple[jax.Array, jax.Array, Arrays]:
-        return beside(_row, None, stepper, x, Packed.of(y), t, steps.t0, outcome.t)
+        return shared_kernel(_row, None, stepper, x, Packed.of(y), t, steps.t0, outcome.t)
 
     reached, not_finite, xs = jax.vmap(row)(saved.y, saved.t)
     not_finite = (outcome.code == Result.SUCCESS.value) & not_finite.any()
@@ -173,7 +174,7 @@ def _to_saved_times(
     moved: Any,
     advance_all: Callable[[Saved, StepPart], Blocks] | None = None,
 ) -> RolloutResult:
-    """From the states before the saved times, and before an event, on to them."""
+    """The states at the saved times and at the event, from those before."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
     saved, moved, end = run.saved, opened(moved), opened(run.end)
     run = dataclasses.replace(run, end=end)
@@ -201,7 +202,7 @@ def _to_saved_times(
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
-    """The values, but the start as it was given, to the last bit, where no step was taken; derivatives stay."""
+    """The values, or the exact start where no step was taken; derivatives stay."""
     result = {}
     for name, value in values.items():
         known = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
@@ -211,7 +212,7 @@ def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
 
 
 def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    """Flags of rows, with as many axes as what they are of."""
+    """Flags of rows with as many axes as the array."""
     return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 
@@ -243,7 +244,7 @@ def _not_of_failures(
 ) -> RolloutResult:
     """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
     good = ended_well(result.outcome.code)
-    nothing = nothing_of(moved)  # what no step has read yet counts too
+    nothing = zero_of(moved)  # what no step has read yet counts too
 
     def spoiled(good: jax.Array, tree: Any) -> Any:
         return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
@@ -265,7 +266,7 @@ def _is_symbolic(slope: Any) -> bool:
 
 
 def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
-    """The same rollout, by taking its steps again."""
+    """The rollout by the same steps taken again, which is differentiable."""
 
     def step(y: Blocks, part: StepPart) -> Blocks:
         return advance_again(stepper, part.t, y, part.h)

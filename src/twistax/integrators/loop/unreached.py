@@ -1,4 +1,4 @@
-"""NaN in place of what an integration did not reach, in values and in derivatives."""
+"""NaN, in values and derivatives, for states that an integration did not reach."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ def nan_unless(good: jax.Array, tree: Tree) -> Tree:
     return values
 
 
-def nothing_of(tree: object) -> jax.Array:
+def zero_of(tree: object) -> jax.Array:
     """Zero as a linear function of all floating-point arrays: in reverse NaN reaches each of them."""
     parts = [0.0 * a.sum() for a in jax.tree.leaves(tree)]
     return functools.reduce(jnp.add, parts)

@@ -16,7 +16,7 @@ from ...system.dynamics import Dynamics
 from ..charts.chart import Exponential, compensated
 from ..charts.coordinates import Blocks, StateCoordinates
 from ..method import Method, VectorField
-from ..tableaus import ButcherTableau, Coefficients, Stages
+from ..tableaus import ButcherTableau, Coefficients, StageRows
 from .rkmk import stage_slopes
 
 #: Exponentials in the order in which they act, each the weights of the slopes in its exponent.
@@ -147,6 +147,6 @@ class CommutatorFree(Method):
         def slope(time: jax.Array, exponents: list[Blocks]) -> tuple[Blocks, None]:
             return self.rate(field, time, reached(exponents)), None
 
-        stages = Stages(tableau.weights(tableau.a), tableau.c)
+        stages = StageRows(tableau.weights(tableau.a), tableau.c)
         slopes, _ = stage_slopes(stages, slope, self.rate(field, t, y), None, t, h)
         return local.settle(reached(slopes.combine(tableau.weights([tableau.b])[0], h)))

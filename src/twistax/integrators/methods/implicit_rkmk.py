@@ -39,23 +39,21 @@ _LARGEST = 2000
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _Last:
-    """The last step."""
-
     Z: Any  # the coordinates of its stages (s, N)
     h: Any
     contraction: Any  # how fast Newton's method converged
 
 
-class _Learned(NamedTuple):
-    """What steps chosen by tolerances carry."""
+class _Reuse(NamedTuple):
+    """What adaptive steps carry: the last step, and inverses to use again."""
 
     last: _Last
     inverses: tuple[Parts, ...]  # in use
     h: jax.Array  # the step they were made for
 
 
-class _Found(NamedTuple):
-    """A step."""
+class _SolvedStep(NamedTuple):
+    """A step whose stage equations were solved."""
 
     last: _Last
     solved: jax.Array  # whether its stages solve the equations
@@ -120,7 +118,7 @@ class ImplicitRKMK(ChartMethod):
         """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
-            step = small_call(lambda last: self._to_round_off(equations, last), self._nothing(equations.zero))
+            step = small_call(lambda last: self._to_round_off(equations, last), self._no_last_step(equations.zero))
             return jnp.where(step.solved, step.last.Z, jnp.nan)
 
         def tangent_solve(linear: Callable[..., Any], b: jax.Array) -> jax.Array:
@@ -128,11 +126,11 @@ class ImplicitRKMK(ChartMethod):
             columns = jax.vmap(lambda e: linear(e.reshape(b.shape)).reshape(-1))(jnp.eye(size, dtype=b.dtype))
             return jnp.linalg.solve(columns.T, b.reshape(-1)).reshape(b.shape)
 
-        guess = self._nothing(equations.zero).Z
+        guess = self._no_last_step(equations.zero).Z
         return jax.lax.custom_root(equations.residual, guess, solve, tangent_solve)
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        return self._nothing(self.coordinates(dynamics).packed(y, dynamics.group)[0])
+        return self._no_last_step(self.coordinates(dynamics).packed(y, dynamics.group)[0])
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         equations = _StageEquations(self, field, t, y, h)
@@ -144,7 +142,7 @@ class ImplicitRKMK(ChartMethod):
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
         last = self.before(dynamics, y)
-        return _Learned(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
+        return _Reuse(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
         # Inverses from before a jump would take a long step across slow rates for one across stiff ones: the update
@@ -164,31 +162,31 @@ class ImplicitRKMK(ChartMethod):
             squares = jax.vmap(lambda dz: tolerances.mean_square(local, read(dz), y, y))(dZ)
             return jnp.sqrt(jnp.mean(squares)) / share
 
-        known: _Learned = carry
+        known: _Reuse = carry
         start = equations.first_slope()
         changed = jnp.abs(h - known.h) > _ALIKE * jnp.abs(known.h)
         renewed = changed | (known.last.contraction > _FAST)
         inverses = jax.lax.cond(
-            renewed, lambda: Factors.found(self.tableau, equations.start()[1], h), lambda: known.inverses
+            renewed, lambda: Factors.inverses_of(self.tableau, equations.start()[1], h), lambda: known.inverses
         )
         factors = Factors(self.tableau, inverses)
         # Two updates, unless the first is nothing: where stiffness falls within the step, inverses from its start make
         # any update small, and only the next one, as large, tells.
         last = dataclasses.replace(known.last, contraction=jnp.ones_like(h) / eps)
-        step = self._found(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
-        learned = _Learned(step.last, inverses, jnp.where(renewed, h, known.h))
+        step = self._solved(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
+        learned = _Reuse(step.last, inverses, jnp.where(renewed, h, known.h))
         raw = self.tableau.start_weight * h * start + combined([self.tableau.error_weights], list(step.last.Z))[0]
         errors = (read(factors.damped(raw)),)
         evaluations = step.evaluations + renewed.astype(step.evaluations.dtype)
         return StepAttempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
 
-    def _nothing(self, zero: jax.Array) -> _Last:
-        """What is known before the first step."""
+    def _no_last_step(self, zero: jax.Array) -> _Last:
+        """In place of a last step, before the first one."""
         none = jnp.zeros((), zero.dtype)
         return _Last(jnp.zeros((self.tableau.stages, zero.size), zero.dtype), none, none + 1.0)
 
     def _guess(self, last: _Last, h: jax.Array) -> jax.Array:
-        """The polynomial of the last step, carried on."""
+        """The stages by extrapolation of the polynomial of the last step."""
         known = last.h != 0.0
         ratio = jnp.where(known, h / jnp.where(known, last.h, 1.0), 0.0)
         powers = combined(self.tableau.polynomial, list(last.Z))
@@ -202,7 +200,7 @@ class ImplicitRKMK(ChartMethod):
 
         return jnp.where(known, jnp.stack([at(1.0 + float(c) * ratio) for c in self.tableau.c]), 0.0)
 
-    def _found(
+    def _solved(
         self,
         equations: _StageEquations,
         start_values: Any,
@@ -211,8 +209,8 @@ class ImplicitRKMK(ChartMethod):
         last: _Last,
         most: int,
         rounding: Any,
-    ) -> _Found:
-        """The stages by Newton's method, what is left of size below 1, from what the last step suggests."""
+    ) -> _SolvedStep:
+        """The stages by Newton's method, until the size of what remains is below 1."""
         guess = self._guess(last, equations.h)
         # A step that may not be taken back gets a second guess.
         again = most == _MANY
@@ -222,13 +220,13 @@ class ImplicitRKMK(ChartMethod):
         evaluations = 1 + self.tableau.stages * solved.iterations
         # Where rates are NaN to begin with it is not the equations that are at fault.
         good = solved.done | ~all_finite(start_values)
-        return _Found(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
+        return _SolvedStep(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
-    def _to_round_off(self, equations: _StageEquations, last: _Last) -> _Found:
-        """The stages as well as rounding allows."""
+    def _to_round_off(self, equations: _StageEquations, last: _Last) -> _SolvedStep:
+        """The stages, solved to round-off."""
         local, read, y, h = equations.local, equations.read, equations.y, equations.h
         start, J = equations.start()
-        factors = Factors(self.tableau, Factors.found(self.tableau, J, h))
+        factors = Factors(self.tableau, Factors.inverses_of(self.tableau, J, h))
 
         def deviation(z: jax.Array) -> jax.Array:
             return ravel_pytree(local.deviation(read(z), y))[0]
@@ -245,7 +243,7 @@ class ImplicitRKMK(ChartMethod):
         def size(dZ: jax.Array) -> jax.Array:
             return jnp.sqrt(jnp.mean(jnp.square(jax.vmap(deviation)(dZ) / unit[None, :])))
 
-        return self._found(equations, (start, J), factors, size, last, _MANY, 1.0)
+        return self._solved(equations, (start, J), factors, size, last, _MANY, 1.0)
 
 
 class _StageEquations:

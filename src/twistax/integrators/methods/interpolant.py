@@ -64,7 +64,7 @@ def interpolant(tableau: ButcherTableau) -> Interpolant:
 
 
 def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArray[Any], float]:
-    """The weights, and by how much the conditions are missed."""
+    """The weights, and the largest residual of the conditions."""
     trees = [tree for size in range(1, order + 1) for tree in _trees(size)]
     sizes, stages = np.array([_size(tree) for tree in trees]), len(ends)
     phi = np.stack([_weight(tree, a) for tree in trees])
@@ -102,7 +102,7 @@ _Tree: TypeAlias = tuple[Any, ...]
 
 @functools.cache
 def _trees(size: int) -> list[_Tree]:
-    """Those with so many nodes."""
+    """The rooted trees of so many nodes."""
     return sorted({tuple(sorted(forest)) for forest in _forests(size - 1, size - 1)})
 
 

@@ -163,7 +163,6 @@ class Magnus(Method):
 
 
 def _flat_names(dynamics: Dynamics) -> list[str]:
-    """The states without a group."""
     return [name for name, group in dynamics.group.factors.items() if group.flat]
 
 

@@ -27,7 +27,7 @@ _LARGEST = 24
 
 
 class Newton(NamedTuple):
-    """What Newton's method found, and what its loop carries."""
+    """The state and the result of Newton's method."""
 
     Z: jax.Array  # the solution
     size: jax.Array  # of the last update
@@ -87,7 +87,7 @@ def combined(weights: Any, rows: Sequence[jax.Array]) -> list[jax.Array]:
 
 
 class Factors:
-    """What solves (a^-1 x I - I x h J) X = R: an inverse for each real eigenvalue of a^-1, and for each complex pair.
+    """Solves (a^-1 x I - I x h J) X = R: an inverse for each real eigenvalue of a^-1, and for each complex pair.
 
     Source: Hairer, Wanner, Solving Ordinary Differential Equations II (1996), section IV.8.
     """
@@ -97,7 +97,7 @@ class Factors:
         self.real, self.pairs = inverses[:count], inverses[count:]
 
     @staticmethod
-    def found(tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> tuple[Parts, ...]:
+    def inverses_of(tableau: CollocationTableau, J: jax.Array, h: jax.Array) -> tuple[Parts, ...]:
         """The inverses for a step of length h."""
         eye, scaled = jnp.eye(J.shape[0], dtype=J.dtype), h * J
         real = [inverse((mu * eye - scaled,)) for mu in tableau.real]
@@ -121,7 +121,7 @@ class Factors:
         return jnp.stack(combined(self.tableau.transform, solution))
 
     def reach(self, sizes: jax.Array) -> jax.Array:
-        """How large what `solve` makes of entries of these sizes may be, roughly."""
+        """A rough bound on the result of `solve` for entries of these sizes."""
         parts = [jnp.sum(jnp.abs(part) * sizes[None, :], axis=1) for part in (self.real or self.pairs)[0]]
         return functools.reduce(jnp.add, parts)
 

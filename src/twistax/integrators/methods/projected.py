@@ -25,7 +25,6 @@ _FAR = 1e-6
 
 
 def _of_inner(method: str) -> Callable[..., Any]:
-    """A method of the inner method."""
     return lambda self, *arguments: getattr(self.inner, method)(*arguments)
 
 

@@ -21,10 +21,10 @@ from ..charts.chart import Chart, Exponential, chart_of
 from ..charts.coordinates import Blocks
 from ..method import Carry, ChartMethod, StepAttempt, VectorField
 from ..step_control import Tolerances
-from ..tableaus import ButcherTableau, Stages
+from ..tableaus import ButcherTableau, StageRows
 from .interpolant import interpolant
 
-Aside = TypeVar("Aside")
+Extra = TypeVar("Extra")
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,19 +169,19 @@ class Slopes(NamedTuple):
 
 
 def stage_slopes(
-    stages: Stages,
-    slope: Callable[[jax.Array, Any], tuple[Any, Aside]],
+    stages: StageRows,
+    slope: Callable[[jax.Array, Any], tuple[Any, Extra]],
     first: Any,
-    aside: Aside,
+    extra: Extra,
     t: jax.Array,
     h: jax.Array,
-) -> tuple[Slopes, Aside]:
+) -> tuple[Slopes, Extra]:
     """k_1, k_2, ... with k_i = slope(t + c_i h, h sum_j a_ij k_j) and k_1 = first, by a loop over the stages.
 
     The loop is traced once whatever the tableau: a step of thirteen stages compiles as fast as one of four, and as one
     small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways. Where a has a list of
-    rows for every stage, slope is given the list of combinations. Slope also sets aside what of the last stage the
-    caller wants; `aside` is that of the first one.
+    rows for every stage, slope is given the list of combinations. Slope also returns what else of the last stage the
+    caller wants; `extra` is that of the first one.
     """
     start, read = ravel_pytree(first)
     a, c = (np.asarray(table) for table in stages)
@@ -192,7 +192,7 @@ def stage_slopes(
     branches = [lambda rows, row=row: _sum(row, rows) for row in a[1:]] if inside_small_call() else []
     weights = None if branches else jnp.asarray(a, start.dtype)
 
-    def stage(carried: tuple[jax.Array, Aside], entry: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
+    def stage(carried: tuple[jax.Array, Extra], entry: tuple[jax.Array, jax.Array]) -> tuple[Any, None]:
         rows, _ = carried
         number, node = entry
         if weights is None:
@@ -204,8 +204,8 @@ def stage_slopes(
         return (jax.lax.dynamic_update_index_in_dim(rows, k, number, 0, allow_negative_indices=False), extra), None
 
     if count > 1:
-        (rows, aside), _ = jax.lax.scan(stage, (rows, aside), (jnp.arange(1, count), jnp.asarray(c[1:], start.dtype)))
-    return Slopes(rows, read), aside
+        (rows, extra), _ = jax.lax.scan(stage, (rows, extra), (jnp.arange(1, count), jnp.asarray(c[1:], start.dtype)))
+    return Slopes(rows, read), extra
 
 
 def _read(read: Callable[[jax.Array], Any], combined: jax.Array) -> Any:

@@ -20,7 +20,7 @@ from ..events.conditions import Event
 from ..integrate import integrated
 from ..loop.loop import ended_well
 from ..loop.outcome import Result
-from ..loop.progress_callback import Told, asked_for
+from ..loop.progress_callback import ProgressCallback, callback_of
 from ..loop.unreached import nan_unless
 from ..options import FlightOptions, Options, StepOptions, with_options
 from ..results.solution import Solution
@@ -104,14 +104,14 @@ def integrate_phases(phases: Sequence[Phase], x0: Mapping[str, Any], options: Ph
 
 
 class _Flight:
-    """An integration of phases that was checked."""
+    """A checked integration of phases."""
 
     def __init__(self, phases: Sequence[Phase], options: PhasesOptions) -> None:
         self.phases, self.options = phases, options
         self.names, self.labels = _named(phases)
         self.params = dict(options.params or {})
         self.joins = _checked(phases, self.labels, options.links, self.params, options.u)
-        self.callback = None if options.progress is None else asked_for(options.progress)
+        self.callback = None if options.progress is None else callback_of(options.progress)
         # Which rows a phase has is known only where its times are.
         self.on_grid = options.save_at is not None and is_tracing()
 
@@ -148,7 +148,6 @@ class _Flight:
         return PhasedSolution(tuple(solutions), starts, t_starts, code, save_at, names, self.on_grid)
 
     def _one(self, index: int, t: Any, x: Mapping[str, Any], dtype: Any) -> Solution:
-        """The solution of a phase from its start."""
         phase, options = self.phases[index], self.options
         limit, save_at, progress = _limit(phase, t), options.save_at, None
         known = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
@@ -182,7 +181,8 @@ class _Flight:
 
     def _next(self, index: int, solution: Solution, good: Any) -> tuple[Any, dict[str, Any]]:
         """Time and states with which the next phase begins."""
-        t, end = solution.ts[-1], {name: value[-1] for name, value in solution.xs.items()}
+        t: Any = solution.ts[-1]
+        end = {name: value[-1] for name, value in solution.xs.items()}
         if is_traced(solution.code):
             t, end = nan_unless(good, (t, end))
         else:
@@ -193,8 +193,8 @@ class _Flight:
         return t, x
 
 
-def _share(callback: Told, index: int, count: int) -> Told:
-    """What tells how far a phase is, of the whole."""
+def _share(callback: ProgressCallback, index: int, count: int) -> ProgressCallback:
+    """A progress callback for one phase of several."""
     return lambda t, share: callback(t, (index + share) / count)
 
 
@@ -251,7 +251,6 @@ def _checked(
 
 
 def _by_event(phase: Phase) -> bool:
-    """Whether an event ends the phase."""
     events = phase.event if isinstance(phase.event, (list, tuple)) else [phase.event]
     return any(isinstance(event, Event) and event.terminal for event in events)
 
@@ -283,7 +282,7 @@ def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event:
 
 
 def _met(solution: Solution, limit: Any, throw: bool) -> Solution:
-    """A phase that reached its last time without its event has not ended well. Raises IntegrationError."""
+    """The solution, marked as failed where the phase ended without its event. Raises IntegrationError."""
     missed = solution.code == Result.SUCCESS.value
     if is_traced(solution.code):
         return dataclasses.replace(solution, code=jnp.where(missed, Result.NO_EVENT.value, solution.code))

@@ -1,4 +1,4 @@
-"""What an integration of phases gives back: a solution for each, and what they have in common as one."""
+"""The result of an integration of phases: a solution for each, and what they have in common as one."""
 
 from __future__ import annotations
 
@@ -128,7 +128,7 @@ class PhasedSolution(AnySolution):
         return draw(drawn)
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
-        """All phases one after the other in three dimensions: what all of them have; see `Solution.show`.
+        """An animation of all phases in three dimensions, with the states that all have; see `Solution.show`.
 
         Raises:
             InputError: as `Solution.show`; no saved times.
@@ -156,7 +156,7 @@ class PhasedSolution(AnySolution):
         return [*joined[:1], Column("phase", "", np.repeat(np.arange(len(tables)), count)), *joined[1:]]
 
     def _reached(self, what: str) -> list[Solution]:
-        """The phases without the rows that they do not cover."""
+        """The phases, without rows of times that they do not cover."""
         need_one(what, self.phases[0])
         if not self.on_grid:
             return list(self.phases)
@@ -175,7 +175,7 @@ class PhasedSolution(AnySolution):
         return (times >= np.asarray(self.t_starts[0])) & (times <= np.asarray(self.phases[-1].ts[-1]))
 
     def _joined(self, of: Callable[[Solution], Arrays]) -> Arrays:
-        """What all phases have, at `ts`."""
+        """Values that all phases have, at `ts`."""
         values = [of(phase) for phase in self.phases]
         axis = self.phases[0].ts.ndim - 1
         tail = lambda value: value.shape[axis + 1 :]  # noqa: E731

@@ -1,1 +1,1 @@
-"""What an integration returns."""
+"""Results of an integration: solutions, their outputs, tables."""

@@ -69,7 +69,7 @@ def _controls_at(stepper: Stepper, t: jax.Array) -> Arrays:
 
 
 def _each(function: Callable[..., Arrays], stepper: Stepper, ts: jax.Array, *rest: Any) -> Arrays:
-    """The function at every time; of a batch every part of the stepper has the batch's axes."""
+    """The function mapped over all times, and over the axes of a batch."""
     mapped = jax.vmap(function, in_axes=(None, 0, *(0 for _ in rest)))
     for _ in range(ts.ndim - 1):
         mapped = jax.vmap(mapped)
@@ -77,7 +77,7 @@ def _each(function: Callable[..., Arrays], stepper: Stepper, ts: jax.Array, *res
 
 
 def _in_rows(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
-    """What is made, at all times: known rows are filled up, so that another number of them compiles nothing anew."""
+    """The function at all times; known times are padded, so that another number of them compiles nothing."""
     count = ts.shape[-1]
     if is_traced((stepper, ts, xs)) or ts.ndim > 1 or not count:
         return _called(make, stepper, ts, xs)

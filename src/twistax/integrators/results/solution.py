@@ -1,4 +1,4 @@
-"""What an integration gives back: states, counts, the state at any time; or says, where it ended early."""
+"""The solution of an integration: states, counts, the state at any time, and how it ended."""
 
 from __future__ import annotations
 
@@ -84,7 +84,7 @@ class Crossings:
 
 
 class Dense(NamedTuple):
-    """The starts of all steps and what takes a step.
+    """Dense output: the starts of all steps, and the stepper.
 
     Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
     the others; an interpolating polynomial would cost order and leave the group.
@@ -112,7 +112,7 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
 
 
 class AnySolution(ABC):
-    """What a solution and one of several phases share: how it ended, and its table."""
+    """Base of `Solution` and `PhasedSolution`: how it ended, and its table."""
 
     code: Any  # the number of a `Result`
 
@@ -124,7 +124,7 @@ class AnySolution(ABC):
 
     @abstractmethod
     def _columns(self, layout: Any) -> list[Column]:
-        """Those of the table in a layout."""
+        """The columns of the table."""
 
     def to_csv(self, path: Any, layout: Any = None) -> None:
         """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
@@ -171,7 +171,7 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
 
 
 def _room(start: Any, end: Any) -> Any:
-    """How far beyond a span times may lie by rounding."""
+    """How far outside of a span times may be, for rounding."""
     return 1e-6 * (end - start)
 
 

@@ -17,7 +17,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...integrators.ambient import Ambient
+from ...integrators.ambient import AmbientSystem
 from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
 from ...trajectory.problem.conditions import split
@@ -102,7 +102,7 @@ class PeerProblem:
         return PeerSolve(answer["value"], answer["converged"], path, *seconds)
 
     def _numbers(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        """OpenSCvx's states as our states in `Ambient` numbers; the leading axis is points."""
+        """OpenSCvx's states as our states in `AmbientSystem` numbers; the leading axis is points."""
         arrays = {}
         for state in self.known.problem.dynamics.system.states:
             parts = self.parts.get(state.name)
@@ -115,7 +115,7 @@ class PeerProblem:
         return {c.name: np.asarray(values[c.name]).reshape(-1, *c.shape) for c in leaves}
 
     def _states(self, values: Mapping[str, Any]) -> dict[str, Any]:
-        read = Ambient(self.known.problem.dynamics).from_ambient
+        read = AmbientSystem(self.known.problem.dynamics).from_ambient
         return {n: np.asarray(a) for n, a in jax.jit(jax.vmap(read))(self._numbers(values)).items()}
 
     def trajectory(self, nodes: Mapping[str, Any], zero_order_hold: bool) -> Trajectory:
@@ -137,7 +137,7 @@ class PeerProblem:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
         problem_statement, system = problem.stated, problem.dynamics.system
-        plain, points = Ambient(problem.dynamics), self._numbers(statement["points"])
+        plain, points = AmbientSystem(problem.dynamics), self._numbers(statement["points"])
         rows = [constraint.residual() for constraint in system.constraints.values()]
         rows += [cost for cost in (problem_statement["objective"].running,) if cost is not None]
 

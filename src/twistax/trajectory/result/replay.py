@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from ...errors import InputError, IntegrationError, TrajectoryError
 from ...groups import Group
 from ...integrators import Method, ZeroOrderHold, integrate
-from ...integrators.ambient import Ambient
+from ...integrators.ambient import AmbientSystem
 from ..problem.statement import largest_by_name, violations
 from ..strategy.integration import CoreRollout
 from ..transcription.points import Point
@@ -131,7 +131,7 @@ def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: fl
     if not isinstance(solver, diffrax.AbstractSolver):
         raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
     problem = result.problem
-    ambient = Ambient(problem.dynamics)
+    ambient = AmbientSystem(problem.dynamics)
     params = {name: jnp.asarray(value) for name, value in result.params.items()}
     control = diffrax.PIDController(rtol=rtol, atol=atol)
 
