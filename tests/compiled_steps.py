@@ -4,8 +4,8 @@ from typing import Any
 
 import twistax as tx
 from twistax.integrators.kernels import KernelSteps
-from twistax.lowering.scalar.loops import Repeated
-from twistax.lowering.scalar.primitive import Derived
+from twistax.scalar.jax_primitive import Derived
+from twistax.scalar.loops import Repeated
 
 
 def _compiled(dynamics: tx.Dynamics, kind: type[Any]) -> list[Any]:

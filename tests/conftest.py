@@ -63,7 +63,7 @@ gc.set_threshold(50_000, 20, 20)
 
 #: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take
 #: most of the time.
-UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.", "twistax.jax_inside")
+UNCHECKED = ("twistax.scalar.", "twistax.jax_inside")
 
 #: Annotations of arrays, with shapes, stand here alone.
 SHAPED = "twistax.groups."

@@ -7,7 +7,7 @@ import os
 
 import pytest
 
-from twistax.lowering.native import machine_code
+from twistax.scalar.targets.llvm import machine_code
 
 USERS = machine_code.LEVEL
 machine_code.LEVEL = 0 if os.environ["XLA_FLAGS"] else USERS

@@ -19,7 +19,7 @@ import difflib
 import importlib.util
 from typing import TYPE_CHECKING
 
-from . import expr, lie, linalg, spatial, tables
+from . import expr, lie, linalg, spatial
 from .errors import (
     ImmutableError,
     InputError,
@@ -32,6 +32,7 @@ from .errors import (
     TwistaxError,
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
+from .expr import tables
 from .expr.lie import pose
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
 from .system import System
@@ -47,9 +48,12 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.simulator import Simulator, simulator
     from .integrators.solution import Crossings, Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
-    from .lowering.fast import fast
     from .monte_carlo import Statistics, Sweep, sweep
+    from .scalar.backends import JAX, XLA
+    from .scalar.fast import fast
+    from .scalar.targets.llvm.backend import Native
+    from .system.dynamics import Dynamics, compile, load
+    from .system.lower import lower
     from .trajectory import Maximize, Minimize, Mode, Trim, trim
 
 __version__ = "0.2.0.dev0"
@@ -86,8 +90,11 @@ _LATER = {
     ".integrators.implicit_rkmk": ("ImplicitRKMK",),
     ".integrators.solution": ("Crossings", "Result", "Solution"),
     ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
-    ".lowering.fast": ("fast",),
+    ".scalar.backends": ("JAX", "XLA"),
+    ".scalar.fast": ("fast",),
+    ".scalar.targets.llvm.backend": ("Native",),
+    ".system.dynamics": ("Dynamics", "compile", "load"),
+    ".system.lower": ("lower",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
 }

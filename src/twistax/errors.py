@@ -25,8 +25,8 @@ PAGES = {
     "twistax.integrators": "docs/integrating.md",
     "twistax.groups": "docs/conventions.md",
     "twistax.scenes": "docs/scenes.md",
-    "twistax.lowering.export": "docs/exporting.md",
-    "twistax.lowering.fast": "docs/fast.md",
+    "twistax.system.export": "docs/exporting.md",
+    "twistax.scalar.fast": "docs/fast.md",
 }
 #: What serves all parts: those who call it are asked.
 _EVERYWHERE = (

@@ -28,7 +28,7 @@ import twistax as tx
 from oracles import skew
 from twistax.compositions import ALL, KAHAN_LI6, KAHAN_LI8, STRANG, SUZUKI4
 from twistax.integrators import VectorField
-from twistax.lowering import small_call as module
+from twistax.scalar import small_call as module
 from twistax.scenes import SCENES, free_rotation, offset_tumble
 
 END = 3.0

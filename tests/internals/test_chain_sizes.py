@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.scalar.program import scalarize
 from twistax.mechanics import chain_models, forward_dynamics, inverse_dynamics, mass_matrix
+from twistax.scalar.reader import scalarize
 
 
 @pytest.mark.parametrize(("function", "most"), [(inverse_dynamics, 810), (forward_dynamics, 1402)])

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistax as tx
-from twistax.lowering.explain import count_equations
+from twistax.system.explain import count_equations
 
 x, m = tx.State("x", (3,)), tx.State("m", (2, 3))
 

@@ -9,9 +9,9 @@ import pytest
 
 import twistax as tx
 from oracles import skew
-from twistax.lowering import hessian as hessians
-from twistax.lowering.scalar.graph import TooLarge
 from twistax.report.sections import hessians as of_the_arm
+from twistax.scalar.graph import TooLarge
+from twistax.system import hessian as hessians
 
 RNG = np.random.default_rng(0)
 

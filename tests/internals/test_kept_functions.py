@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.functions import Kept
+from twistax.system.functions import Kept
 
 
 def test_what_was_used_longest_ago_is_dropped() -> None:

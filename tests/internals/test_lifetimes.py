@@ -34,7 +34,7 @@ def _system(k: int) -> tx.System:
 
 def _used(k: int) -> list[weakref.ref[Any]]:
     """A system compiled, called and differentiated, then dropped: its functions and its kernels."""
-    from twistax.lowering.native import kernel
+    from twistax.scalar.targets.llvm import kernel
 
     before = set(kernel._CODE)
     dynamics = tx.compile(_system(k), backend=tx.Native(least=0))
@@ -79,14 +79,14 @@ def test_llvm_keeps_nothing_of_a_text(monkeypatch: pytest.MonkeyPatch) -> None:
     """In the context that all share, each number of each kernel would stay for as long as the process."""
     from llvmlite.binding import module
 
-    from twistax.lowering.native.machine_code import Processor, compiled
+    from twistax.scalar.targets.llvm.machine_code import Processor, compiled
 
     monkeypatch.delattr(module, "get_global_context")
     assert compiled("define double @f() {\n ret double 0.125\n}", Processor.host())
 
 
 def test_loops_of_fast_go_with_their_functions() -> None:
-    from twistax.lowering.scalar.loops import Looped
+    from twistax.scalar.loops import Looped
 
     def used(k: int) -> None:
         def turned(a: jax.Array) -> jax.Array:
@@ -112,7 +112,7 @@ def test_loops_of_fast_go_with_their_functions() -> None:
 
 def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call that nobody waits for may still be under way when the last kernel goes."""
-    from twistax.lowering.native import kernel
+    from twistax.scalar.targets.llvm import kernel
 
     monkeypatch.setattr(kernel, "_REST", 1e9)
     dynamics = tx.compile(_system(11), backend=tx.Native(least=0))
@@ -151,7 +151,7 @@ def test_integrated_systems_go_without_a_word_to_jax(how: dict[str, Any]) -> Non
 @pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc")
 def test_500_systems_leave_no_memory_behind(monkeypatch: pytest.MonkeyPatch) -> None:
     """But for what was dropped within half a minute, which is as much as there was time to compile."""
-    from twistax.lowering.native import kernel
+    from twistax.scalar.targets.llvm import kernel
 
     monkeypatch.setattr(kernel, "_REST", 0.0)
     _left([ref for k in range(10) for ref in _used(k)])
@@ -183,8 +183,8 @@ def _at_once(function: Callable[[], Any], count: int = 8) -> list[Any]:
 
 
 def test_threads_derive_one_program_as_one_thread_does() -> None:
-    from twistax.lowering.scalar.derivatives import cotangent_program, tangent_program
-    from twistax.lowering.scalar.program import ScalarProgram, scalarize
+    from twistax.scalar.derivatives import cotangent_program, tangent_program
+    from twistax.scalar.reader import ScalarProgram, scalarize
 
     def made() -> ScalarProgram:
         f = tx.lower(_system(1).rates["v"])
@@ -225,9 +225,9 @@ class _Watched(list):
 @pytest.mark.parametrize("which", ["tangent_program", "cotangent_program", "contracted_program", "columns_of"])
 def test_one_thread_at_a_time_adds_derivatives(which: str) -> None:
     """Two nodes that are added at once would get one number. No turn of threads is left to chance here."""
-    from twistax.lowering.scalar import derivatives
-    from twistax.lowering.scalar.entry import flat
-    from twistax.lowering.scalar.program import scalarize
+    from twistax.scalar import derivatives
+    from twistax.scalar.primitives.entry import flat
+    from twistax.scalar.reader import scalarize
 
     f = tx.lower(_system(1).rates["v"])
     program = scalarize(lambda x, v: [f(0.0, {"x": x, "v": v})], *POINT.values())

@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax import mechanics
-from twistax.lowering.native import kernel
+from twistax.scalar.targets.llvm import kernel
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
 

@@ -15,9 +15,9 @@ import twistax as tx
 from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
-from twistax.lowering.native.tile import by_numpy
-from twistax.lowering.scalar.program import ScalarProgram, scalarize
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
+from twistax.scalar.reader import ScalarProgram, scalarize
+from twistax.scalar.targets.llvm.kernel_body import by_numpy
 
 LONG = np.longdouble
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.scalar.loops import Repeated
+from twistax.scalar.loops import Repeated
 
 TIMES = np.array([0.0, 0.5, 0.75, 2.0])
 

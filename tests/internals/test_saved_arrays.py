@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from twistax.lowering.export import saved
+from twistax.system.export import saved
 
 
 def test_arrays_by_columns_and_empty_ones_come_back(tmp_path: Path) -> None:

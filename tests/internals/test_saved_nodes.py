@@ -14,7 +14,7 @@ import twistax as tx
 import twistax.mechanics
 from twistax.expr import Example, Expr, all_nodes, leaves_of
 from twistax.groups import SpecialOrthogonal
-from twistax.lowering.export.saved import read_nodes, write_nodes
+from twistax.system.export.saved import read_nodes, write_nodes
 
 
 def again(dynamics: tx.Dynamics, folder: Path) -> tx.Dynamics:

@@ -12,8 +12,8 @@ import pytest
 from integrator_bodies import forced_body, spatial_inertia, start
 
 import twistax as tx
-from twistax.lowering import small_call as module
-from twistax.lowering.small_call import small_call
+from twistax.scalar import small_call as module
+from twistax.scalar.small_call import small_call
 from twistax.tableaus import DOP853, RK4
 
 #: How our calls differ from those XLA makes of small loops on its own.

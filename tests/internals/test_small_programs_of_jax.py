@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from twistax import jax_inside
-from twistax.lowering.scalar.emitter import as_function
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.xla import as_function
 
 
 def recursion(c: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -52,7 +52,7 @@ def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkey
 
 
 def test_without_metadata_functions_run_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    from twistax.lowering.small_call import small_call
+    from twistax.scalar.small_call import small_call
 
     monkeypatch.setattr(jax_inside, "_set_xla_metadata", None)
     assert not jax_inside.small_calls_exist()

@@ -13,7 +13,7 @@ import pytest
 import twistax as tx
 from twistax.integrators.rkmk import stage_slopes
 from twistax.integrators.tableaus import ButcherTableau, Rows
-from twistax.lowering.small_call import held, small_call
+from twistax.scalar.small_call import held, small_call
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")
 

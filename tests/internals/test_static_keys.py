@@ -12,7 +12,7 @@ import numpy as np
 
 import twistax as tx
 from twistax.expr.fields import freeze
-from twistax.lowering.inputs import cast
+from twistax.system.inputs import cast
 
 s, v = tx.State("s"), tx.State("v", shape=(3,))
 

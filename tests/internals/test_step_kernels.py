@@ -9,12 +9,12 @@ from windy_body import START, U, windy_body
 
 import twistax as tx
 from twistax.integrators.integrate import planned
-from twistax.lowering.native.iterations import Iterations
-from twistax.lowering.native.kernel import Kernel, check_kernel
-from twistax.lowering.native.machine_code import BuildError, Processor
-from twistax.lowering.native.tile import native_form
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm.iterations import Iterations
+from twistax.scalar.targets.llvm.kernel import Kernel, check_kernel
+from twistax.scalar.targets.llvm.kernel_body import native_form
+from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

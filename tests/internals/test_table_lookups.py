@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.expr.table_kinds import Axis
-from twistax.lowering.scalar.program import emitted_form, scalarize
-from twistax.tables import BSpline, Linear
+from twistax.expr.tables import BSpline, Linear
+from twistax.expr.tables.kinds import Axis
+from twistax.scalar.reader import emitted_form, scalarize
 
 RNG = np.random.default_rng(3)
 

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering import jacobian
-from twistax.lowering.scalar.graph import TooLarge
+from twistax.scalar.graph import TooLarge
+from twistax.system import jacobian
 
 V, mass = tx.State("V", (6,)), tx.State("mass")
 
@@ -66,8 +66,8 @@ def test_a_jacobian_that_is_too_large_goes_column_by_column(backend: Any, monkey
 
 def test_a_jacobian_too_large_for_one_program_goes_column_by_column(monkeypatch: pytest.MonkeyPatch) -> None:
     """With controls and parameters or without any: there may be nothing of a kind."""
-    from twistax.lowering.functions import Functions
-    from twistax.lowering.scalar.graph import TooLarge
+    from twistax.scalar.graph import TooLarge
+    from twistax.system.functions import Functions
 
     def too_large(*_: Any) -> Any:
         raise TooLarge("too many scalars")

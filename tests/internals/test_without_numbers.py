@@ -9,7 +9,7 @@ from expr_cases import value_of
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.without_numbers import Structure
+from twistax.expr.transformations.without_numbers import Structure
 
 x, v = tx.State("x", shape=(2,)), tx.State("v")
 VALUES: dict[str, Any] = {"x": np.array([0.3, -0.7]), "v": 0.4}

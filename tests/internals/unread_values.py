@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistax as tx
-from twistax.lowering.small_call import small_call
+from twistax.scalar.small_call import small_call
 
 
 def looped(x: jax.Array, y: jax.Array, key: jax.Array | None = None) -> tuple[jax.Array, jax.Array | None]:

@@ -14,8 +14,8 @@ from scipy.linalg import expm
 import twistax as tx
 from oracles import skew
 from twistax.expr import Expr
-from twistax.lowering import hessian as hessians
 from twistax.scenes import SCENES
+from twistax.system import hessian as hessians
 
 mp = pytest.importorskip("mpmath")
 

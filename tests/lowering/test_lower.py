@@ -221,7 +221,7 @@ def test_leaves_may_be_called_like_time_or_a_constant() -> None:
 def test_chains_that_end_the_process_in_xla_are_refused_where_they_are_compiled(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    from twistax.lowering import backends
+    from twistax.scalar import backends
 
     monkeypatch.setattr(backends, "_LONGEST_CHAIN", 1500)
     s = tx.State("s")

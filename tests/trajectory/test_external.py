@@ -10,7 +10,7 @@ from program_derivatives import assert_derivatives
 from trajectory_systems import EULER, HEUN, double_integrator
 
 import twistax as tx
-from twistax.precision import in_double
+from twistax.jax_inside import in_double
 from twistax.trajectory.program import Program
 
 casadi = pytest.importorskip("casadi")

@@ -8,7 +8,7 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.precision import in_double
+from twistax.jax_inside import in_double
 from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
 from twistax.trajectory.border import Border, times_of
 from twistax.trajectory.transcribed import Given, Point

@@ -12,8 +12,8 @@ from trajectory_systems import quick_jit
 
 import twistax as tx
 from twistax.integrators import VectorField
-from twistax.lowering import hessian
-from twistax.lowering.scalar.graph import TooLarge
+from twistax.scalar.graph import TooLarge
+from twistax.system import hessian
 from twistax.trajectory import discretize
 
 RNG = np.random.default_rng(0)

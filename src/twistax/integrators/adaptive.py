@@ -11,9 +11,9 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..lowering.dynamics import Arrays
-from ..lowering.scalar.loops import Filling
-from ..lowering.small_call import held, small_call
+from ..scalar.loops import Filling
+from ..scalar.small_call import held, small_call
+from ..system.dynamics import Arrays
 from .charts import Blocks
 from .interpolant import Between
 from .kernels import Packed, beside, kernel_tries

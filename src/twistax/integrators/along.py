@@ -15,7 +15,7 @@ from ..checks import listed
 from ..errors import InputError
 from ..expr import Inputs
 from ..jax_inside import is_traced
-from ..lowering.dynamics import Arrays
+from ..system.dynamics import Arrays
 from .method import Stepper, jitted
 from .rows import room_for
 from .unreached import nan_unless

@@ -11,8 +11,7 @@ import jax.numpy as jnp
 from ..errors import InputError
 from ..groups import Group, quaternions, se3, so3
 from ..groups.arrays import unpack, vector
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, need_compiled
+from ..system.dynamics import Arrays, Dynamics, need_compiled
 from .controls import OfTime, Signals, controls_of
 
 

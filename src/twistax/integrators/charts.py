@@ -18,8 +18,8 @@ from ..errors import ModelError
 from ..groups import Group, Order, Product, SpecialEuclidean, quaternions
 from ..groups.arrays import Components, add, dot, matrix, pose_rate, rotation_rate, scale, swept, unpack, vector
 from ..groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
-from ..lowering.dynamics import Arrays
-from ..lowering.small_call import held
+from ..scalar.small_call import held
+from ..system.dynamics import Arrays
 
 __all__ = ["Ambient", "Chart", "Coordinates", "Exponential", "SplitExponential"]
 

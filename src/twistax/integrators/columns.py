@@ -14,7 +14,7 @@ import numpy as np
 from ..checks import instance, listed, path_of, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import ElementPart, euler, quaternion
-from ..layout import Column, Layout
+from ..groups.columns import Column, Layout
 from .rows import room_for
 
 if TYPE_CHECKING:

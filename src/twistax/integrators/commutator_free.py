@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ..checks import instance
 from ..errors import ModelError
-from ..lowering import Dynamics
+from ..system.dynamics import Dynamics
 from .charts import Blocks, Exponential, StateCoordinates
 from .compensated import compensated
 from .method import Method, VectorField

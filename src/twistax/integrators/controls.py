@@ -15,9 +15,8 @@ import numpy as np
 from ..checks import callable_with, real_array, short
 from ..errors import InputError, ShapeError
 from ..jax_inside import is_traced, of_one_device
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite, need_held, read_values
+from ..system.dynamics import Arrays, Dynamics
+from ..system.inputs import is_finite, need_held, read_values
 from ..units import same_unit, seconds
 
 #: Tables of more times are searched by halving.

@@ -29,11 +29,10 @@ from ..expr import (
     evaluate_all,
     leaves_of,
 )
-from ..expr.margins import margin
+from ..expr.operations.margins import margin
 from ..jax_inside import is_traced, is_tracing
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.inputs import need_held
+from ..system.dynamics import Arrays, Dynamics
+from ..system.inputs import need_held
 from .controls import Signals
 from .crossings import CrossingTable
 from .kernels import Packed, beside, opened

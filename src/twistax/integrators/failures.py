@@ -13,9 +13,9 @@ import numpy as np
 
 from ..errors import IntegrationError, ModelError
 from ..jax_inside import is_traced
-from ..lowering.dynamics import Arrays
-from ..lowering.inputs import is_finite
-from ..lowering.on_host import on_host
+from ..scalar.targets.host import on_host
+from ..system.dynamics import Arrays
+from ..system.inputs import is_finite
 from .charts import Exponential
 from .method import Stepper
 from .run import Outcome, Result

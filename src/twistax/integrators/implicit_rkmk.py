@@ -13,8 +13,9 @@ from jax.flatten_util import ravel_pytree
 from ..checks import instance
 from ..errors import ModelError
 from ..jax_inside import opened
-from ..lowering import XLA, Dynamics
-from ..lowering.small_call import small_call
+from ..scalar.backends import XLA
+from ..scalar.small_call import small_call
+from ..system.dynamics import Dynamics
 from .charts import Blocks, Chart, Exponential, chart_of
 from .method import Attempt, Carry, ChartMethod, VectorField
 from .newton import Factors, Parts, combined, newton

@@ -20,10 +20,9 @@ from ..errors import InputError
 from ..expr import Inputs
 from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
-from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import is_finite, need_held, precision
-from ..lowering.written import on_any_mesh
+from ..scalar.array_primitive import on_any_mesh
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import is_finite, need_held, precision
 from .adaptive import AdaptiveSteps
 from .charts import Ambient
 from .controls import ByName, OfTime, Signals, controls_of

@@ -14,9 +14,9 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..lowering.scalar.loops import Filling, Repeated, repeat
-from ..lowering.scalar.primitive import Derived, call_program
-from ..lowering.small_call import inside_small_call, small_call
+from ..scalar.jax_primitive import Derived, call_program
+from ..scalar.loops import Filling, Repeated, repeat
+from ..scalar.small_call import inside_small_call, small_call
 from .charts import Blocks
 from .grid import Grid
 from .method import Attempt, Carry, Stepper

@@ -12,10 +12,9 @@ from ..checks import callable_with, listed, real_array, short
 from ..errors import ModelError, ShapeError
 from ..expr import Constant, Expr, Inputs, Leaf, Parameter, State, Time, canonicalize_all, evaluate_all, leaves_of
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.inputs import cast
 from ..system import name_of
+from ..system.dynamics import Arrays, Dynamics
+from ..system.inputs import cast
 
 #: What `integrate_phases` takes for a join.
 Link = Mapping[Any, Any] | Callable[..., Any] | None

@@ -13,8 +13,7 @@ import numpy as np
 from ..checks import instance
 from ..errors import ModelError
 from ..groups import Group
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
+from ..system.dynamics import Arrays, Dynamics
 from .charts import Blocks, Exponential, StateCoordinates
 from .compensated import compensated
 from .method import Method, VectorField

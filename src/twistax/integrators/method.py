@@ -12,9 +12,9 @@ import jax.numpy as jnp
 
 from ..errors import ModelError
 from ..jax_inside import spread
-from ..lowering import JAX, Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.written import on_any_mesh
+from ..scalar.array_primitive import on_any_mesh
+from ..scalar.backends import JAX
+from ..system.dynamics import Arrays, Dynamics
 from .charts import Blocks, StateCoordinates, StoredState
 from .compensated import compensated
 from .controls import Signals

@@ -14,8 +14,8 @@ import numpy as np
 from ..checks import listed
 from ..errors import InputError, in_phase
 from ..jax_inside import is_traced
-from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
+from ..system.dynamics import Arrays
 from .columns import Column, columns_of
 from .rollout import wide
 from .solution import Ended, Solution, Stats, need_one, need_within, times_to_evaluate

@@ -12,10 +12,9 @@ import numpy as np
 from ..checks import listed, number, short
 from ..errors import InputError, IntegrationError, ModelError, in_phase
 from ..jax_inside import is_traced, is_tracing
-from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import precision
 from ..system import free_name
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import precision
 from ..units import same_unit, seconds
 from .events import Event
 from .integrate import integrate

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from ..errors import InputError, ModelError
 from ..expr import Inputs
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.projection import increments
+from ..system.dynamics import Dynamics
+from ..system.projection import increments
 from .charts import Blocks
 from .method import Attempt, Carry, Method, VectorField
 from .tolerances import Tolerances

@@ -15,9 +15,8 @@ from numpy.typing import NDArray
 
 from ..checks import instance
 from ..errors import ModelError
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.small_call import held, inside_small_call
+from ..scalar.small_call import held, inside_small_call
+from ..system.dynamics import Arrays, Dynamics
 from .charts import Blocks, Chart, Exponential, chart_of
 from .interpolant import interpolant
 from .method import Attempt, Carry, ChartMethod, VectorField

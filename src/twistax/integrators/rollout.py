@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import any_of_batch, batched_branches_transpose, is_traced
-from ..lowering.dynamics import Arrays
-from ..lowering.small_call import small_call
+from ..scalar.small_call import small_call
+from ..system.dynamics import Arrays
 from .charts import Blocks
 from .crossings import CrossingRows, crossing_rows
 from .kernels import Packed, advance_again, beside, opened

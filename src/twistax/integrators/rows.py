@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import real_array
 from ..errors import InputError
 from ..jax_inside import is_traced
-from ..lowering.inputs import is_finite, need_held
+from ..system.inputs import is_finite, need_held
 from ..units import same_unit, seconds
 from .controls import Signals
 

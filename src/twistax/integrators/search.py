@@ -8,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..lowering.small_call import held, small_call
+from ..scalar.small_call import held, small_call
 from .bracket import Bracket, Extremum, near_zero
 from .crossings import CrossingTable, Row, row_of, state_of
 from .events import Advance, Watch

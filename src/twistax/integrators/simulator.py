@@ -15,8 +15,8 @@ from ..checks import listed, short
 from ..errors import InputError
 from ..expr import Inputs
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.inputs import read_values
+from ..system.dynamics import Dynamics
+from ..system.inputs import read_values
 from .controls import Table
 from .integrate import integrate, need_element, planned, solution_of
 from .method import flattened

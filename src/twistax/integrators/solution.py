@@ -15,8 +15,8 @@ import numpy as np
 from ..checks import listed, real_array
 from ..errors import InputError
 from ..jax_inside import is_traced
-from ..lowering.dynamics import Arrays
 from ..plots import chosen, draw, group_of, panels
+from ..system.dynamics import Arrays
 from ..units import same_unit, seconds
 from .charts import Blocks
 from .crossings import CrossingRows

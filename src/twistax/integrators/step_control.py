@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import number
 from ..errors import ModelError
-from ..lowering.small_call import held
+from ..scalar.small_call import held
 from ..units import same_unit, seconds
 from .charts import Blocks
 from .method import Stepper

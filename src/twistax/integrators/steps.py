@@ -12,8 +12,8 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ..errors import InputError
-from ..lowering.dynamics import Arrays
-from ..lowering.small_call import small_call
+from ..scalar.small_call import small_call
+from ..system.dynamics import Arrays
 from .charts import Blocks
 from .grid import Grid, Splits
 from .kernels import Packed, kernel_steps

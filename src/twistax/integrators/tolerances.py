@@ -14,8 +14,8 @@ from ..checks import listed, real_array
 from ..errors import InputError
 from ..expr import State
 from ..jax_inside import is_traced
-from ..lowering import Dynamics
-from ..lowering.inputs import cast
+from ..system.dynamics import Dynamics
+from ..system.inputs import cast
 from .charts import Blocks, StateCoordinates
 
 #: No tolerance is finer than this many times the precision of the numbers.

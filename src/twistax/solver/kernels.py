@@ -15,20 +15,19 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..groups import Product
-from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
-from ..lowering.backends import ANY_SIZE, XLA
-from ..lowering.functions import Kept
-from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
-from ..lowering.jacobian import Differentiated, RateJacobian
-from ..lowering.native.backend import KERNEL_EVENT
-from ..lowering.native.code import NotNative
-from ..lowering.native.kernel import Kernel, check_kernel
-from ..lowering.native.machine_code import BuildError, Processor
-from ..lowering.native.tile import NATIVE_LIMITS, Straight, by_numpy, native_form
-from ..lowering.scalar.before import computed_before
-from ..lowering.scalar.program import ScalarProgram
-from ..precision import in_double
-from ..walk import uncollected
+from ..jax_inside import ClosedJaxpr, in_double, jaxpr_as_fun
+from ..scalar.backends import ANY_SIZE, XLA
+from ..scalar.hoisting import computed_before
+from ..scalar.reader import ScalarProgram
+from ..scalar.targets.llvm.backend import KERNEL_EVENT
+from ..scalar.targets.llvm.code import NotNative
+from ..scalar.targets.llvm.kernel import Kernel, check_kernel
+from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, Straight, by_numpy, native_form
+from ..scalar.targets.llvm.machine_code import BuildError, Processor
+from ..scalar.walk import uncollected
+from ..system.functions import Kept
+from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..system.jacobian import Differentiated, RateJacobian
 
 
 class Argument(enum.IntEnum):

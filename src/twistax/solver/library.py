@@ -9,8 +9,8 @@ import hashlib
 import jax
 
 from ..errors import ModelError
-from ..lowering.native import cache
-from ..lowering.native.machine_code import MachineCode, Processor, compiled, load, written_by
+from ..scalar import kernel_cache as cache
+from ..scalar.targets.llvm.machine_code import MachineCode, Processor, compiled, load, written_by
 from .sources import fingerprint
 from .text import kept_text
 

@@ -13,10 +13,10 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import TrajectoryError
-from ..processors import processors
 from .core import ProblemStructure, Stages, Status, Units, as_problem
 from .library import library
 from .options import Options
+from .processors import processors
 from .transcription import Transcription, TranscriptionStructure
 
 #: What a result has after its arrays, in the order of members.h.

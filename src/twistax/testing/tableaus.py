@@ -20,8 +20,8 @@ from ..integrators import RKMK, CommutatorFree, Method, integrate
 from ..integrators.commutator_free import CommutatorFreeTableau
 from ..integrators.implicit_rkmk import ImplicitRKMK
 from ..integrators.tableaus import ButcherTableau, CollocationTableau
-from ..lowering import Dynamics, compile
 from ..system import System
+from ..system.dynamics import Dynamics, compile
 from .laws import Check
 
 #: A rooted tree is the sorted tuple of the trees that hang from its root.

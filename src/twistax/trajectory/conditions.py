@@ -28,9 +28,9 @@ from ..expr import (
     refuse_conditions,
 )
 from ..expr.lie import Compose, Inverse, SE3Log, SO3Log
-from ..expr.soft import Asked, hard
-from ..lowering import Dynamics
+from ..expr.operations.soft import Asked, hard
 from ..system import entry_names, free_name, name_of
+from ..system.dynamics import Dynamics
 from .statement import bounds_of, check_leaves, limited, without_end
 
 #: An end beyond a limit by less than this share of it is at the limit.

@@ -17,9 +17,8 @@ from ..expr import Control, Inputs
 from ..integrators import RKMK, ImplicitRKMK, VectorField
 from ..integrators.method import Method
 from ..integrators.tableaus import RK4
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays, need_compiled
-from ..lowering.inputs import Values, is_finite
+from ..system.dynamics import Arrays, Dynamics, need_compiled
+from ..system.inputs import Values, is_finite
 from .second_order import second_order
 
 

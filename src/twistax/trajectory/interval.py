@@ -20,7 +20,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..integrators.tableaus import ButcherTableau, CollocationTableau
-from ..lowering.dynamics import Arrays
+from ..system.dynamics import Arrays
 from .smooth import Smooth
 
 #: Newton steps of collocation at most, and the size of a step, relative, after which one more is the last.

@@ -23,7 +23,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Expr, Inputs, evaluate_all
-from ..lowering.dynamics import Arrays
+from ..system.dynamics import Arrays
 from .shooting import Shooting
 from .statement import PathRows
 from .transcribed import Segment, Step, Transcribed

@@ -13,9 +13,8 @@ import numpy as np
 
 from ..checks import listed
 from ..errors import InputError, ModelError
-from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import Values
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import Values
 from .discretize import Controls, value_and_jacobian
 from .modes import Mode, modes
 from .named import entry, labels, needed, positions, tangent_shapes

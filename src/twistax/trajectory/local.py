@@ -16,8 +16,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Constant, Expr, Inputs, evaluate_all
-from ..lowering import Dynamics
-from ..lowering.dynamics import Arrays
+from ..system.dynamics import Arrays, Dynamics
 from .conditions import Conditions
 from .cones import NormControls
 from .discretize import Controls

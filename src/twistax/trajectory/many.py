@@ -9,8 +9,8 @@ from concurrent.futures import ThreadPoolExecutor
 import jax
 import numpy as np
 
-from ..precision import in_double
-from ..processors import processors
+from ..jax_inside import in_double
+from ..solver.processors import processors
 from .budget import Budget
 from .core_solver import CoreSolver
 from .outcome import Outcome

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from ..expr import Expr, leaves_of
-from ..expr.soft import parts_of
-from ..lowering import Dynamics
+from ..expr.operations.soft import parts_of
+from ..system.dynamics import Dynamics
 from .border import boxes_of
 from .conditions import split
 from .reduction import functionals_of

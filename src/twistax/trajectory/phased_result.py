@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..precision import in_double
+from ..jax_inside import in_double
 from .found import Found, Tried, found_params
 from .outcome import Outcome
 from .pictures import animated, drawn

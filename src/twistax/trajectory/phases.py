@@ -13,8 +13,8 @@ from numpy import ndarray as Array
 from ..checks import listed, reals, short
 from ..errors import InputError, ModelError, ShapeError, in_phase
 from ..expr import Expr, Parameter, State, leaves_of, to_expr
-from ..lowering.dynamics import need_compiled
 from ..system import free_name, name_of
+from ..system.dynamics import need_compiled
 from .border import Border, boxes_of
 from .by_node import only_once
 from .cases import PhasedResults, phased_results

@@ -11,8 +11,8 @@ from numpy import ndarray as Array
 
 from ..errors import IntegrationError, TrajectoryError
 from ..expr import Control, State
+from ..jax_inside import in_double
 from ..plots import Panel, chosen, draw, panels
-from ..precision import in_double
 
 if TYPE_CHECKING:
     from ..view import Scene

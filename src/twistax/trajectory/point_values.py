@@ -11,9 +11,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, Expr, Inputs, Leaf, Parameter, State, Time, evaluate_all, leaves_of
-from ..expr.without_numbers import Structure
-from ..lowering.functions import Kept
+from ..expr.transformations.without_numbers import Structure
 from ..solver.kernels import Argument, SmoothKernels
+from ..system.functions import Kept
 from .flat import Flat
 
 #: The functions that were used last, by the keys of their expressions.

@@ -13,9 +13,9 @@ from numpy import ndarray as Array
 from ..checks import listed, reals, short
 from ..errors import InputError, ModelError, ShapeError, TrajectoryError
 from ..expr import Control, Parameter, State, leaves_of
-from ..lowering.dynamics import need_compiled
-from ..precision import in_double
+from ..jax_inside import in_double
 from ..system import entry_names, name_of
+from ..system.dynamics import need_compiled
 from .border import Border, boxes_of, times_of
 from .by_node import ByNode
 from .cases import TrajectoryResults, trajectory_results

@@ -28,8 +28,8 @@ from ..expr import (
     leaves_of,
 )
 from ..expr.graph import substitute
-from ..lowering import Dynamics, compile
 from ..system import System, free_name, name_of
+from ..system.dynamics import Dynamics, compile
 from .cones import Term, is_mixed, is_size, linear_terms, sum_of
 from .controls import Linear, Spline, is_rate
 from .functionals import Extreme, Functional, Initial, Integral

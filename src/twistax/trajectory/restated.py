@@ -17,8 +17,8 @@ from numpy import ndarray as Array
 from ..expr import Constraint, Control, Expr, Parameter, State, Time, leaves_of
 from ..expr.graph import substitute
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-from ..lowering import Dynamics, compile
 from ..system import System
+from ..system.dynamics import Dynamics, compile
 from .cones import continuous_bound, is_mixed, norm_controls
 from .controls import Linear, Spline, continuous_controls, rates_among
 from .mesh import Mesh

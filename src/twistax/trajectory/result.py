@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from ..checks import whole
 from ..errors import TrajectoryError
 from ..integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-from ..precision import in_double
+from ..jax_inside import in_double
 from .found import Found, Tried, found_params
 from .outcome import Outcome
 from .pictures import animated, drawn

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 from ..expr import Inputs
 from ..integrators import VectorField
 from ..integrators.method import Method
-from ..lowering import JAX, Dynamics
-from ..lowering.dynamics import Arrays
-from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
-from ..lowering.jacobian import Differentiated, along
-from ..lowering.scalar.primitive import Derived, call_program
+from ..scalar.backends import JAX
+from ..scalar.jax_primitive import Derived, call_program
+from ..system.dynamics import Arrays, Dynamics
+from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..system.jacobian import Differentiated, along
 
 #: What the end is differentiated by: the start, the controls, the length, and the time of the start.
 _BY = ("x", "u", "h", "t")

@@ -12,8 +12,7 @@ import numpy as np
 
 from ..checks import listed, real_array, reals, short
 from ..errors import InputError, ShapeError, TrajectoryError
-from ..jax_inside import is_traced
-from ..precision import in_double
+from ..jax_inside import in_double, is_traced
 from ..system import name_of
 from .accuracy import MESH
 from .called import Called, Row

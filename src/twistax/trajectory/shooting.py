@@ -22,11 +22,10 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, Expr, State
-from ..lowering import XLA, Dynamics
-from ..lowering.backends import chosen
-from ..lowering.dynamics import Arrays
-from ..lowering.native.backend import Auto, Native, installed
+from ..scalar.backends import XLA, chosen
+from ..scalar.targets.llvm.backend import Auto, Native, installed
 from ..system import entry_names
+from ..system.dynamics import Arrays, Dynamics
 from .border import Border
 from .by_node import ByNode
 from .conditions import Conditions, Ends

@@ -10,8 +10,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..expr import Control, Expr, Inputs, Leaf, State, evaluate_all, leaves_of
-from ..precision import in_double
-from ..walk import walk
+from ..jax_inside import in_double
+from ..scalar.walk import walk
 from .transcribed import Point
 from .transcription import Collocation
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Constraint, Control, Equality, Expr, Inequality, Parameter, Soft
-from ..expr.soft import Asked
+from ..expr.operations.soft import Asked
 from ..system import entry_names, free_name
 from .conditions import Conditions, residual_of
 from .cones import NormControls

@@ -13,12 +13,12 @@ import jax
 import jax.numpy as jnp
 
 from ..groups import Product
-from ..lowering.backends import Backend
-from ..lowering.fast import fast
-from ..lowering.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
-from ..lowering.jacobian import Differentiated, RateJacobian
-from ..lowering.scalar.primitive import Derived, call_program
-from ..lowering.scalar.program import emitted_form
+from ..scalar.backends import Backend
+from ..scalar.fast import fast
+from ..scalar.jax_primitive import Derived, call_program
+from ..scalar.reader import emitted_form
+from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..system.jacobian import Differentiated, RateJacobian
 
 
 class _Programs(NamedTuple):

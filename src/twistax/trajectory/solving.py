@@ -15,8 +15,8 @@ from numpy import ndarray as Array
 
 from ..checks import callable_with, number, short, whole
 from ..errors import TrajectoryError
-from ..precision import in_double
-from ..walk import uncollected
+from ..jax_inside import in_double
+from ..scalar.walk import uncollected
 from .accuracy import MESH
 from .between import held
 from .border import Border

@@ -14,8 +14,8 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Expr
-from ..expr.without_numbers import Structure
-from ..precision import in_double
+from ..expr.transformations.without_numbers import Structure
+from ..jax_inside import in_double
 from ..solver.kernels import Argument, SmoothKernels
 from ..solver.transcription import EQUALITY, INEQUALITY, NONE, JoinKernels, Method, Phase, PhaseKernels, Transcription
 from .alike import Layout, group_key

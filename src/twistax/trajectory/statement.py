@@ -24,8 +24,8 @@ from ..expr import (
     leaves_of,
     to_expr,
 )
-from ..lowering import Dynamics
 from ..system import entry_names, need_finite
+from ..system.dynamics import Dynamics
 from .cones import NormControls, linear_terms, without_norms
 from .controls import is_rate
 

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import listed, reals, short
 from ..errors import InputError
 from ..expr import Inputs
-from ..lowering import Dynamics
+from ..system.dynamics import Dynamics
 from .linearize import around, output_shapes
 from .named import entry, labels, needed, positions, tangent_shapes
 

@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import reals, short
 from ..errors import InputError
 from ..expr import Inputs
-from ..lowering import Dynamics
+from ..system.dynamics import Dynamics
 from .discretize import Controls
 from .named import labels, positions, tangent_shapes
 

@@ -14,10 +14,9 @@ import numpy as np
 from ..checks import number, short
 from ..errors import InputError, TrajectoryError
 from ..expr import Inputs
-from ..lowering import Dynamics
-from ..lowering.dynamics import need_compiled
-from ..lowering.inputs import Values
-from ..precision import in_double
+from ..jax_inside import in_double
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import Values
 from ..units import same_unit, seconds
 from .linearize import Linearization, linearize
 from .trim_conditions import Conditions

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from ..checks import short, whole
 from ..errors import TrajectoryError
-from ..precision import in_double
+from ..jax_inside import in_double
 from .iterate import Scales
 from .transcribed import Given, Point
 

@@ -9,11 +9,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.graph import Graph
-from twistax.lowering.scalar.program import ScalarProgram
+from twistax.scalar.graph import Graph
+from twistax.scalar.reader import ScalarProgram
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

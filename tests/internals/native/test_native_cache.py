@@ -21,12 +21,13 @@ if not hasattr(os, "getuid"):
     pytest.skip("nothing is kept where files have no owners", allow_module_level=True)
 
 from twistax import jax_inside
-from twistax.lowering.native import cache, kernel
-from twistax.lowering.native.kernel import Kernel, check_kernel
-from twistax.lowering.native.machine_code import BuildError, Processor
-from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar import kernel_cache as cache
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import kernel
+from twistax.scalar.targets.llvm.kernel import Kernel, check_kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
 
 KEY, CODE = "0" * 64, bytes(range(256)) * 20
 POINTS = np.random.default_rng(0).normal(size=(9, 3))
@@ -272,7 +273,7 @@ def test_the_oldest_go(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 _MANY = """
 import sys, time
-from twistax.lowering.native import cache
+from twistax.scalar.targets.llvm import cache
 key, end = "0" * 64, float(sys.argv[1])
 code = bytes(range(256)) * 8000
 while time.time() < end:

@@ -15,14 +15,14 @@ import pytest
 
 import twistax as tx
 from twistax import jax_inside
-from twistax.lowering.native import kernel as kernel_module
-from twistax.lowering.native import machine_code
-from twistax.lowering.native.code import Module
-from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import kernel as kernel_module
+from twistax.scalar.targets.llvm import machine_code
+from twistax.scalar.targets.llvm.code import Module
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 

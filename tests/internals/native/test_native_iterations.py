@@ -13,11 +13,11 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
-from twistax.lowering.native.iterations import Iterations
-from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import native_form
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm.iterations import Iterations
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import native_form
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 COUNTER = jax.ShapeDtypeStruct((), int)
 

@@ -13,11 +13,11 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 from native_programs import at_every_width, processors, program_of, run
 
 import twistax as tx
-from twistax.lowering.native.code import NotNative
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import native_form
-from twistax.lowering.scalar.entry import convert
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.entry import convert
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.targets.llvm.code import NotNative
+from twistax.scalar.targets.llvm.kernel_body import native_form
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, -0.5, 2.0, -3.0, np.inf, -np.inf, np.nan, 1e-30, -1e-30, 7.25, -7.75, 1e9, 3.0]
 RANDOM = np.random.default_rng(0)

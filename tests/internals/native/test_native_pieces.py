@@ -13,11 +13,11 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import at_every_width
 
-from twistax.lowering.native import machine_code, pieces
-from twistax.lowering.native.kernel import Kernel
-from twistax.lowering.native.machine_code import Processor, compiled
-from twistax.lowering.native.tile import Straight, native_form
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import machine_code, pieces
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import Processor, compiled
 
 
 def mixed(x: jax.Array, n: jax.Array) -> list[jax.Array]:

@@ -20,10 +20,10 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 from native_programs import at_every_width
 
 import twistax as tx
-from twistax.lowering.native.machine_code import Processor
-from twistax.lowering.native.tile import Straight
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm.kernel_body import Straight
+from twistax.scalar.targets.llvm.machine_code import Processor
 
 RNG = np.random.default_rng(0)
 X, A = RNG.normal(size=3), RNG.normal(size=(3, 3))

@@ -12,7 +12,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 from native_programs import processors, program_of, run
 
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.table import OPERATIONS
 
 BOTH = [OPERATIONS["sin"], OPERATIONS["cos"]]
 BAR = 2.0

@@ -12,9 +12,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.native import kernel
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import kernel
 
 pytest.importorskip("llvmlite")
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.native import kernel, machine_code
+from twistax.scalar.targets.llvm import kernel, machine_code
 
 pytest.importorskip("llvmlite")
 

@@ -12,8 +12,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.extend.core import jaxpr_as_fun
 
-from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
-from twistax.lowering.scalar.program import ScalarProgram, emitted_form, scalarize
+from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
+from twistax.scalar.reader import ScalarProgram, emitted_form, scalarize
 
 
 def evaluate(program: ScalarProgram, *arguments: Any) -> list[np.ndarray]:

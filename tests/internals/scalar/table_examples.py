@@ -9,12 +9,12 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from twistax.in_range import apart, norm, quotient
-from twistax.lowering.native.backend import Native
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
-from twistax.table_load import Table, load
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.primitives.in_range import apart, norm, quotient
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.primitives.table_load import Table, load
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm.backend import Native
 
 REAL, TRUTH, PLACES = np.array([0.5, -1.5]), np.array([True, False]), np.array([2, 0])
 MATRIX, SQUARE, TRUTHS = (

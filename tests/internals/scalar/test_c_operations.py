@@ -11,13 +11,13 @@ import numpy as np
 import pytest
 from export_systems import Library, needs_compiler
 
-from twistax.lowering.export.c_code import body
-from twistax.lowering.export.functions import ExportedFunction, Port
-from twistax.lowering.scalar.entry import convert
-from twistax.lowering.scalar.graph import Graph
-from twistax.lowering.scalar.in_c import c_type
-from twistax.lowering.scalar.program import ScalarProgram
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.graph import Graph
+from twistax.scalar.primitives.entry import convert
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import ScalarProgram
+from twistax.scalar.targets.c import c_type
+from twistax.system.export.c_code import body
+from twistax.system.export.programs import ExportedFunction, Port
 
 SPECIAL = [0.0, -0.0, 1.0, -1.0, 0.5, 2.0, -2.5, 7.0, -7.0, 1e-9, 300.7, -1e10, 1e30, np.inf, -np.inf, np.nan]
 GRID = np.array(list(itertools.product(SPECIAL, SPECIAL)))

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.export.casadi_function import expression
-from twistax.lowering.scalar.entry import convert
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.primitives.entry import convert
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.system.export.casadi_function import expression
 
 
 @pytest.fixture

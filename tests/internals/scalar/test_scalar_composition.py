@@ -14,8 +14,8 @@ from test_scalar_control import scaled_back, tilted
 
 import twistax as tx
 from transformations import agree, transformed
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.reader import scalarize
 from twistax.scenes import SCENES
 
 RNG = np.random.default_rng(0)

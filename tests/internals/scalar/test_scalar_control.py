@@ -12,9 +12,9 @@ import pytest
 from jax import lax
 from scalar_cases import Case, compare, evaluate, oracles
 
-from twistax.lowering.scalar.derivatives import cotangent_program
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.derivatives import cotangent_program
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.reader import scalarize
 
 V = np.random.default_rng(0).normal(size=4)
 ROWS = np.random.default_rng(1).normal(size=(5, 4))

@@ -13,9 +13,9 @@ import pytest
 from jax import lax
 from scalar_cases import Case, compare, evaluate, oracles
 
-from twistax.lowering.scalar.derivatives import cotangent_program, tangent_program
-from twistax.lowering.scalar.program import scalarize
-from twistax.lowering.scalar.table import OPERATIONS
+from twistax.scalar.derivatives import cotangent_program, tangent_program
+from twistax.scalar.primitives.table import OPERATIONS
+from twistax.scalar.reader import scalarize
 
 _rng = np.random.default_rng(0)
 ANY = _rng.normal(size=5) * 2.0

@@ -11,12 +11,12 @@ import pytest
 from scalar_cases import evaluate
 
 import twistax as tx
-from twistax.expr.solve import eliminate
-from twistax.lowering.backends import array_operations
-from twistax.lowering.scalar.derivatives import cotangent_program, jacobian, tangent_program
-from twistax.lowering.scalar.emitter import as_function
-from twistax.lowering.scalar.graph import TooLarge
-from twistax.lowering.scalar.program import ScalarProgram, emitted_form, scalarize
+from twistax.expr.matrices.solve import eliminate
+from twistax.scalar.backends import array_operations
+from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
+from twistax.scalar.graph import TooLarge
+from twistax.scalar.reader import ScalarProgram, emitted_form, scalarize
+from twistax.scalar.targets.xla import as_function
 
 VECTOR = jax.ShapeDtypeStruct((3,), float)
 NUMBER = jax.ShapeDtypeStruct((), float)

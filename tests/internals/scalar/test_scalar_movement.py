@@ -12,7 +12,7 @@ import pytest
 from jax import lax
 from scalar_cases import Case, compare, evaluate, oracles
 
-from twistax.lowering.scalar.program import scalarize
+from twistax.scalar.reader import scalarize
 
 _rng = np.random.default_rng(0)
 V, W, M, N = (_rng.normal(size=shape) for shape in ((6,), (6,), (3, 4), (4, 2)))

@@ -8,11 +8,11 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.lowering.scalar import emitter
-from twistax.lowering.scalar.derivatives import jacobian
-from twistax.lowering.scalar.primitive import Derived, call_program
-from twistax.lowering.scalar.program import ScalarProgram, one_by_one, scalarize
-from twistax.lowering.small_call import small_call
+from twistax.scalar.derivatives import jacobian
+from twistax.scalar.jax_primitive import Derived, call_program
+from twistax.scalar.reader import ScalarProgram, one_by_one, scalarize
+from twistax.scalar.small_call import small_call
+from twistax.scalar.targets import xla as emitter
 
 
 def recursion(x: jax.Array, length: int = 20) -> list[jax.Array]:

@@ -18,12 +18,12 @@ from table_examples import EXAMPLES
 from test_architecture import SOURCE, imported_modules
 from twistax import jax_inside
 from twistax.jax_inside import Literal, Unread, all_equations
-from twistax.lowering.backends import array_operations
-from twistax.lowering.scalar.entry import Entry, nodes
-from twistax.lowering.scalar.graph import Graph
-from twistax.lowering.scalar.program import Reader, emitted_form, scalarize
-from twistax.lowering.scalar.table import OPERATIONS, TABLE
-from twistax.lowering.small_call import known_inside, small_call
+from twistax.scalar.backends import array_operations
+from twistax.scalar.graph import Graph
+from twistax.scalar.primitives.entry import Entry, nodes
+from twistax.scalar.primitives.table import OPERATIONS, TABLE
+from twistax.scalar.reader import Reader, emitted_form, scalarize
+from twistax.scalar.small_call import known_inside, small_call
 
 
 def traced(name: str) -> Any:

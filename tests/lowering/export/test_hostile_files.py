@@ -101,7 +101,7 @@ def test_every_class_that_files_may_name_is_known() -> None:
     for module in pkgutil.walk_packages(tx.__path__, "twistax."):
         if not module.name.startswith(("twistax.__main__", "twistax.demo", "twistax.report", "twistax.diffrax")):
             importlib.import_module(module.name)
-    code = "import sys, twistax.lowering.export.saved as s; print(*s._ON_DEMAND, *sys.modules)"
+    code = "import sys, twistax.system.export.saved as s; print(*s._ON_DEMAND, *sys.modules)"
     known = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert {cls.__module__ for cls in all_nodes()} <= set(known)
 

@@ -208,7 +208,7 @@ def test_a_changed_output_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "named", ["twistax.expr.arithmetic:Nothing", "twistax.nowhere:Sin", "os:system", "subprocess:Popen"]
+    "named", ["twistax.expr.operations.arithmetic:Nothing", "twistax.nowhere:Sin", "os:system", "subprocess:Popen"]
 )
 def test_unknown_classes_are_named_and_nothing_runs(file: Path, named: str) -> None:
     edited(file, lambda content: content["nodes"][1].__setitem__(0, named))

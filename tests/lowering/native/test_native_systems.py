@@ -174,7 +174,7 @@ jax.config.update("jax_persistent_cache_min_entry_size_bytes", -1)
 found = []
 jax.monitoring.register_event_listener(lambda event, **_: found.append(event))
 import numpy as np, twistax as tx
-from twistax.lowering.native import kernel
+from twistax.scalar.targets.llvm import kernel
 compiled, texts = kernel.compiled, []
 kernel.compiled = lambda text, *a: texts.append(text) or compiled(text, *a)
 x = tx.State("x", (4,))

@@ -15,9 +15,8 @@ from jax.flatten_util import ravel_pytree
 
 from ...errors import ModelError
 from ...jax_inside import wrapped_terms
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, need_compiled
-from ...lowering.small_call import small_call
+from ...scalar.small_call import small_call
+from ...system.dynamics import Arrays, Dynamics, need_compiled
 from ..ambient import Ambient, Arguments, read_arguments
 from ..charts import Blocks, Chart, StateCoordinates, coordinates_of
 from ..rkmk import stage_slopes

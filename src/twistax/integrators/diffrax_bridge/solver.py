@@ -17,8 +17,7 @@ from jax.flatten_util import ravel_pytree
 from ...checks import number, real_array
 from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays, need_compiled
+from ...system.dynamics import Arrays, Dynamics, need_compiled
 from ..ambient import Arguments, read_arguments
 from ..charts import Blocks, Chart, Exponential, SplitExponential, chart_of
 from ..method import Stepper

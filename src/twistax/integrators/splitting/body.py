@@ -15,8 +15,7 @@ from ...errors import ModelError
 from ...expr import Constant, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, to_expr
 from ...groups import Group, SpecialEuclidean, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
+from ...system.dynamics import Arrays, Dynamics
 from ..charts import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
 from .inertia import BodyInertia, arrays, rigid, rotational
 

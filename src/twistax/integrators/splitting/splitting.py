@@ -15,8 +15,7 @@ from jax.flatten_util import ravel_pytree
 from ...checks import instance
 from ...errors import ModelError
 from ...expr import Parameter
-from ...lowering import Dynamics
-from ...lowering.dynamics import Arrays
+from ...system.dynamics import Arrays, Dynamics
 from ..charts import Blocks, StoredState
 from ..method import Method, VectorField
 from .body import Flows, FreeMotion

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...precision import in_double
+from ...jax_inside import in_double
 from ...trajectory.program import Program
 
 #: A scaled multiplier above this binds if it is larger than its slack; a curvature below this counts as zero.

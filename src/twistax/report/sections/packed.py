@@ -9,7 +9,7 @@ import numpy as np
 import twistax as tx
 
 from ...expr.graph import substitute
-from ...precision import in_double
+from ...jax_inside import in_double
 from ...system import name_of
 from ...trajectory import Problem
 from ...trajectory.conditions import split

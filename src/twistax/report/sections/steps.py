@@ -22,8 +22,8 @@ from ... import diffrax as bridge
 from ...groups import quaternions, se3
 from ...integrators import VectorField
 from ...integrators.charts import Chart
-from ...lowering.backends import Backend
-from ...lowering.small_call import small_call
+from ...scalar.backends import Backend
+from ...scalar.small_call import small_call
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
