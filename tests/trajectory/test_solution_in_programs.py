@@ -17,8 +17,6 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.expr.fields import Operand
-from twistax.expr.node import Expr
 from twistax.solver.processors import processors
 from twistax.trajectory import Problem, Solution, solution
 
@@ -192,10 +190,10 @@ def _slope(primals: Any, tangents: Any) -> Any:
     return _sine(primals[0]), jnp.cos(primals[0]) * tangents[0]
 
 
-class Sine(Expr):
+class Sine(tx.Expr):
     """sin(x) by a function of Python."""
 
-    x: Operand
+    x: tx.expr.fields.Operand
     takes = ((),)
     gives = ()
 
