@@ -49,7 +49,11 @@ TESTS = {
     "mechanics/environment": "mechanics/test_environment.py mechanics/test_gravity*.py mechanics/test_flight*.py",
     "mechanics/models": "mechanics/test_m*.py mechanics/test_urdf_files.py mechanics/test_daveml.py",
     "solver": "solver/test_*.py",
+    "linear": "linear/test_*.py",
+    "trimming": "trimming/test_*.py",
     "trajectory": "trajectory/test_shooting.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
+    "trajectory/sensitivity": "trajectory/test_sens*.py trajectory/test_solution*.py trajectory/test_by_node.py",
+    "trajectory/adapters": "trajectory/test_external.py",
 }
 
 #: What a run of the tests reads.

@@ -30,6 +30,8 @@ LAYERS = [
     "solver",
     "integrators",
     "mechanics",
+    "linear",
+    "trimming",
     "trajectory",
     "testing",
     "the public names",  # the package itself and its thin faces; what stands above is written against them
@@ -114,6 +116,8 @@ LAYERS_ABOVE = (
     "solver",
     "integrators",
     "mechanics",
+    "linear",
+    "trimming",
     "trajectory",
     "scenes",
     "report",

@@ -12,7 +12,7 @@ import pytest
 
 import twistax as tx
 from solutions import solution_of
-from twistax.trajectory.result import Trajectory
+from twistax.trajectory.result.result import Trajectory
 
 TIMES = np.linspace(0.0, 4.0, 9)
 
@@ -88,7 +88,7 @@ def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
 
 
 def test_phases_are_drawn_with_a_gap_between_them_and_multipliers_as_bars() -> None:
-    from twistax.trajectory.pictures import drawn
+    from twistax.trajectory.result.pictures import drawn
 
     figure = drawn([trajectory(), trajectory(2.0)], ["u"], None, "two", {"u <= 1": np.array([0.1, -3.0])})
     found = panels(figure)

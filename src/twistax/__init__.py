@@ -48,13 +48,15 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .integrators.simulator import Simulator, simulator
     from .integrators.solution import Crossings, Result, Solution
     from .integrators.splitting import FreeBody, FreeParticle, Splitting
+    from .linear import Mode
     from .monte_carlo import Statistics, Sweep, sweep
     from .scalar.backends import JAX, XLA
     from .scalar.fast import fast
     from .scalar.targets.llvm.backend import Native
     from .system.dynamics import Dynamics, compile, load
     from .system.lower import lower
-    from .trajectory import Maximize, Minimize, Mode, Trim, trim
+    from .trajectory import Maximize, Minimize
+    from .trimming import Trim, trim
 
 __version__ = "0.2.0.dev0"
 
@@ -96,7 +98,9 @@ _LATER = {
     ".system.dynamics": ("Dynamics", "compile", "load"),
     ".system.lower": ("lower",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
-    ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
+    ".linear": ("Mode",),
+    ".trajectory": ("Maximize", "Minimize"),
+    ".trimming": ("Trim", "trim"),
 }
 # fmt: on
 

@@ -9,7 +9,7 @@ from trajectory_systems import quick_jit
 import twistax as tx
 from twistax.expr import Constraint, Expr, Inputs, evaluate_all
 from twistax.expr import Norm as NormNode
-from twistax.trajectory.cones import without_norms
+from twistax.trajectory.problem.terms import without_norms
 
 Norm = tx.linalg.Norm
 

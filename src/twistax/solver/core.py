@@ -80,6 +80,18 @@ class Stages:
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
 
     @functools.cached_property
+    def first(self) -> Array:
+        """Where each stage begins in v."""
+        widths = np.array(self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
+
+    @functools.cached_property
+    def first_point(self) -> Array:
+        """Where each stage begins in z."""
+        widths = np.array(self.point_states or self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
+
+    @functools.cached_property
     def columns(self) -> list[int]:
         """Columns of each stage's derivatives: x_k, u_k, p."""
         return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
@@ -236,16 +248,16 @@ def as_problem(
     variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
     lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
     lengths |= {"row_size": rows, "equality_size": equalities}
-    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
-    given |= {
+    arrays = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
+    arrays |= {
         name: np.asarray(getattr(stages, name), np.int32)
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    found = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
-    for name, address in ({name: a.ctypes.data for name, a in given.items()} | functions.addresses).items():
-        setattr(found, name, address or None)
-    return Described(found, list(given.values()))
+    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
+        setattr(structure, name, address or None)
+    return Described(structure, list(arrays.values()))
 
 
 #: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
@@ -343,10 +355,10 @@ class _Watching:
 
 
 def _checked(name: str, a: Any, count: int) -> Array:
-    found = np.ascontiguousarray(a, float)
-    if found.shape != (count,):
-        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {found.shape}")
-    return found
+    array = np.ascontiguousarray(a, float)
+    if array.shape != (count,):
+        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {array.shape}")
+    return array
 
 
 def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:

@@ -8,9 +8,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from .controls import rate_name
-from .shooting import Shooting
-from .transcribed import Point
+from .problem.controls import rate_name
+from .transcription.points import Point
+from .transcription.shooting import Shooting
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5

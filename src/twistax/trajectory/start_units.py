@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .evaluated import Evaluated, moved
 from .sizes import Sizes, measured_sizes
-from .staged import Staged
-from .transcribed import Point
+from .transcription.evaluation import Evaluated, moved
+from .transcription.points import Point
+from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
 _TURNED = 0.5
