@@ -11,7 +11,19 @@ TESTS = Path(__file__).parent
 PUBLIC = {path.stem for path in Path(twistax.__file__).parent.iterdir()}
 
 #: Folders whose tests import no module within a package of twistax. Oracles and helpers beside them may.
-FOLDERS = ["bad_calls", "expr", "fuzz", "groups", "lowering", "mechanics", "scenes", "testing", "view"]
+FOLDERS = [
+    "bad_calls",
+    "expr",
+    "fuzz",
+    "groups",
+    "linear",
+    "lowering",
+    "mechanics",
+    "scenes",
+    "testing",
+    "trimming",
+    "view",
+]
 
 
 def internal_imports(source: str) -> list[str]:
