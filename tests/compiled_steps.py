@@ -3,7 +3,7 @@
 from typing import Any
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
+from twistax.integrators.loop.kernels import KernelSteps
 from twistax.scalar.jax_primitive import Derived
 from twistax.scalar.loops import Repeated
 

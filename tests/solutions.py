@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistax as tx
-from twistax.integrators.solution import Stats
+from twistax.integrators.results.solution import Stats
 from twistax.view.motion import Motion, shown
 
 

@@ -22,7 +22,7 @@ PAGES = {
     "twistax.mechanics.flight": "docs/flight.md",
     "twistax.mechanics": "docs/mechanics.md",
     "twistax.integrators.diffrax_bridge": "docs/for_diffrax_users.md",
-    "twistax.integrators.columns": "docs/integrating.md#results",
+    "twistax.integrators.results.table_export": "docs/integrating.md#results",
     "twistax.integrators": "docs/integrating.md",
     "twistax.groups": "docs/conventions.md",
     "twistax.scenes": "docs/scenes.md",

@@ -7,7 +7,7 @@ import pytest
 from integrator_bodies import start as body_start
 
 import twistax as tx
-from twistax.integrators.diffrax_bridge.frame import Frame
+from twistax.integrators.diffrax_bridge.frame import ChartedSystem
 
 
 def tumbling(order: tx.Order) -> tx.System:
@@ -20,7 +20,7 @@ def tumbling(order: tx.Order) -> tx.System:
 
 @pytest.mark.parametrize("order", [tx.LINEAR_FIRST, tx.ANGULAR_FIRST], ids=repr)
 def test_errors_are_read_back_as_the_deviations_they_were(order: tx.Order) -> None:
-    frame = Frame(tx.compile(tumbling(order)), tx.charts.Exponential())
+    frame = ChartedSystem(tx.compile(tumbling(order)), tx.charts.Exponential())
     x = {"g": tx.pose(position=[1.0, 2.0, 3.0], euler=[0.3, -0.4, 0.5]), "V": jnp.asarray(body_start()["V"])}
     end, e = frame.local.enter(x), frame.packed(x)[1](1e-3 * jnp.arange(1.0, 13.0))
     found, wanted = frame.deviations(x, frame.errors(x, end, e)), frame.local.deviation(e, end)

@@ -7,7 +7,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistax as tx
-from twistax.integrators.events import _of_expression
+from twistax.integrators.events.conditions import _of_expression
 
 WEIGHT = 9.81
 

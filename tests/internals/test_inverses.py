@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
-from twistax.integrators.newton import inverse
+from twistax.integrators.methods.newton import inverse
 
 
 @pytest.mark.parametrize("size", [1, 6, 30], ids=["one", "a body", "by a library"])

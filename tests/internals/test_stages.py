@@ -11,8 +11,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.rkmk import stage_slopes
-from twistax.integrators.tableaus import ButcherTableau, Rows
+from twistax.integrators.methods.rkmk import stage_slopes
+from twistax.integrators.tableaus import ButcherTableau, Stages
 from twistax.scalar.small_call import held, small_call
 
 pytestmark = pytest.mark.skipif(jax.default_backend() != "cpu", reason="small calls are for the CPU")
@@ -41,7 +41,7 @@ def test_slopes_are_those_of_the_loop_written_out(tableau: ButcherTableau, insid
         def slope(time: jax.Array, z: tuple[jax.Array]) -> tuple[tuple[jax.Array], jax.Array]:
             return (_slope(time, z[0], jnp),), time
 
-        slopes, last = stage_slopes(Rows(tableau.a, tableau.c), slope, (first,), t, t, h)
+        slopes, last = stage_slopes(Stages(tableau.a, tableau.c), slope, (first,), t, t, h)
         return slopes.rows, slopes.combine(tableau.b, h)[0], last
 
     arguments = [jnp.asarray(value, float) for value in (first, t, h)]

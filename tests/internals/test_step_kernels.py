@@ -8,7 +8,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.integrate import planned
+from twistax.integrators.options import Options, plan_of
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.iterations import Iterations
@@ -23,7 +23,7 @@ def test_rows_that_fill_up_are_never_reached() -> None:
     """There is room for 512 rows where 65 are asked for; polynomials are read for those alone."""
     dynamics = tx.compile(windy_body())
     at = np.linspace(0.0, 0.7, 65)
-    plan = planned(dynamics, START, t1=0.7, rtol=1e-6, u=U, save_at=at, between=tx.Between.POLYNOMIAL)
+    plan = plan_of(dynamics, START, Options(t1=0.7, rtol=1e-6, u=U, save_at=at, between=tx.Between.POLYNOMIAL))
     np.testing.assert_allclose(plan.steps.stops.ts[:65], at)
     assert len(plan.steps.stops.ts) > 65
     assert np.isinf(plan.steps.stops.ts[65:]).all()

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from ..checks import callable_with, instance, path_of, reals, short, whole
 from ..errors import InputError
-from ..integrators import Result, Solution
-from ..integrators.steps import ended_well
+from ..integrators import Result, Solution, ended_well
 from ..progress import Progress
 from .chunks import Chunks, Columns, InMemory, OnDisk
 

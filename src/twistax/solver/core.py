@@ -262,7 +262,7 @@ def as_problem(
 
 #: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
 #: solve.
-Watch = Callable[[int, float, float, Array], Any]
+StopCheck = Callable[[int, float, float, Array], Any]
 
 
 def solve(
@@ -277,7 +277,7 @@ def solve(
     largest_step: Array | None = None,
     options: Options | None = None,
     warm: Solution | None = None,
-    watch: Watch | None = None,
+    should_stop: StopCheck | None = None,
 ) -> Solution:
     """Solve from a point.
 
@@ -290,16 +290,16 @@ def solve(
             None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
-        watch: called before each iteration; violations are in the core's units.
+        should_stop: called before each iteration; violations are in the core's units.
     Raises:
         TrajectoryError: arrays of other shapes, bounds that cannot be, a state after the first that bounds fix.
-        Exception: what `watch` raised.
+        Exception: what `should_stop` raised.
     """
     arrays = _start(stages, z, z if v is None else v, warm)
     described = as_problem(stages, functions, lower, upper, units or Units(), largest_step)
     statistics, problem = _Statistics(), described.structure
-    watching = _Watching(watch, statistics, stages.points)
-    for name, address in watching.addresses.items():
+    stop = _StopFunction(should_stop, statistics, stages.points)
+    for name, address in stop.addresses.items():
         setattr(problem, name, address)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
     core = library()
@@ -310,7 +310,7 @@ def solve(
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
     status = Status(core.solve(*references[:2], *pointers))
-    watching.check()
+    stop.check()
     functions.check()
     if status is Status._BAD_PROBLEM:
         raise TrajectoryError(
@@ -322,23 +322,23 @@ def solve(
     return Solution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
-class _Watching:
+class _StopFunction:
     """The function that the core asks whether to stop. Python sees signals while it runs.
 
     Attributes:
         addresses: by the name that `twx_problem` has for it.
     """
 
-    def __init__(self, watch: Watch | None, statistics: _Statistics, points: int) -> None:
+    def __init__(self, should_stop: StopCheck | None, statistics: _Statistics, points: int) -> None:
         self._error: BaseException | None = None
         self.addresses: dict[str, int] = {}
-        if watch is None:
+        if should_stop is None:
             return
 
         def stop(_: Any, iteration: int, z: Any) -> int:
             try:
                 here = np.ctypeslib.as_array(z, (points,))
-                return int(bool(watch(iteration, statistics.cost, statistics.violation, here)))
+                return int(bool(should_stop(iteration, statistics.cost, statistics.violation, here)))
             except BaseException as error:
                 self._error = error
                 return 1
@@ -362,7 +362,6 @@ def _checked(name: str, a: Any, count: int) -> Array:
 
 
 def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:
-    """The arrays that a solve works in."""
     sizes = {
         "z": stages.points,
         "v": stages.variables,

@@ -191,7 +191,7 @@ class SmoothKernels:
         arguments: how many entries each has; the first one is what derivatives are by.
         order: of the derivatives that are needed, 0 to 2.
         key: equal for functions that differ in their numbers alone; None: this one is like no other.
-        numbers: its numbers; other kernels of the key have others.
+        numbers: values of the numbers in its expressions; kernels of the same key differ in these.
     """
 
     def __init__(
@@ -278,7 +278,6 @@ def _is_zero(program: ScalarProgram) -> bool:
 
 
 def _rows(address: int, stride: int, shape: tuple[int, ...], first: int, end: int) -> Array:
-    """Rows of numbers in memory."""
     pointer = ctypes.cast(address + 8 * first * stride, ctypes.POINTER(ctypes.c_double))
     size = math.prod(shape)
     count = max((end - first - 1) * stride + size, 0)

@@ -92,7 +92,6 @@ class _Form:
         self._doubles = int(library().form_memory(ctypes.addressof(self.structure)))
 
     def _call(self, target: str, results: tuple[int, ...], *arguments: Any) -> Any:
-        """A call of a program of XLA, of arrays (count, ...)."""
         if self not in _CALLED:
             _CALLED.append(self)
             # A thread of XLA may be in the middle of a call when Python clears its modules.

@@ -75,5 +75,4 @@ def _read(name: str) -> str:
 
 
 def _expanded(text: str, drop: tuple[str, ...] = ()) -> str:
-    """With the project's includes in place."""
     return _INCLUDE.sub(lambda m: "" if m["name"] in drop else _read(m["name"]), text)

@@ -245,7 +245,7 @@ class Transcription:
     def set_data(self, data: Array) -> None:
         """Other numbers for the kernels."""
         self._data[:] = data
-        for structure in self._structures:  # what was integrated is for other numbers
+        for structure in self._structures:  # integrated states are out of date
             ctypes.c_double.from_address(structure.work).value = 0.0
 
     def set_margins(self, phase: int, path: Array, nodes: Sequence[Array]) -> None:
@@ -268,7 +268,7 @@ class Transcription:
         for structure, memory, values in zip(self._structures, self.steps, steps):
             if not np.array_equal(memory, values):
                 memory[...] = values
-                ctypes.c_double.from_address(structure.work).value = 0.0  # what was integrated is for others
+                ctypes.c_double.from_address(structure.work).value = 0.0  # integrated states are out of date
 
     def states(self, phase: int, substep: int) -> Array:
         """(intervals, n) eta where a substep ends, of the point that was evaluated last."""
@@ -298,13 +298,11 @@ class Transcription:
                 kernel.check()
 
     def _array(self, array: Array) -> int:
-        """The address of an array that lives as long as this."""
         array = np.ascontiguousarray(array)
         self._memory.append(array)
         return int(array.ctypes.data)
 
     def _placed(self, counts: list[Array]) -> dict[str, Array]:
-        """Where the blocks of all stages stand."""
         stages = self.stages
         columns, after = np.array(stages.columns), np.array(stages.after)
         blocks = {"h": counts[0], "e": counts[1], "c": after, "F": after * columns, "H": columns**2}
@@ -381,5 +379,4 @@ class Transcription:
 
 
 def _codes(inequality: Array, equality: Array) -> Array:
-    """Numbers among inequalities and among equalities as the core reads them."""
     return np.where(inequality >= 0, inequality, np.where(equality >= 0, -2 - equality, DROPPED)).astype(np.int32)

@@ -237,14 +237,13 @@ class _Function(casadi.Callback):
 
 
 def _read(memory: Any) -> Array:
-    """Numbers in memory of CasADi's."""
     return np.frombuffer(memory, float) if memory is not None and len(memory) else np.zeros(0)
 
 
 def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
-    """Solve what comes in, until nothing does; values and derivatives are asked for.
+    """Solve each start that comes in; values and derivatives come from the other process.
 
-    The clock that ends a solve is a thread without Python's lock, which whoever hangs in a library holds.
+    The clock that ends a solve is a thread that does not need Python's lock: a solver that hangs holds it.
     """
 
     def say(*words: Any) -> None:

@@ -1,4 +1,4 @@
-"""A staged problem as a nonlinear program with sparse derivatives, for solvers of others.
+"""A staged problem as a nonlinear program with sparse derivatives, for IPOPT and Fatrop.
 
 Unknowns and constraints stand stage by stage, as solvers that know stages want them:
 
@@ -116,9 +116,9 @@ class NonlinearProgram:
         return len(which)
 
     def _number_rows(self, with_copies: bool) -> tuple[list[Array], Array, list[int]]:
-        """Places of defects, inequalities and equalities among the constraints, and of what keeps copies alike.
+        """Places of defects, inequalities and equalities among the constraints, and of the equations between copies.
 
-        And how many constraints each stage has that are no dynamics.
+        The last item: how many constraints each stage has beside the dynamics.
         """
         stages, rows, counts = self._transcription.stages, list[list[Array]](), list[int]()
         shared, copies = np.flatnonzero(self._copies[0] >= 0), -np.ones((self._last, stages.parameters), int)
@@ -133,7 +133,6 @@ class NonlinearProgram:
         return [np.concatenate(parts) for parts in zip(*rows)], copies, counts
 
     def _take(self, count: int) -> Array:
-        """The next constraints."""
         self.count += count
         return np.arange(self.count - count, self.count)
 
@@ -146,8 +145,8 @@ class NonlinearProgram:
             for k, (n, m) in enumerate(zip(stages.states, stages.controls))
         ]
         for places, counts in zip(self._row_places, (stages.after, stages.inequalities, stages.equalities)):
-            each = np.split(places, np.cumsum(counts)[:-1])
-            jacobian += [np.broadcast_arrays(r[None, :], c[:, None]) for r, c in zip(each, columns)]
+            by_stage = np.split(places, np.cumsum(counts)[:-1])
+            jacobian += [np.broadcast_arrays(r[None, :], c[:, None]) for r, c in zip(by_stage, columns)]
         copies = self._copy_rows
         jacobian += [(self._row_places[0], self._staged.after(self._places))]
         jacobian += [(copies, self._copies[1:]), (copies, self._copies[:-1])]
@@ -156,7 +155,7 @@ class NonlinearProgram:
         self._ones = np.ones(len(self._row_places[0]) + copies.size), -np.ones(copies.size)
         joins = [(part.stages.stop - 1, part.phase.join.free) for part in self._staged.parts if part.phase.join]
         starts = np.cumsum(stages.after) - stages.after
-        #: What joins leave free is where the next node is: places of the defect, of its control, of the next node.
+        #: Entries that a join leaves free: places of the defect, of its control, and of the next node.
         self._joined = [
             (starts[k] + free, first[k] + stages.states[k] + np.arange(len(free)), first[k + 1] + free)
             for k, free in joins

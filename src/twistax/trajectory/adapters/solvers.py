@@ -1,9 +1,9 @@
-"""Solvers of others, on the same discrete problem: IPOPT and Fatrop, both inside CasADi's wheel.
+"""IPOPT and Fatrop, both inside CasADi's wheel, on the same discrete problem.
 
-They get the functions that this package's solver has, in the units of the statement. States on groups are steps in the
+They call the same functions as this package's solver, in the units of the statement. States on groups are steps in the
 tangent spaces at nodes that stay while a solver runs; the nodes then move to where it ended, and it starts again from
-there, until nothing turns. What comes out is measured as everything else is: by the first-order conditions, in this
-package's scales.
+there, until no node turns. A result is measured like all results: by the first-order conditions, in this package's
+scales.
 """
 
 from __future__ import annotations
@@ -27,13 +27,12 @@ from ..strategy.warm import WarmStart
 from ..transcription.points import Given, Point
 from .program import NonlinearProgram
 
-#: How often nodes may move to where a solver ended; the first barrier parameter and distance from limits then; no turn,
+#: Passes of a solver; the first barrier parameter and distance from limits of a warm pass; a turn that counts as none,
 #: rad.
 _PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
-#: Their tolerance over that of a solve: IPOPT's default for that of `solve`. A result is acceptable within so many of
-#: the latter.
+#: The solver's tolerance over that of `solve`; a result is acceptable within so many tolerances of `solve`.
 _CLOSER, _ACCEPTABLE = 1e-2, 100.0
-#: Words of theirs for an end that another start does not mend, and whether the constraints hold there.
+#: Return statuses that end the search, with whether the constraints hold.
 _OVER = {
     ("Infeasible_Problem_Detected", False): Status.INFEASIBLE,
     ("Diverging_Iterates", True): Status.UNBOUNDED,
@@ -42,7 +41,7 @@ _OVER = {
 
 @runtime_checkable
 class SolvedBy(Protocol):
-    """A solver of others: what `Problem.solve(solver=...)` takes."""
+    """What `Problem.solve(solver=...)` takes."""
 
     def run(
         self,
@@ -52,7 +51,7 @@ class SolvedBy(Protocol):
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
-        """Solve from a start; `core` has the functions, and measures what comes out."""
+        """Solve from a start; `core` has the functions, and measures the result."""
         ...
 
 
@@ -100,7 +99,6 @@ class _Casadi:
         return kind(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: options})
 
     def _settings(self, tolerance: float) -> dict[str, Any]:
-        """Options for a tolerance."""
         raise NotImplementedError
 
     def _structure(self, program: NonlinearProgram) -> dict[str, Any]:
@@ -132,7 +130,7 @@ class _Casadi:
             count += outcome.iterations
             return outcome
 
-        return strategies.at_a_minimum(core, search, search(start))._replace(iterations=count)
+        return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
 
     def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
         """Passes of the solver: again from where it ended while nodes turn, and in fitting units where it failed.
@@ -153,12 +151,14 @@ class _Casadi:
                 raise TrajectoryError(str(error)) from None
             count += result.iterations
             if not np.isfinite(result.x).all():
-                return core.run_once(here, instance, 0)._replace(status=Status.NON_FINITE, iterations=count)
+                outcome = core.run_once(here, instance, 0)
+                return dataclasses.replace(outcome, status=Status.NON_FINITE, iterations=count)
             reached = made.program.reached(result.x, result.of_bounds, result.of_rows)
-            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)._replace(iterations=count)
+            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)
+            outcome = dataclasses.replace(outcome, iterations=count)
             status = run.ended(outcome, result.word)
             if status is not None:
-                return outcome._replace(status=status)
+                return dataclasses.replace(outcome, status=status)
             turned = reached.turn > _SMALL_TURN
             if units is not None and not (result.success and turned):
                 break
@@ -171,7 +171,6 @@ class _Casadi:
         return run.at_rest(outcome)
 
     def _prepared(self, core: CoreSolver, instance: Given) -> Any:
-        """The solver for the problem, made once."""
         key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
         if key not in core.made:
             if self.copies not in core.made:
@@ -208,16 +207,15 @@ class _Run:
         if outcome.status is Status.SOLVED:
             return outcome
         if max(outcome.violation, *outcome.errors) <= _ACCEPTABLE * tolerance:
-            return outcome._replace(status=Status.ACCEPTABLE)
+            return dataclasses.replace(outcome, status=Status.ACCEPTABLE)
         if outcome.violation > tolerance:
             other = self.core.run_once(outcome.point, self.instance, self.left - outcome.iterations)
             if other.status is Status.INFEASIBLE:
-                return other._replace(iterations=outcome.iterations + other.iterations)
-        return outcome._replace(status=Status.STALLED)
+                return dataclasses.replace(other, iterations=outcome.iterations + other.iterations)
+        return dataclasses.replace(outcome, status=Status.STALLED)
 
 
 def _counted(callback: Callback | None, before: int) -> Callback | None:
-    """A callback that counts on."""
     return None if callback is None else lambda k, *rest: callback(before + k, *rest)
 
 
@@ -244,9 +242,9 @@ class IPOPT(_Casadi):
 
     Args:
         options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
-        max_seconds: after which a try ends as OUT_OF_TIME where it had come to, by the clock on the wall, with what
-            compiles meanwhile. IPOPT then runs in a process of its own, which can be ended whatever it does, and prints
-            to standard error. None: in this process, without a limit, and faster.
+        max_seconds: wall time after which a try ends as OUT_OF_TIME, at its last iterate; compiling counts. IPOPT then
+            runs in a process of its own, which can be ended whatever it does, and prints to standard error. None: in
+            this process, without a limit, and faster.
 
     Raises:
         TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.

@@ -27,9 +27,7 @@ OUT_OF_TIME = "Out of time"
 
 
 class SubprocessSolver:
-    """What `CasadiProgram` is, solved elsewhere. The process starts with the first solve, and after one that it did
-    not survive.
-    """
+    """A `CasadiProgram` in another process. It starts with the first solve, and again after a solve that ended it."""
 
     def __init__(self, program: NonlinearProgram, plugin: str, options: Mapping[str, Any]) -> None:
         self.program = program
@@ -52,7 +50,7 @@ class SubprocessSolver:
         progress: Callable[..., None] | None,
         seconds: float,
     ) -> SolverResult:
-        """As `CasadiProgram.solve` does, in so many seconds at most; then where it had come to."""
+        """As `CasadiProgram.solve` does, in so many seconds at most; after that the last iterate."""
         due, steps, x = time.monotonic() + seconds, 0, start.x
         try:
             if self._process is None:
@@ -80,7 +78,7 @@ class SubprocessSolver:
                 raise SolverRefused(f"{self._plugin} of CasADi ended its process before it was done") from None
             zeros = np.zeros(self.program.size), np.zeros(self.program.count)
             return SolverResult(x, *zeros, steps, False, OUT_OF_TIME)
-        except BaseException:  # the other side waits for an answer that does not come
+        except BaseException:  # the other process would wait for an answer
             self._forget()
             raise
 
@@ -90,7 +88,6 @@ class SubprocessSolver:
 
 
 def _ended(process: subprocess.Popen[bytes]) -> None:
-    """A process that is no longer there."""
     process.kill()
     process.wait()
     for pipe in (process.stdin, process.stdout):

@@ -38,6 +38,7 @@ from ...expr import (
     Time,
     Transpose,
     Vstack,
+    evaluate_all,
     leaves_of,
 )
 from ...solver.kernels import Argument
@@ -223,8 +224,9 @@ class SquaresHessian:
         """(q, q) the sum of 2 factor slopes' weight slopes; residuals count with the root of T."""
         residuals, factors, weights = terms
 
-        def at(exprs: Any, q: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
-            return self._shooting.values_at(exprs, q, share, base, params)
+        def at(exprs: Any, q: jax.Array) -> tuple[jax.Array, list[Any]]:
+            length, inputs = self._shooting.inputs_at(q, share, base, params)
+            return length, list(evaluate_all(exprs, lambda leaf: leaf.read(inputs)))
 
         def rooted(q: jax.Array) -> list[jax.Array]:
             length, values = at(residuals, q)

@@ -81,7 +81,7 @@ class QuasiNewton:
     Example: `Problem(..., hessian=tx.trajectory.QuasiNewton())`.
 
     Raises:
-        TrajectoryError: when a solver of others is to solve, which gets no second derivatives then.
+        TrajectoryError: with `solver=`: IPOPT and Fatrop need second derivatives.
     """
 
     by_updates: ClassVar[bool] = True

@@ -79,9 +79,9 @@ class StageUpdates:
         here = _Place(z, *self._derivatives(at))
         if self._last is not None and not np.array_equal(self._last.z, z):
             steps, turns = zip(*self._steps(self._last.z, z))
-            dynamics, *others = self._by_stage(multipliers)
-            now = here.gradients(weight, [dynamics, *others])
-            then = self._last.gradients(weight, [list(map(_turned_back, dynamics, turns[1:])) + dynamics[-1:], *others])
+            dynamics, *rest = self._by_stage(multipliers)
+            now = here.gradients(weight, [dynamics, *rest])
+            then = self._last.gradients(weight, [list(map(_turned_back, dynamics, turns[1:])) + dynamics[-1:], *rest])
             for block, size, step, turn, g, before in zip(self._blocks, self._sizes, steps, turns, now, then):
                 _update(block, step / size, size * (_about_before(g, turn) - before) / weight)
         self._last = here
@@ -161,5 +161,4 @@ def _update(block: Array, step: Array, change: Array) -> None:
 
 
 def _numbers(pointer: Any, count: int) -> Array:
-    """Those at an address."""
     return np.ctypeslib.as_array(pointer, (count,)) if count else np.zeros(0)

@@ -7,6 +7,7 @@ g + m_k <= 0 there. At rest the largest value is zero in each interval where the
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
@@ -68,7 +69,7 @@ def hold_between_nodes(
             for over, (part, segment) in zip(excess, parts)
         ]
         if max(float(share.max(initial=0.0)) for share in shares) <= between:
-            return outcome._replace(iterations=iterations)
+            return dataclasses.replace(outcome, iterations=iterations)
         if not left:
             break
         margins = [_tightened(margin, over) for margin, over in zip(margins, excess)]
@@ -80,7 +81,7 @@ def hold_between_nodes(
         if again.status is not Status.SOLVED:
             break
         outcome = again
-    return outcome._replace(status=Status.EXCEEDED, iterations=iterations)
+    return dataclasses.replace(outcome, status=Status.EXCEEDED, iterations=iterations)
 
 
 def _tightened(margins: Array, over: Array) -> Array:

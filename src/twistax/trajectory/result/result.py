@@ -163,7 +163,8 @@ def _of_phase(shooting: Any, best: Outcome, segment: Segment) -> Outcome:
     """What a phase has of an outcome."""
     n, stages = segment.shooting.n, segment.stages
     defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)
-    return best._replace(
+    return dataclasses.replace(
+        best,
         point=segment.of(best.point),
         values=Values(best.values.cost, defects, shooting.rows_of(segment, rows)),
         dynamics=best.dynamics[stages, :n],

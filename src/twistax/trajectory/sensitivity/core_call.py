@@ -1,7 +1,7 @@
 """The solve of a problem of one phase as one call of the core, which programs of JAX contain.
 
-It starts at the optimum of the problem as it was stated, in the units of that optimum, with what is asked for in place.
-What it is asked for does not change its program: parameters and final states are numbers that kernels read, initial
+It starts at the optimum of the problem as it was stated, in the units of that optimum, with the new values in place.
+These values do not change its program: parameters and final states are numbers that kernels read, initial
 states and a fixed final time are bounds.
 """
 
@@ -41,13 +41,13 @@ class CoreCall:
 
     Args:
         start: where it starts; the units are those there.
-        instance: what the problem is solved for as it was stated.
+        instance: parameters, ends and limits of the problem as stated.
     """
 
     def __init__(self, problem: Problem, core: CoreSolver, start: Point, instance: Given, max_iterations: int) -> None:
         self._problem, self._tolerance = problem, core.tolerance
         self.units = units = core.units(start, instance)
-        self._staged = staged = core.staged.alone(instance)  # what others change of the problem's is not seen here
+        self._staged = staged = core.staged.alone(instance)  # a copy: solves of the problem do not change it
         numbers = staged.numbers.vector(instance)
         self._base = SolveInputs(
             numbers, staged.flat(start), staged.coordinates(start), *staged.limits(start, instance)
@@ -77,7 +77,7 @@ class CoreCall:
         final_time: Any,
         start: Array | None = None,
     ) -> SolveInputs:
-        """What a solve for these values reads; what is NaN stays as it was stated.
+        """What a solve for these values reads; entries that are NaN stay as stated.
 
         Args:
             start: z of another start.

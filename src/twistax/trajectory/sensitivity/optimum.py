@@ -4,7 +4,7 @@ What a problem is solved for joins the unknowns that all stages share, each fixe
 final time are. A change of them moves all the others so that the first-order conditions still hold: with K the matrix
 of the conditions' derivatives,
 
-    K_free (dv, dlam, dy, dye) = 0,   dv_fixed = what was asked for.
+    K_free (dv, dlam, dy, dye) = 0,   dv_fixed = the change of what is fixed.
 
 Source: Fiacco, Introduction to sensitivity and stability analysis in nonlinear programming (1983), theorem 3.2.1.
 """
@@ -87,7 +87,7 @@ class OptimalityConditions:
 
     Args:
         core: the problem's solver.
-        instance: what the problem is solved for as it was stated.
+        instance: parameters, ends and limits of the problem as stated.
         units: of its unknowns, rows and objective.
     """
 
@@ -134,7 +134,7 @@ class OptimalityConditions:
     # ---- points ---------------------------------------------------------------------------------------------------
 
     def optimum(self, inputs: SolveInputs, result: Mapping[str, Any], solved: Any, precision: Any) -> Optimum:
-        """What a solve came to, in a precision; in double precision itself."""
+        """The result of a solve in a precision; the solve itself is in double precision."""
         least, y, v = self._least, result["y"], result["v"]
 
         def off(slack: Any, multiplier: Any) -> Any:
@@ -191,7 +191,6 @@ class OptimalityConditions:
         return jnp.concatenate([body[:, :width], last[None]]), body[:, width:], border, numbers
 
     def _joined(self, nodes: Any, us: Any, *shared: Any) -> Any:
-        """The other way."""
         body = jnp.concatenate([nodes[:-1], us], axis=1)
         return jnp.concatenate([body.reshape(-1), nodes[-1], *shared])
 
@@ -303,7 +302,6 @@ class OptimalityConditions:
 
 @jax.custom_jvp
 def _no_slope(z: Any) -> Any:
-    """One."""
     return jnp.ones_like(z)
 
 

@@ -42,7 +42,7 @@ class Solution(NamedTuple):
 
 
 class _Theta(NamedTuple):
-    """What was asked for; entries that were not are missing."""
+    """The arguments of a call; entries that are left out are missing."""
 
     params: dict[str, Any]
     initial: dict[str, Any]
@@ -69,7 +69,7 @@ def solution(
     The first call solves the problem as it was stated, with `problem.solve`. Every call then is one call of the
     solver's core, which starts at that optimum, in its units, and computes in double precision whatever
     `jax_enable_x64` says. In programs of `jit` and `vmap` it is one operation, and threads of XLA share the members of
-    a batch. Outside of these the result is looked at as in `problem.solve`, and where the core alone finds no optimum
+    a batch. Outside of these the mesh is checked as in `problem.solve`, and where the core alone finds no optimum
     `problem.solve` searches.
 
     The objective has a derivative wherever the optimum is regular; the trajectory where no limit is about to become
@@ -78,7 +78,7 @@ def solution(
     Args:
         guess, warm: for the problem as it was stated, as in `problem.solve`.
         max_iterations, mesh_tolerance: likewise. Under `jit` and `vmap` the mesh is that of the problem as it was
-            stated, which is looked at once.
+            stated, which is checked once.
         tolerance: likewise; derivatives are no more exact than the solution.
 
     Raises:
@@ -94,8 +94,8 @@ def solution(
     return _Differentiable(problem, options, tolerance)
 
 
-class _Stated(NamedTuple):
-    """The problem as it was stated: where it starts, or is solved, and the call that solves it from there."""
+class _Reference(NamedTuple):
+    """The problem as stated, and the call of the core that starts at its solution."""
 
     core: CoreSolver
     instance: Given
@@ -130,11 +130,11 @@ class _Differentiable:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
         names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
         if names not in self._of:
-            self._of[names] = _SolutionFor(self._problem, self._stated, self._options, names)
+            self._of[names] = _SolutionFor(self._problem, self._reference, self._options, names)
         return self._of[names](theta)
 
     @functools.cached_property
-    def _stated(self) -> _Stated:
+    def _reference(self) -> _Reference:
         problem, options = self._problem, self._options
         with in_double():
             result = problem.solve(**options, tolerance=self._tolerance)
@@ -142,16 +142,16 @@ class _Differentiable:
             core = problem.core(self._tolerance, started.point, started.given)
             start = result.warm.point if result.solved else started.point
             call = CoreCall(problem, core, start, started.given, options["max_iterations"])
-        return _Stated(core, started.given, call, result.message if result.status is Status.COARSE else "")
+        return _Reference(core, started.given, call, result.message if result.status is Status.COARSE else "")
 
 
 class _SolutionFor:
     """The same for parameters and final states of these names."""
 
     def __init__(
-        self, problem: Problem, stated: _Stated, options: dict[str, Any], names: tuple[tuple[str, ...], ...]
+        self, problem: Problem, reference: _Reference, options: dict[str, Any], names: tuple[tuple[str, ...], ...]
     ) -> None:
-        self._problem, self._stated, self._options, self._names = problem, stated, options, names
+        self._problem, self._reference, self._options, self._names = problem, reference, options, names
         # Options of the compiler belong to the outermost program alone: within another one these have none.
         self._alone = jax.jit(self._tangent, compiler_options=quick_compile(1), keep_unused=True)
         self._within = jax.jit(self._tangent)
@@ -165,7 +165,7 @@ class _SolutionFor:
         return self._shown(self._differentiable(theta))
 
     def _check(self, theta: _Theta) -> None:
-        """Raise InputError, or what `problem.solve` does, where what is asked for does not fit the problem."""
+        """Raise InputError, or what `problem.solve` does, where an argument does not fit the problem."""
         problem, states = self._problem, {state.name: state for state in self._problem.dynamics.states}
         shapes = {name: np.shape(value) for name, value in problem.params.items()}
         of_states = {name: state.shape for name, state in states.items()}
@@ -206,7 +206,7 @@ class _SolutionFor:
     def _conditions(self) -> OptimalityConditions:
         """The problem with these names among its unknowns; its kernels compile once."""
         params, final = self._names
-        core, instance, call, _ = self._stated
+        core, instance, call, _ = self._reference
         with in_double():
             return OptimalityConditions(self._problem, core, instance, {"params": params, "final": final}, call.units)
 
@@ -215,22 +215,22 @@ class _SolutionFor:
     def _inputs(self, theta: _Theta, start: Any = None) -> SolveInputs:
         values = jax.tree.map(lambda a: jax.lax.convert_element_type(a, np.float64), theta)
         time = values.final_time.get("final_time")
-        return self._stated.call.inputs(values.params, values.initial, values.final, time, start)
+        return self._reference.call.inputs(values.params, values.initial, values.final, time, start)
 
     def _optimum(self, theta: _Theta) -> Optimum:
-        call, precision = self._stated.call, jnp.result_type(float)
+        call, precision = self._reference.call, jnp.result_type(float)
         if not is_traced(theta):
             with in_double():
                 inputs, result = self._solved(theta)
                 return self._conditions.optimum(inputs, call.solves.split(result), 1.0, precision)
-        self._stated.need_compiled()
+        self._reference.need_compiled()
         with jax.enable_x64(True):
             inputs = self._inputs(theta)
             traced = call.solves.split(call.solves(jnp.concatenate(inputs)))
             data, z = (jax.lax.convert_element_type(a, precision) for a in (inputs.data, traced["z"]))
         # Kernels of a program have its precision.
         least = _ROUNDING * float(jnp.finfo(precision).eps)
-        holds = self._conditions.violation(data, z) <= max(self._stated.core.tolerance, least)
+        holds = self._conditions.violation(data, z) <= max(self._reference.core.tolerance, least)
         holds &= self._is_meant(theta)
         with jax.enable_x64(True):
             return self._conditions.optimum(inputs, traced, call.is_solved(traced) & holds, precision)
@@ -245,10 +245,10 @@ class _SolutionFor:
 
     def _solved(self, theta: _Theta) -> tuple[SolveInputs, jax.Array]:
         """The solve of numbers, and what it reads."""
-        call, numbers = self._stated.call, jax.tree.map(np.asarray, theta)
+        call, numbers = self._reference.call, jax.tree.map(np.asarray, theta)
         values: Any = {name: getattr(numbers, name) or None for name in ("params", "initial", "final")}
         values |= numbers.final_time
-        started, tolerance = self._problem.started(**values), self._stated.core.tolerance
+        started, tolerance = self._problem.started(**values), self._reference.core.tolerance
         core = self._problem.core(tolerance, started.point, started.given)  # of this thread
         inputs = self._inputs(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
@@ -275,9 +275,9 @@ class _SolutionFor:
         return optimum, tangent(theta, tangents, optimum)._replace(exact=none)
 
     def _tangent(self, theta: _Theta, tangents: _Theta, optimum: Optimum) -> Optimum:
-        """How the optimum moves along a change of what was asked for."""
+        """How the optimum moves along a change of the arguments."""
         conditions, known = self._conditions, jnp.where(optimum.solved > 0.0, 1.0, jnp.nan)
-        tangents = jax.tree.map(lambda a: known * a, tangents)  # also where what was asked for is NaN
+        tangents = jax.tree.map(lambda a: known * a, tangents)  # also where an argument is NaN
 
         def fixed(theta: _Theta) -> Any:
             times = theta.final_time.get("final_time")
@@ -305,7 +305,6 @@ class _SolutionFor:
 
 
 def _by_name(what: str, values: Any) -> dict[str, jax.Array]:
-    """Values by name."""
     if values is not None and not isinstance(values, Mapping):
         raise InputError(f"solution: {what} expects a dict from leaves to values, got {short(values)}")
     return {name_of(key): _numbers(f"solution: {what}[{name_of(key)!r}]", a) for key, a in (values or {}).items()}

@@ -9,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
-#: The error of a mesh that SOLVED allows, unless another is asked for.
+#: The error of a mesh that SOLVED allows by default.
 MESH = 1e-2
 
 
@@ -47,7 +47,7 @@ class Accuracy:
             does not grow; 1 where the method is stable.
         exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
             and `place`; the largest share first.
-        tolerance: the `mesh_tolerance` that was asked for.
+        tolerance: the `mesh_tolerance` of the solve.
         middles: of each phase, states by name (intervals, ...) halfway through the close integration.
         places: of each phase, what it is called in a message.
     """
@@ -84,7 +84,7 @@ class Accuracy:
 
     @property
     def coarse(self) -> bool:
-        """Whether the mesh is too coarse for what was asked."""
+        """Whether the error of the mesh is above the tolerance, or its method unstable."""
         follows = self.error <= self.tolerance and self.share <= self.tolerance
         return not (follows and (self.factor <= 1.0 or np.isinf(self.tolerance)))
 

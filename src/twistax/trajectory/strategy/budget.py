@@ -46,8 +46,8 @@ class Budget:
 
     def ends(self, iteration: int, cost: float, violation: float) -> bool:
         """Whether a run should end before this iteration of it."""
-        said = None if self._callback is None else self._callback(self.used + iteration, cost, violation)
-        if isinstance(said, (bool, np.bool_)) and said:
+        stop = None if self._callback is None else self._callback(self.used + iteration, cost, violation)
+        if isinstance(stop, (bool, np.bool_)) and stop:
             self.ended = Status.STOPPED
         if time.monotonic() > self._due:
             self.ended = Status.OUT_OF_TIME

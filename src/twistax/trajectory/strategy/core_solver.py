@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ...solver.core import Solution, Units, Watch, solve
+from ...solver.core import Solution, StopCheck, Units, solve
 from ...solver.core import Status as CoreStatus
 from ...solver.options import Options
 from ..hessians.options import by_updates
@@ -32,7 +32,7 @@ from .warm import WarmStart
 _CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
 #: A warm start asks for so many times that: it begins near, and is one of many.
 _NEAR = 10.0
-#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster has come to
+#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
 #: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
@@ -57,7 +57,7 @@ class CoreSolver:
         busy: whether it is in a solve.
         measure, judge: measure results, and look at their meshes.
         largest_step: how far a step may move each unknown, as `solver.core.solve` has it.
-        made: what solvers of others made of the problem, by solver.
+        made: IPOPT's and Fatrop's form of the problem, by solver.
     """
 
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:
@@ -126,10 +126,10 @@ class CoreSolver:
         if not violated <= self.tolerance:
             status = Status.INFEASIBLE if np.isfinite(violated) else Status.NON_FINITE
             return self.measure.outcome(call({**options, "iterations": 0}), units, instance, status)
-        watch = _Watch(budget or Budget(max_iterations))
+        check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             fitted = _FITTED_AT if rescaling and not as_stated else ()
-            return self._from_point(point, instance, units, options, watch, fitted)
+            return self._from_point(point, instance, units, options, check, fitted)
         warm, violated = self._warm(point, start.dynamics, start.rows, units)
         if violated <= self.tolerance:
             outcome = self._as_it_is(warm, point, instance, units)
@@ -137,7 +137,7 @@ class CoreSolver:
                 return outcome
         closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
         near = {"complementarity": closer, **_near(violated)}
-        return self.measure.outcome(call({**options, **near}, warm, watch), units, instance)
+        return self.measure.outcome(call({**options, **near}, warm, check), units, instance)
 
     def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
         """How far a point with multipliers is from the conditions of an optimum, in units that fit it."""
@@ -155,7 +155,7 @@ class CoreSolver:
         instance: Given,
         units: StartUnits,
         options: dict[str, float],
-        watch: _Watch,
+        check: _IterationCheck,
         fitted: Sequence[int],
     ) -> Outcome:
         """A solve whose units are measured anew after some iterations: a guess may say little about them."""
@@ -174,13 +174,13 @@ class CoreSolver:
                     fresh, point = measured, here
                 return fresh is not None
 
-            watch.also = is_misfit
-            result = self._call(point, instance, units, options, None, watch)
-            watch.before += int(result.statistics["iterations"])
+            check.extra = is_misfit
+            result = self._call(point, instance, units, options, None, check)
+            check.before += int(result.statistics["iterations"])
             if fresh is None:
                 break
             options, units = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
-        result.statistics["iterations"] = watch.before
+        result.statistics["iterations"] = check.before
         return self.measure.outcome(result, units, instance)
 
     def _call(
@@ -190,7 +190,7 @@ class CoreSolver:
         units: StartUnits,
         options: dict[str, float],
         warm: Solution | None = None,
-        watch: Watch | None = None,
+        check: StopCheck | None = None,
     ) -> Solution:
         """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
         staged, functions = self.staged, self.staged.transcription.functions
@@ -206,7 +206,7 @@ class CoreSolver:
             largest_step=self.largest_step,
             options=Options(**options),
             warm=warm,
-            watch=watch,
+            should_stop=check,
         )
         if result.status is CoreStatus.MAX_ITERATIONS and result.statistics["iterations"] < options["iterations"]:
             result.status = CoreStatus.STALLED
@@ -231,25 +231,24 @@ def _near(violated: float) -> dict[str, float]:
     return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
 
 
-class _Watch:
+class _IterationCheck:
     """What is called before each iteration: Python sees signals there, and what a solve may take.
 
     Attributes:
         before: iterations before this call of the core.
-        also: asked then, too; whether the core should stop.
+        extra: a second reason to stop.
     """
 
     def __init__(self, budget: Budget) -> None:
         self.budget, self.before = budget, 0
-        self.also: Callable[[int, Array], bool] = lambda iteration, z: False
+        self.extra: Callable[[int, Array], bool] = lambda iteration, z: False
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
         is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
-        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.also(iteration, z)
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.extra(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:
-    """Points as NumPy arrays."""
     if isinstance(tree, Point):
         return Point(*(_arrays(a) for a in tree))
     if isinstance(tree, tuple):

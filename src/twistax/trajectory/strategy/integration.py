@@ -55,35 +55,34 @@ class CloseIntegration:
                     part.phase,
                     method=method,
                     path=np.full(shape, INEQUALITY),
-                    conditions=[np.full(len(own), INEQUALITY) for own in part.phase.conditions],
+                    conditions=[np.full(len(rows), INEQUALITY) for rows in part.phase.conditions],
                 )
             )
         self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(instance))
 
     def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
         """Close integrations of all phases at a point of the problem."""
-        own = self._transcription
-        own.set_data(self._staged.numbers.vector(instance))
-        seen = Evaluated(own, z)
+        self._transcription.set_data(self._staged.numbers.vector(instance))
+        seen = Evaluated(self._transcription, z)
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
     def decided_rows(self, z: Array, instance: Given) -> Array:
-        """(rows,) of those at nodes, which ends or other rows decide; of others what stands there means nothing."""
-        own, rows = self._transcription, []
-        own.set_data(self._staged.numbers.vector(instance))
-        h = Evaluated(own, z).h
-        for part, path, nodes in zip(self._staged.parts, own.path_places, own.node_places):
+        """(rows,) values of the rows at nodes that ends or other rows decide; other entries mean nothing."""
+        transcription, rows = self._transcription, []
+        transcription.set_data(self._staged.numbers.vector(instance))
+        h = Evaluated(transcription, z).h
+        for part, path, nodes in zip(self._staged.parts, transcription.path_places, transcription.node_places):
             at_starts = np.zeros(part.phase.path.shape)
             at_starts[:, 0] = h[path[:, 0]]
             rows.append(part.all_rows(at_starts, [h[places] for places in nodes]))
         return self._staged.transcribed.whole_rows(rows)
 
     def _phase(self, number: int, seen: Evaluated, middles: dict[str, Array]) -> Closely:
-        part, own = self._staged.parts[number], self._transcription
-        rows = seen.h[own.path_places[number]]  # (intervals, points, rows)
+        part, transcription = self._staged.parts[number], self._transcription
+        rows = seen.h[transcription.path_places[number]]  # (intervals, points, rows)
         rows = np.where(part.shooting.path.equality, np.abs(rows), rows).max(axis=1, initial=-np.inf)
-        n, first = part.shooting.n, sum(own.stages.after[: part.stages.start])
+        n, first = part.shooting.n, sum(transcription.stages.after[: part.stages.start])
         gaps = seen.c[first : first + part.shooting.intervals * n].reshape(-1, n)
         return Closely(gaps, rows, seen.cost[0] if number == 0 else 0.0, middles)
 
@@ -106,15 +105,15 @@ class CloseIntegration:
             v: sizes of all unknowns.
             length: of the moves, in these sizes.
         """
-        staged, own = self._staged, self._staged.transcription
+        staged, transcription = self._staged, self._staged.transcription
         free, rng = staged.transcribed.free, np.random.default_rng(0)
         which = staged.step(staged.transcribed.stirred, free.u, free.border) != 0.0
-        before = Evaluated(own, z)
+        before = Evaluated(transcription, z)
         rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
         for _ in range(_MOVES):
             signs = rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v))
             step = np.where(which, length * v * signs, 0.0)
-            there = Evaluated(own, moved(own, z, step))
+            there = Evaluated(transcription, moved(transcription, z, step))
             change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
             rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
             cost = max(cost, abs(float(there.cost[0] - before.cost[0])))

@@ -1,4 +1,4 @@
-"""What is looked at once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
+"""Checks of a result once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
 
 Every interval is integrated closely again from its planned start, with the planned controls. It ends a tangent g_k away
 from the planned end. With y_k the multipliers of the dynamics, the objective J of a mesh that follows the equations is,
@@ -14,6 +14,7 @@ that change, over the change of the objective, is of order one where it has.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -63,12 +64,12 @@ class Judge:
         z = self._staged.flat(outcome.point)
         amplified = amplification(self._staged, outcome.point, instance)
         accuracy = self._accuracy(self._close.at(z, instance), outcome, mesh_tolerance, tolerance, amplified)
-        outcome = outcome._replace(accuracy=accuracy, flat=self._flat(z, outcome))
+        outcome = dataclasses.replace(outcome, accuracy=accuracy, flat=self._flat(z, outcome))
         if not ended_well:
             return outcome
         if outcome.flat is not None:
-            return outcome._replace(status=Status.DEGENERATE)
-        return outcome._replace(status=Status.COARSE) if accuracy.coarse else outcome
+            return dataclasses.replace(outcome, status=Status.DEGENERATE)
+        return dataclasses.replace(outcome, status=Status.COARSE) if accuracy.coarse else outcome
 
     def _flat(self, z: Array, outcome: Outcome) -> FlatRow | None:
         """The row whose multiplier is largest, if that has run away."""
@@ -94,7 +95,7 @@ class Judge:
     ) -> Accuracy:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
-        intervals, change, exceeded, worth = [], -outcome.cost, dict[str, Exceeded](), 0.0
+        intervals, change, exceeded, largest = [], -outcome.cost, dict[str, Exceeded](), 0.0
         for closely, segment, place in zip(phases, shooting.segments, places):
             phase = segment.shooting
             sizes = np.asarray(scales.d)[segment.nodes, : phase.n][1:]
@@ -103,13 +104,13 @@ class Judge:
             known = largest_values(phase, segment.of(outcome.point))
             spread = np.where(known > 0.0, np.minimum(known, sizes.max(axis=0)), sizes.max(axis=0))
             costates = outcome.dynamics[segment.stages, : phase.n]
-            worth = max(worth, float(np.abs(costates * spread).max(initial=0.0)))
+            largest = max(largest, float(np.abs(costates * spread).max(initial=0.0)))
             rows = phase.row_scales(shooting.rows_of(segment, np.asarray(scales.rows)))
             shares = closely.rows / np.where(np.isinf(rows), rows.min(axis=0), rows)
             for name, limit in _exceeded(phase, closely, shares, tolerance, place).items():
                 exceeded[shooting.named(segment, name)] = limit
         order = sorted(exceeded, key=lambda name: -exceeded[name].share)
-        size = max(abs(outcome.cost), min(float(scales.cost), worth)) or 1.0
+        size = max(abs(outcome.cost), min(float(scales.cost), largest)) or 1.0
         return Accuracy(
             intervals=tuple(intervals),
             change=change,

@@ -1,4 +1,4 @@
-"""What the solver's core came to in the terms of this package: rows, multipliers, errors, a status."""
+"""Results of the solver's core in the terms of this package: rows, multipliers, errors, a status."""
 
 from __future__ import annotations
 
@@ -122,7 +122,6 @@ class Measure:
         )
 
     def _status(self, result: Solution, violated: float, errors: Errors) -> Status:
-        """The core's status in the words of this package."""
         numbers, tolerance = result.statistics, self._tolerance
         holds = numbers["violation"] <= tolerance and violated <= tolerance
         optimal = max(errors.stationarity, errors.complementarity, errors.gap) <= tolerance

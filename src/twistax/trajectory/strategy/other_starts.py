@@ -1,4 +1,4 @@
-"""Other starts for a search: perturbed guesses, points beside one where it rested, fixed durations."""
+"""Other starts for a search: perturbed guesses, random steps from a point where it stalled, fixed durations."""
 
 from __future__ import annotations
 

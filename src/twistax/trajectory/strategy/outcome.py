@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -37,7 +38,8 @@ class Errors(NamedTuple):
     gap: Any  # sum of s w and of |multiplier times violation|: what they can cost
 
 
-class Outcome(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Outcome:
     """Where a run of the solver ended."""
 
     point: Point
@@ -51,7 +53,7 @@ class Outcome(NamedTuple):
     scales: Scales
     status: Status
     iterations: int
-    accuracy: Accuracy | None = None  # of the mesh; None before it is looked at, and of points that are not finite
+    accuracy: Accuracy | None = None  # of the mesh; None before its check, and of points that are not finite
     units: StartUnits | None = None  # of the solver
     flat: FlatRow | None = None  # a row without slope
     saddle: bool = False  # whether the objective falls to second order from there, and no search beside it found better

@@ -14,7 +14,7 @@ from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 
-#: How many random points are looked at, and how far from the start their tangents are.
+#: Random points, and how far from the start their tangents are.
 _SAMPLES, _MOVE = 2, 0.3
 
 
@@ -108,7 +108,7 @@ def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence
     seen = np.zeros_like(pinned)
     fixed = np.pad(fixed, ((0, 0), (0, samples[0].shape[1] - fixed.shape[1])))
     for slopes in samples:
-        # A random sample may lie where a row has no slopes; others tell about it.
+        # A random sample may lie where a row has no slopes; another sample decides.
         there = np.isfinite(slopes).all(axis=1)
         rows = np.where(there[:, None], slopes, 0.0)
         base, columns = np.concatenate([fixed, rows[equality]]).T, rows.T

@@ -5,6 +5,7 @@ Each uses the solver as it is, from another start or in other units.
 
 from __future__ import annotations
 
+import dataclasses
 import enum
 from collections.abc import Callable, Collection
 from typing import Any
@@ -81,11 +82,11 @@ class _Search:
         result = self._near(start, instance)
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
         if at_once or isinstance(start, WarmStart):
-            return result._replace(iterations=self._budget.used)
+            return dataclasses.replace(result, iterations=self._budget.used)
         if self._may_repeat(result, Strategy.STATED_SCALES):
-            stated = self._once(start, instance, as_stated=True)  # the units of a statement are often well chosen
-            if stated.status in AT_OPTIMUM:
-                result = self._at_minimum(stated, instance)
+            again = self._once(start, instance, as_stated=True)  # the units of a statement are often well chosen
+            if again.status in AT_OPTIMUM:
+                result = self._at_minimum(again, instance)
         for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
             if not self._may_repeat(result, Strategy.PERTURBED_STARTS):
                 break
@@ -94,7 +95,7 @@ class _Search:
                 result = other
         if self._may_repeat(result, Strategy.FIXED_DURATIONS):
             result = self._with_fixed_durations(result, start, instance)
-        return result._replace(iterations=self._budget.used)
+        return dataclasses.replace(result, iterations=self._budget.used)
 
     def _may_repeat(self, result: Outcome, strategy: Strategy) -> bool:
         return result.status in _AT_REST and not self._budget.is_spent and strategy in self._strategies
@@ -108,7 +109,7 @@ class _Search:
         )
         budget.used += min(result.iterations, most)
         is_stopped = result.status is Status.STOPPED
-        return result._replace(status=budget.ended or result.status) if is_stopped else result
+        return dataclasses.replace(result, status=budget.ended or result.status) if is_stopped else result
 
     def _fitting(self, start: Any, instance: Given) -> Outcome:
         if Strategy.RESCALING in self._strategies:
@@ -124,7 +125,7 @@ class _Search:
         return self._at_minimum(self._fitting(start, instance), instance)
 
     def _with_fixed_durations(self, rested: Outcome, start: Point, instance: Given) -> Outcome:
-        """What runs come to that begin with fixed durations; the earlier outcome if no such run succeeds.
+        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds.
 
         Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
         """
@@ -158,12 +159,12 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
         ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
         error = max(result.errors.stationarity, result.errors.gap)
         if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
-            result = result._replace(units=fresh)  # for warm starts there
+            result = dataclasses.replace(result, units=fresh)  # for warm starts there
             break
         if result.status in AT_OPTIMUM:
             measured = solver.run_once(warm_at(result, instance), instance, 0)
             if measured.status in AT_OPTIMUM:
-                result = measured._replace(iterations=result.iterations, saddle=result.saddle)
+                result = dataclasses.replace(measured, iterations=result.iterations, saddle=result.saddle)
                 break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
@@ -183,7 +184,7 @@ def warm_at(result: Outcome, instance: Given) -> WarmStart:
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
-    """Whether units of states or controls are nothing beside those at a result, or far above."""
+    """Whether units of states or controls differ from those at a result by a large factor."""
     known = solver.measure.scales(fresh)
     ratios = [np.ravel(known.d / used.d)]
     for part, sizes in zip(solver.transcribed.segments, fresh.parts):
@@ -193,7 +194,7 @@ def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
 
 
 def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
-    """A result, or where the objective falls to second order from it what is found beside it, if that is better."""
+    """The result; from a saddle point, a better one that searches from random steps away find."""
     seed = 0
     while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None

@@ -22,7 +22,7 @@ _LITTLE = 1e-6
 _SHARE = 0.3
 #: Singular values of rows below this share of the largest are rounding.
 _ROUNDING = 1e-9
-#: Moves of more unknowns are not looked at.
+#: Problems with more free unknowns than this are skipped.
 _MOST = 1000
 #: The proposed weight adds this share to the objective where a control is at its size all along.
 _PRICE = 1e-3
@@ -64,18 +64,18 @@ def undetermined(
     """
     staged.set_given(instance)
     scales, sizes = warm.scales, _control_sizes(staged, warm)
-    moves = _Moves(staged, warm, sizes)
-    if moves.count > _MOST:
+    choices = _Moves(staged, warm, sizes)
+    if choices.count > _MOST:
         return []
-    free = moves.directions(warm)
-    hessian = free.T @ moves.hessian @ free / float(scales.cost)
+    free = choices.directions(warm)
+    hessian = free.T @ choices.hessian @ free / float(scales.cost)
     values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
-    flat = free @ vectors[:, np.abs(values) * moves.count < 2.0 * _LITTLE]
+    flat = free @ vectors[:, np.abs(values) * choices.count < 2.0 * _LITTLE]
     shares = (flat**2).sum(axis=1)
     controls, seconds = list[Undetermined](), np.asarray(warm.point.border)[: staged.border.phases]
     for number, (part, segment) in enumerate(zip(staged.parts, staged.transcribed.segments)):
         for entry, column in _entries(part, derivatives[number]):
-            alone = np.array([shares[moves.places[k][column]] for k in _intervals(part)])
+            alone = np.array([shares[choices.places[k][column]] for k in _intervals(part)])
             size = float(sizes[part.stages.start, column - part.shooting.n])
             weight = _PRICE * float(scales.cost) / (size**2 * float(seconds[number]))
             name = staged.transcribed.named(segment, entry)

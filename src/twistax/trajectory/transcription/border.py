@@ -73,8 +73,8 @@ class Border:
 
     def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
         """What must be <= 0."""
-        found = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]
-        return jnp.stack(found) if found else jnp.zeros(0, b.dtype)
+        rows = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]
+        return jnp.stack(rows) if rows else jnp.zeros(0, b.dtype)
 
     def params(self, b: Any) -> dict[str, Any]:
         """The free parameters by name."""
@@ -87,7 +87,7 @@ class Border:
             ModelError: as `boxes_of`, for parameters that are not free.
             TrajectoryError: limits on other sides, or without a distance.
         """
-        found = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
+        limits = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
         places = Controls(self.boxes).slices
         for name in map(name_of, free) if isinstance(free, (Mapping, list, tuple)) else ():
             if name not in places:
@@ -95,18 +95,18 @@ class Border:
                     f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}\n"
                     "  fix: state the problem with free="
                 )
-        for box in boxes_of(free, [Parameter(own.name, own.shape) for own in self.boxes], ()):
-            own = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
+        for box in boxes_of(free, [Parameter(box.name, box.shape) for box in self.boxes], ()):
+            part = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
             other = _sides(box)
-            if (np.isfinite(other) != np.isfinite(found[own])).any():
+            if (np.isfinite(other) != np.isfinite(limits[part])).any():
                 raise TrajectoryError(
                     f"solve: free[{box.name!r}] must have limits on the sides where the problem has them, "
-                    f"got {short((box.min, box.max))} for {found[own].tolist()}"
+                    f"got {short((box.min, box.max))} for {limits[part].tolist()}"
                 )
             if (other[:, 0] >= other[:, 1]).any():
                 raise TrajectoryError(f"solve: free[{box.name!r}] expects low below high; a value belongs to params=")
-            found[own] = other
-        return found
+            limits[part] = other
+        return limits
 
     def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array], limits: Array) -> Array:
         """b at the start, within limits (g, 2): guesses, else what is nearest to the parameters' values.
@@ -117,9 +117,9 @@ class Border:
         parts = [np.ravel(durations)]
         places = Controls(self.boxes).slices
         for box in self.boxes:
-            asked = np.ravel(guess.get(box.name, params[box.name])).astype(float)
-            parts.append(np.clip(asked, *limits[self.phases :][places[box.name]].T))
-            if box.name in guess and (asked != parts[-1]).any():
+            value = np.ravel(guess.get(box.name, params[box.name])).astype(float)
+            parts.append(np.clip(value, *limits[self.phases :][places[box.name]].T))
+            if box.name in guess and (value != parts[-1]).any():
                 raise TrajectoryError(f"guess[{box.name!r}] must be within its limits, got {short(guess[box.name])}")
         return np.concatenate(parts)
 

@@ -20,7 +20,7 @@ class Evaluated:
     Attributes:
         cost, c, h, e: (1,) the cost; defects, inequalities and equalities of all stages.
         failed: whether there are no values.
-        gradient: of the cost by v; zero until derivatives are evaluated, as the others are.
+        gradient: of the cost by v, once derivatives are evaluated, as the others.
         F, Jh, Je: matrices of defects and rows, one stage after the other; see `blocks`.
         H: second derivatives of the cost, likewise.
     """

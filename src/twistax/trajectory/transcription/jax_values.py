@@ -77,24 +77,25 @@ class JaxValues:
     def _interval(self, fixed: _Fixed, eta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
         """Where an interval ends that starts at eta, its path rows, and its share of the running cost."""
         method, layout = self._shooting.transcription.scheme, self._shooting.layout
-        length = fixed.width / method.substeps
-        firsts = fixed.start + length * np.arange(float(method.substeps))
+        as_array = functools.partial(jnp.asarray, dtype=eta.dtype)
+        length, c = fixed.width / method.substeps, as_array(method.c)
+        firsts = fixed.start + length * as_array(np.arange(method.substeps))
 
         def substep(eta: jax.Array, first: jax.Array) -> tuple[jax.Array, tuple[jax.Array, jax.Array]]:
-            slope = functools.partial(self._slope, fixed, first + length * method.c)
+            slope = functools.partial(self._slope, fixed, first + length * c)
             points, slopes = (_implicit if method.implicit else _explicit)(method, length, eta, slope)
-            after = eta + length * (jnp.asarray(method.b, eta.dtype) @ slopes)
+            after = eta + length * (as_array(method.b) @ slopes)
             return after, (after, points)
 
         last, (ends, stages) = jax.lax.scan(substep, eta, firsts)
         etas = jnp.concatenate([eta[None], ends, stages.reshape(-1, len(eta))])
-        ends_at = fixed.start + fixed.width * np.linspace(0.0, 1.0, method.substeps + 1)
-        shares = jnp.concatenate([ends_at, (firsts[:, None] + length * method.c[None, :]).reshape(-1)])
+        ends_at = fixed.start + fixed.width * as_array(np.linspace(0.0, 1.0, method.substeps + 1))
+        shares = jnp.concatenate([ends_at, (firsts[:, None] + length * c[None, :]).reshape(-1)])
         count = method.substeps + 1 if not method.weights[method.substeps + 1 :].any() else len(etas)
         q = jax.vmap(lambda eta: jnp.concatenate([eta, fixed.u, fixed.border]))(etas[:count])
         values = jax.vmap(self._point, in_axes=(0, 0, None, None))(q, shares[:count], fixed.base, fixed.params)
         rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.asked.astype(np.int32)]
-        cost = fixed.width * (jnp.asarray(method.weights[:count], eta.dtype) @ values[:, -1])
+        cost = fixed.width * (as_array(method.weights[:count]) @ values[:, -1])
         return last, rows, cost
 
     def _slope(self, fixed: _Fixed, shares: jax.Array, k: int, eta: jax.Array) -> jax.Array:

@@ -175,8 +175,8 @@ class Joined(Transcribed):
 
 
 def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
-    """Take rows out of the start of a phase that are asked, of the same states, at the end of the one before."""
-    at_end = {key for key, asked in zip(_keys(before.path), before.path.at_nodes()) if asked}
+    """Take rows out of the start of a phase that exist, of the same states, at the end of the one before."""
+    at_end = {key for key, is_there in zip(_keys(before.path), before.path.at_nodes()) if is_there}
     for place, row in after.start_rows():
         same = after.path.states[row] <= unchanged and _keys(after.path)[row] in at_end
         if same and after.path.at_nodes()[row]:
@@ -184,6 +184,5 @@ def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
 
 
 def _keys(path: PathRows) -> list[Any]:
-    """What makes rows the same."""
     keys: list[Any] = [(row.key(), entry) for row in path.residuals for entry in range(prod(row.shape))]
     return keys + [(bound.leaf, bound.entry, bound.sign, bound.limit) for bound in path.bounds]

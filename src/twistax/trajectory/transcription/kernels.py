@@ -167,7 +167,7 @@ class PhaseFunctions:
 
         Args:
             parts: the expressions, in groups.
-            rest: what it depends on beside these and the layout.
+            rest: all else that it depends on, but for the layout.
             order: of the derivatives, if not as in the whole problem.
         """
         structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
@@ -194,7 +194,7 @@ class PhaseFunctions:
         parts: Sequence[Sequence[Expr]],
         rest: Hashable,
     ) -> None:
-        """Put other second derivatives where those of the whole function stand."""
+        """Append a kernel of second derivatives."""
         if parts:
             arguments = {**arguments, Argument.WEIGHTS: kernels.rows}
             kernels.kernels += self._of(function, arguments, parts, ("squares", rest), 0).kernels
@@ -202,7 +202,6 @@ class PhaseFunctions:
     # ---- what is traced ---------------------------------------------------------------------------------------------
 
     def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
-        """The phase with other expressions."""
         return self._shooting.made_of(self._shooting.local.expressions._replace(**exprs))
 
     def _base(self, known: Known) -> dict[str, jax.Array]:

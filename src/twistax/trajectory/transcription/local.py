@@ -25,7 +25,7 @@ from .point_values import PointValues
 
 
 class Expressions(NamedTuple):
-    """What a system and what is asked of it are made of: canonical expressions."""
+    """The canonical expressions of a system, its constraints and its objective."""
 
     rates: tuple[Expr, ...]  # of the states in their order
     rows: tuple[Expr, ...]  # of the path, without boxes
@@ -37,11 +37,12 @@ class Expressions(NamedTuple):
 
 
 class Local:
-    """Rates, constraints and costs of a system as functions of (t, eta, u, base, params); u is flat.
+    """Rates, constraints and costs of a system at points (t, x, u, params) with x = base Exp(eta); u is flat.
 
-    `rate` obeys eta' = J_r(eta)^-1 f, with f the body velocities of all states and J_r the right Jacobian. It is the
-    RKMK equation in canonical coordinates of the first kind.
-    Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), for the other side.
+    Attributes:
+        group, controls: of the states and of the controls.
+        expressions: what is evaluated.
+        sign: 1 where less is better, -1 where more is.
     """
 
     def __init__(
@@ -54,18 +55,16 @@ class Local:
     ) -> None:
         self._dynamics, self._path, self._final = dynamics, path, final
         one = lambda expr: () if expr is None else (expr,)  # noqa: E731
-        rates = dynamics._functions.families["rates"]
+        families = dynamics._functions.families
         self.expressions = Expressions(
-            tuple(rates[state.name][0] for state in dynamics.states),
+            tuple(families["rates"][state.name][0] for state in dynamics.states),
             path.residuals,
             (Constant([bound.limit for bound in path.bounds]),) if path.bounds else (),
             one(norms.running),
             final.residuals,
             one(objective.final),
-            tuple(dynamics._functions.families["constraints"]["inequality"])
-            + tuple(dynamics._functions.families["constraints"]["equality"]),
+            (*families["constraints"]["inequality"], *families["constraints"]["equality"]),
         )
-        #: 1 where less is better, -1 where more is.
         self.sign = objective.sign
         self.group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
 
@@ -75,10 +74,18 @@ class Local:
         other.expressions = expressions
         return other
 
-    def rate(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
-        x = self.group.retract(base, eta)
+    def inputs(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> Inputs:
+        """A point."""
+        return Inputs(t, self.group.retract(base, eta), self.controls.split(u), params, t.dtype)
+
+    def rate(self, at: Inputs, eta: jax.Array) -> jax.Array:
+        """eta' = J_r(eta)^-1 f, with f the body velocities of all states and J_r the right Jacobian.
+
+        It is the RKMK equation in canonical coordinates of the first kind.
+        Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), for the other side.
+        """
         exprs = {s.name: [e] for s, e in zip(self._dynamics.states, self.expressions.rates, strict=True)}
-        rates = self._dynamics._functions.values(exprs, False, t, x, self.controls.split(u), params)
+        rates = self._dynamics._functions.values(exprs, False, at.t, at.x, at.u, at.params)
         parts = []
         for name, factor in self.group.factors.items():
             rate = rates[name].reshape(-1)
@@ -87,29 +94,29 @@ class Local:
             parts.append(rate)
         return jnp.concatenate(parts)
 
-    def point(
-        self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays
-    ) -> tuple[jax.Array, jax.Array]:
-        """The path rows at a point, and the running cost."""
-        x, controls = self.group.retract(base, eta), self.controls.split(u)
-        return self.rows(t, x, controls, params), self._value(self.expressions.running, t, x, controls, params)
-
-    def values(
-        self, exprs: Sequence[Expr], t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays
-    ) -> list[Any]:
-        """Expressions at a point."""
-        inputs = Inputs(t, self.group.retract(base, eta), self.controls.split(u), params, t.dtype)
-        return list(evaluate_all(exprs, lambda leaf: leaf.read(inputs)))
-
-    def rows(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        """The path rows at a point, as the solver sees them."""
-        inputs, count = Inputs(t, x, u, params, t.dtype), len(self.expressions.rows)
-        values = evaluate_all([*self.expressions.rows, *self.expressions.limits], lambda leaf: leaf.read(inputs))
-        flat = {name: value.reshape(-1) for name, value in (*x.items(), *u.items())}
+    def rows(self, at: Inputs) -> jax.Array:
+        """The path rows, as the solver sees them."""
+        count = len(self.expressions.rows)
+        values = _values([*self.expressions.rows, *self.expressions.limits], at)
+        flat = {name: value.reshape(-1) for name, value in (*at.x.items(), *at.u.items())}
         places = enumerate(self._path.bounds)
         boxes = [bound.sign * (flat[bound.leaf][bound.entry] - values[-1][k]) for k, bound in places]
         every = [*values[:count], *boxes]
-        return jnp.concatenate([jnp.zeros(0, t.dtype), *(a.reshape(-1).astype(t.dtype) for a in every)])
+        return jnp.concatenate([jnp.zeros(0, at.dtype), *(a.reshape(-1).astype(at.dtype) for a in every)])
+
+    def cost(self, exprs: Sequence[Expr], at: Inputs) -> jax.Array:
+        """A part of the objective, signed so that less is better; zero where there is none."""
+        values = _values(exprs, at)
+        return self.sign * values[0].astype(at.dtype) if values else jnp.zeros((), at.dtype)
+
+    def conditions(self, at: Inputs) -> jax.Array:
+        """Those of the last node."""
+        conditions = dataclasses.replace(self._final, residuals=self.expressions.conditions)
+        return conditions.values(at.t, at.x, at.params)
+
+    def gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
+        """Log(target^-1 base Exp(eta))."""
+        return self.group.difference(target, self.group.retract(base, eta))
 
     def along(
         self, rows: Sequence[Expr], ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]
@@ -119,25 +126,6 @@ class Local:
         boxes = [b.sign * (flat[b.leaf][:, b.entry] - b.limit) for b in self._path.bounds]
         return np.concatenate([PointValues.of(rows)(ts, x, u, params), *(box[:, None] for box in boxes)], axis=1)
 
-    def gap(self, eta: jax.Array, base: Arrays, target: Arrays) -> jax.Array:
-        """Log(target^-1 base Exp(eta))."""
-        return self.group.difference(target, self.group.retract(base, eta))
 
-    def end(
-        self, t: jax.Array, eta: jax.Array, base: Arrays, target: Arrays, params: Arrays
-    ) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array]:
-        """Of a final node: conditions, the difference from target, path rows (with zero controls), final cost."""
-        x = self.group.retract(base, eta)
-        none = self.controls.split(jnp.zeros(self.controls.dimension, eta.dtype))
-        return (
-            dataclasses.replace(self._final, residuals=self.expressions.conditions).values(t, x, params),
-            self.group.difference(target, x),
-            self.rows(t, x, none, params),
-            self._value(self.expressions.final, t, x, {}, params),
-        )
-
-    def _value(self, exprs: Sequence[Expr], t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> jax.Array:
-        """The value of a part of the objective, signed so that less is better; zero where there is none."""
-        inputs = Inputs(t, x, u, params, t.dtype)
-        values: Sequence[Any] = evaluate_all(exprs, lambda leaf: leaf.read(inputs))
-        return self.sign * values[0].astype(t.dtype) if values else jnp.zeros((), t.dtype)
+def _values(exprs: Sequence[Expr], at: Inputs) -> list[Any]:
+    return list(evaluate_all(exprs, lambda leaf: leaf.read(at)))

@@ -76,10 +76,10 @@ class Mesh:
 def _limits(free: Any) -> tuple[float, float] | None:
     if isinstance(free, (bool, np.bool_)):
         return (0.01, np.inf) if free else None
-    found = reals("Mesh: free", free, TrajectoryError)
-    if found.shape != (2,) or not 0.0 < found[0] < 1.0 < found[1]:
+    limits = reals("Mesh: free", free, TrajectoryError)
+    if limits.shape != (2,) or not 0.0 < limits[0] < 1.0 < limits[1]:
         raise TrajectoryError(f"Mesh: free expects True, False or limits 0 < low < 1 < high, got {short(free)}")
-    return float(found[0]), float(found[1])
+    return float(limits[0]), float(limits[1])
 
 
 def mesh_of(nodes: Any) -> Mesh:
@@ -99,6 +99,6 @@ class Remeshed(NamedTuple):
         return {
             "nodes": self.mesh,
             "transcription": self.transcription,
-            "at": None if at is None else {int(self.numbers[k]): asked for k, asked in at.items()},
+            "at": None if at is None else {int(self.numbers[k]): constraints for k, constraints in at.items()},
             **dict.fromkeys(("method", "substeps", "guess")),
         }

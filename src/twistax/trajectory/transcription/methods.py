@@ -15,7 +15,7 @@ from ...integrators.tableaus import DOP853, RK4, CollocationTableau
 from ...linear.discretize import method_of
 from ...solver.transcription import Method as Scheme
 
-#: Steps of a close integration of an interval at least, for limits are looked at where they end; an even number.
+#: Steps of a close integration of an interval at least, for limits are checked at their ends; an even number.
 _LOOKS = 8
 
 
@@ -25,7 +25,7 @@ class MultipleShooting:
 
     Args:
         method: an `RKMK` with an explicit tableau; RK4 if left out. Its chart does not matter.
-        substeps: its steps in an interval. Limits on states are asked at their ends.
+        substeps: its steps in an interval. Limits on states hold at their ends.
 
     Raises:
         TrajectoryError: another method, or no positive whole number of substeps.
@@ -73,7 +73,7 @@ class Collocation:
 
     Args:
         tableau: a `tx.tableaus.CollocationTableau`, such as `tx.tableaus.GAUSS_LEGENDRE6` or `RADAU_IIA5`.
-        substeps: its steps in an interval. Limits on states are asked at their ends.
+        substeps: its steps in an interval. Limits on states hold at their ends.
 
     Raises:
         TrajectoryError: another tableau, or no positive whole number of substeps.

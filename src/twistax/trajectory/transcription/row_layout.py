@@ -20,7 +20,7 @@ class RowLayout:
 
     Attributes:
         names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
-        asked: of the path rows at all points of an interval one after the other, those that some interval has.
+        asked: places among the path rows of all points of an interval, in order, that some interval has.
         per_interval: rows of an interval.
         path_rows: path rows at a point, 1 where the path has no rows.
         end_states: path rows that the last node has.
@@ -47,13 +47,13 @@ class RowLayout:
         return self.per_interval - len(self.asked)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
         inner = np.zeros((len(of_rows), self.per_interval))
         inner[:, : len(self.asked)] = of_rows[:, self.asked % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])
 
     def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
-        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where it is not asked."""
+        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where there is none."""
         least = np.full((intervals, rows), np.inf)
         sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
         np.minimum.at(least.T, self.asked % self.path_rows, sizes.T)
@@ -81,16 +81,16 @@ def row_layout(
     free_times = border.free[: border.phases]
     known_start, known_end = not free_times[:phase].any(), not free_times[: phase + 1].any()
     points, rows = substeps + 1, len(path.names)
-    asked = path.asked(intervals, substeps)
-    decided = np.zeros_like(asked)
+    exists = path.asked(intervals, substeps)
+    decided = np.zeros_like(exists)
     decided[0, 0] = path.decided(ends.initial_fixed, known_start)
-    asked, decided = (a.reshape(intervals, -1) for a in (asked, decided & asked))
-    kept = np.flatnonzero(asked.any(axis=0))
+    exists, decided = (a.reshape(intervals, -1) for a in (exists, decided & exists))
+    kept = np.flatnonzero(exists.any(axis=0))
     place = np.array([[_place(k, p, points) for p in range(points)] for k in range(intervals)])
     place = np.repeat(place.reshape(intervals, points, 1), rows, axis=2).reshape(intervals, -1)
     path_row = kept % max(rows, 1)
 
-    most = max((len(own.names) for own in at_nodes.values()), default=0)
+    most = max((len(conditions.names) for conditions in at_nodes.values()), default=0)
     node_names = np.full((intervals, most), "", object)
     node_equality, node_decided = np.zeros((2, intervals, most), bool)
     boxes = [box.name for box in border.boxes]
@@ -119,7 +119,7 @@ def row_layout(
         names=every(np.array(path.names, object)[path_row], node_names, np.array(end_names, object)),
         places=every(place[:, kept], node_places, np.full(len(end_names), f"at node {intervals}", object)),
         equality=every(path.equality[path_row], node_equality, np.array(end_equality, bool)),
-        exists=every(asked[:, kept], node_names != "", np.ones(len(end_names), bool)) & ~all_decided,
+        exists=every(exists[:, kept], node_names != "", np.ones(len(end_names), bool)) & ~all_decided,
         decided=all_decided,
         own=every(False, node_names != "", np.repeat([True, False, True], [first, len(states), len(limits)])),
         asked=kept,

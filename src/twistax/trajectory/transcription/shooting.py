@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ...expr import Control, Expr, State
+from ...expr import Control, Inputs, State
 from ...system import entry_names
 from ...system.dynamics import Arrays, Dynamics
 from ..problem.bridges.path_bounds import PathBounds
@@ -60,13 +60,13 @@ class Transcribed(ABC):
         nodes, intervals, rows_per_interval: how many.
         border: the unknowns that all stages share.
         names, places: of every row.
-        equality, exists: (rows,) which rows are equalities; which are asked at all.
+        equality, exists: (rows,) which rows are equalities; which ones the problem has.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         pinned: (rows,) those of them that other rows decide.
         own: (rows,) those of single nodes.
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
-            decides are looked at where a search starts.
+            decides are evaluated at the start of a search.
         segments, joins: the phases, and what is between them.
     """
 
@@ -96,22 +96,24 @@ class Transcribed(ABC):
     def defect(self, stage: int, column: int) -> str:
         """What an entry of the defects is called, and where it is."""
 
+    # Those of one phase; of several see `Joined`.
+
     @property
-    @abstractmethod
     def phase_places(self) -> list[str]:
         """What follows the place of an interval in messages, of each phase."""
+        return [""]
 
-    @abstractmethod
     def named(self, part: Segment, name: str) -> str:
         """The name of a row of a phase among those of all."""
+        return name
 
-    @abstractmethod
     def whole_rows(self, parts: Sequence[Array]) -> Array:
         """Numbers for the rows of each phase as numbers for all rows."""
+        return parts[0]
 
-    @abstractmethod
     def rows_of(self, part: Segment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
+        return rows
 
 
 class Shooting(Transcribed):
@@ -208,46 +210,34 @@ class Shooting(Transcribed):
     def defect(self, stage: int, column: int) -> str:
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
-    @property
-    def phase_places(self) -> list[str]:
-        return [""]
-
-    def named(self, part: Segment, name: str) -> str:
-        return name
-
-    def whole_rows(self, parts: Sequence[Array]) -> Array:
-        return parts[0]
-
-    def rows_of(self, part: Segment, rows: Any) -> Any:
-        return rows
-
     def spread_over_points(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval where a row is asked."""
+        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
         return self.layout.spread(of_rows)
 
     def row_scales(self, rows: Array) -> Array:
-        """(intervals, path rows) the least scale of every path row, of those of all; infinite where none asks it."""
+        """(intervals, path rows) the least scale of every path row, of those of all; infinite where there is none."""
         return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, len(self.path.names))
 
     # ---- functions of q = [eta, u, b], and of a node's step z = [d, db] -------------------------------------------
 
+    def inputs_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, Inputs]:
+        """How long the interval takes for a unit of shares, and the point at time share * T."""
+        eta, u, b = jnp.split(q, [self.n, self.n + self.m])
+        begin, length = self.span(b)
+        pace = 1.0 if self.paced is None else u[self.paced][0]
+        at = self.local.inputs(begin + share * length, eta, u, base, params | self.border.params(b))
+        return length * pace, at
+
     def rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """d eta / d(t / T) at time share * T."""
-        eta, u, begin, length, params = self._parts(q, params)
-        return length * self._pace(u) * self.local.rate(begin + share * length, eta, u, base, params)
+        length, at = self.inputs_at(q, share, base, params)
+        return length * self.local.rate(at, q[: self.n])
 
     def point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
         """The path rows, and the running cost times T."""
-        eta, u, begin, length, params = self._parts(q, self._at_share(params, share))
-        rows, density = self.local.point(begin + share * length, eta, u, base, params)
-        return jnp.concatenate([rows, (length * self._pace(u) * density)[None]])
-
-    def values_at(
-        self, exprs: Sequence[Expr], q: jax.Array, share: jax.Array, base: Arrays, params: Arrays
-    ) -> tuple[jax.Array, list[Any]]:
-        """T, and expressions at time share * T."""
-        eta, u, begin, length, params = self._parts(q, params)
-        return length * self._pace(u), self.local.values(exprs, begin + share * length, eta, u, base, params)
+        length, at = self.inputs_at(q, share, base, self._at_share(params, share))
+        density = self.local.cost(self.local.expressions.running, at)
+        return jnp.concatenate([self.local.rows(at), (length * density)[None]])
 
     def node_at(self, k: int, z: jax.Array, here: tuple[Arrays, jax.Array], params: Arrays) -> jax.Array:
         """The conditions at a node, from where it is and the border."""
@@ -262,14 +252,15 @@ class Shooting(Transcribed):
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
-    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], instance: Given) -> jax.Array:
-        """The rows of the end and the final cost, from where the last node is and the border."""
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
+        """The rows of the end and the final cost, from where the last node is and the border; controls are zero."""
         base, b = last[0], last[1] + z[self.n :]
-        params = self._at_share(instance.params, 1.0) | self.border.params(b)
-        begin, length = self.span(b)
-        conditions, gap, path, cost = self.local.end(begin + length, z[: self.n], base, instance.final, params)
-        limits = self.border.rows(b, instance.limits) if self.is_last else jnp.zeros(0, b.dtype)
-        return jnp.concatenate([conditions, gap[self.layout.fixed], path[self.layout.end_states], limits, cost[None]])
+        q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
+        _, at = self.inputs_at(q, share, base, self._at_share(given.params, 1.0))
+        gap = self.dynamics.group.difference(given.final, at.x)[self.layout.fixed]
+        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
+        path, cost = self.local.rows(at)[self.layout.end_states], self.local.cost(self.local.expressions.final, at)
+        return jnp.concatenate([self.local.conditions(at), gap, path, limits, cost[None]])
 
     def span(self, b: Any) -> tuple[Any, Any]:
         """When the phase begins, and how long it takes."""
@@ -280,15 +271,6 @@ class Shooting(Transcribed):
         begin, length = (float(a) for a in self.span(border))
         return np.asarray(begin + length * self.mesh.shares)
 
-    def _parts(self, q: jax.Array, params: Arrays) -> tuple[jax.Array, jax.Array, jax.Array, jax.Array, Arrays]:
-        """eta, u, when the phase begins and how long it takes, and all parameters."""
-        eta, u, b = jnp.split(q, [self.n, self.n + self.m])
-        return eta, u, *self.span(b), params | self.border.params(b)
-
     def _at_share(self, params: Arrays, share: Any) -> Arrays:
         """The parameters, those with a value for each node at a share of the duration."""
         return params | self.by_node.along(params, share) if self._interpolates else params
-
-    def _pace(self, u: jax.Array) -> Any:
-        """How long the interval is over what its share says."""
-        return 1.0 if self.paced is None else u[self.paced][0]

@@ -56,7 +56,7 @@ class StagedPhase:
         self.describe()
 
     def describe(self) -> None:
-        """Say again which rows there are."""
+        """Describe the rows that exist now."""
         shooting = self.shooting
         self.bounds = _bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
@@ -87,11 +87,11 @@ class StagedPhase:
     def all_rows(self, path: Array, nodes: Sequence[Array], rest: float = 0.0) -> Array:
         """The inverse of `by_place`; rows that have no place there get `rest`."""
         layout, K = self.shooting.layout, self.shooting.intervals
-        *others, end = nodes
+        *inner_nodes, end = nodes
         inner = np.full((K, layout.per_interval), rest)
         if path.size:
             inner[:, : len(layout.asked)] = path.reshape(K, -1)[:, layout.asked]
-        for k, values in zip(self._conditions, others):
+        for k, values in zip(self._conditions, inner_nodes):
             inner[k, len(layout.asked) :][: len(values)] = values
         return np.concatenate([inner.ravel(), end])
 
