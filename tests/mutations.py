@@ -51,7 +51,7 @@ TESTS = {
     "solver": "solver/test_*.py",
     "linear": "linear/test_*.py",
     "trimming": "trimming/test_*.py",
-    "trajectory": "trajectory/test_shooting.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
+    "trajectory": "internals/trajectory/test_*.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
     "trajectory/sensitivity": "trajectory/test_sens*.py trajectory/test_solution*.py trajectory/test_by_node.py",
     "trajectory/adapters": "trajectory/test_external.py",
 }
@@ -245,12 +245,12 @@ def folder_of(path: Path) -> str:
     return max((key for key in TESTS if path.is_relative_to(key)), key=len, default="")
 
 
-def files_for(path: Path) -> list[str]:
-    """The test files that concern a file of the package: those of its name, then those of its folder."""
-    tests = ROOT / "tests"
+def files_for(path: Path, tree: Path = ROOT) -> list[str]:
+    """The test files of a tree that concern a file of the package: those of its name, then those of its folder."""
+    tests = tree / "tests"
     files = [*sorted(tests.rglob(f"test_{path.stem}*.py"))]
     files += [file for pattern in TESTS[folder_of(path)].split() for file in sorted(tests.glob(pattern))]
-    return [str(file.relative_to(ROOT)) for file in dict.fromkeys(files)]
+    return [str(file.relative_to(tree)) for file in dict.fromkeys(files)]
 
 
 def in_turn(queues: Iterable[Iterable[Mutant]]) -> Iterator[Mutant]:
@@ -304,7 +304,7 @@ def killed_by(tree: Path, mutant: Mutant, limit: float) -> str:
     packed, source = file.read_bytes(), read(file)
     write(file, mutant.applied(source))
     try:
-        status, output = pytest(tree, files_for(mutant.path), limit)
+        status, output = pytest(tree, files_for(mutant.path, tree), limit)
     finally:
         file.write_bytes(packed)
     # 1 is a test that failed, 2 an error while tests are collected, a negative number a process that crashed.

@@ -16,6 +16,7 @@ FOLDERS = [
     "expr",
     "fuzz",
     "groups",
+    "integrators",
     "linear",
     "lowering",
     "mechanics",
