@@ -66,6 +66,9 @@ LIMIT = 600
 #: Statements whose text is for people or for the type checker.
 UNCHANGED = (ast.Raise, ast.Assert, ast.JoinedStr, ast.Import, ast.ImportFrom)
 
+#: Functions and attributes of classes that are text or cases for tests.
+NOT_TESTED = {"__repr__", "__str__", "cases", "kinks", "example", "examples"}
+
 #: Functions whose arguments in another order are a TypeError that any call sees, or give the same.
 ORDERED = {"isinstance", "issubclass", "hasattr", "getattr", "setattr", "zip", "max", "min", "print", "partial", "cast"}
 ORDERED |= {
@@ -198,7 +201,8 @@ class Mutant:
 
 def _values(node: ast.AST) -> Iterator[tuple[str, ast.expr, ast.expr]]:
     """Operator, expression and replacement within a node: no annotations, decorators, errors or tests of types."""
-    if isinstance(node, UNCHANGED) or (isinstance(node, ast.FunctionDef) and node.name in ("__repr__", "__str__")):
+    names = [node.name] if isinstance(node, ast.FunctionDef) else getattr(node, "targets", [])
+    if isinstance(node, UNCHANGED) or any(getattr(name, "id", name) in NOT_TESTED for name in names):
         return
     if isinstance(node, ast.Return) and isinstance(node.value, ast.BinOp):
         yield "operand returned", node.value, node.value.left
