@@ -49,7 +49,11 @@ TESTS = {
     "mechanics/environment": "mechanics/test_environment.py mechanics/test_gravity*.py mechanics/test_flight*.py",
     "mechanics/models": "mechanics/test_m*.py mechanics/test_urdf_files.py mechanics/test_daveml.py",
     "solver": "solver/test_*.py",
-    "trajectory": "trajectory/test_shooting.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
+    "linear": "linear/test_*.py",
+    "trimming": "trimming/test_*.py",
+    "trajectory": "internals/trajectory/test_*.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
+    "trajectory/sensitivity": "trajectory/test_sens*.py trajectory/test_solution*.py trajectory/test_by_node.py",
+    "trajectory/adapters": "trajectory/test_external.py",
 }
 
 #: What a run of the tests reads.
@@ -61,6 +65,9 @@ LIMIT = 600
 
 #: Statements whose text is for people or for the type checker.
 UNCHANGED = (ast.Raise, ast.Assert, ast.JoinedStr, ast.Import, ast.ImportFrom)
+
+#: Functions and attributes of classes that are text or cases for tests.
+NOT_TESTED = {"__repr__", "__str__", "cases", "kinks", "example", "examples"}
 
 #: Functions whose arguments in another order are a TypeError that any call sees, or give the same.
 ORDERED = {"isinstance", "issubclass", "hasattr", "getattr", "setattr", "zip", "max", "min", "print", "partial", "cast"}
@@ -194,7 +201,8 @@ class Mutant:
 
 def _values(node: ast.AST) -> Iterator[tuple[str, ast.expr, ast.expr]]:
     """Operator, expression and replacement within a node: no annotations, decorators, errors or tests of types."""
-    if isinstance(node, UNCHANGED) or (isinstance(node, ast.FunctionDef) and node.name in ("__repr__", "__str__")):
+    names = [node.name] if isinstance(node, ast.FunctionDef) else getattr(node, "targets", [])
+    if isinstance(node, UNCHANGED) or any(getattr(name, "id", name) in NOT_TESTED for name in names):
         return
     if isinstance(node, ast.Return) and isinstance(node.value, ast.BinOp):
         yield "operand returned", node.value, node.value.left
@@ -241,12 +249,12 @@ def folder_of(path: Path) -> str:
     return max((key for key in TESTS if path.is_relative_to(key)), key=len, default="")
 
 
-def files_for(path: Path) -> list[str]:
-    """The test files that concern a file of the package: those of its name, then those of its folder."""
-    tests = ROOT / "tests"
+def files_for(path: Path, tree: Path = ROOT) -> list[str]:
+    """The test files of a tree that concern a file of the package: those of its name, then those of its folder."""
+    tests = tree / "tests"
     files = [*sorted(tests.rglob(f"test_{path.stem}*.py"))]
     files += [file for pattern in TESTS[folder_of(path)].split() for file in sorted(tests.glob(pattern))]
-    return [str(file.relative_to(ROOT)) for file in dict.fromkeys(files)]
+    return [str(file.relative_to(tree)) for file in dict.fromkeys(files)]
 
 
 def in_turn(queues: Iterable[Iterable[Mutant]]) -> Iterator[Mutant]:
@@ -300,7 +308,7 @@ def killed_by(tree: Path, mutant: Mutant, limit: float) -> str:
     packed, source = file.read_bytes(), read(file)
     write(file, mutant.applied(source))
     try:
-        status, output = pytest(tree, files_for(mutant.path), limit)
+        status, output = pytest(tree, files_for(mutant.path, tree), limit)
     finally:
         file.write_bytes(packed)
     # 1 is a test that failed, 2 an error while tests are collected, a negative number a process that crashed.

@@ -46,6 +46,7 @@ def test_an_operator(operator: str, source: str, result: str) -> None:
         "x: tuple[1] = a",
         "def f(a: tuple[1]) -> list[2]: ...",
         "def __repr__(self):\n    return a + b",
+        "class A:\n    cases = (0.5, -w)",
         "x = isinstance(a, b)",
         "x = f(a, a)",
     ],

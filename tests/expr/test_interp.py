@@ -11,13 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.jet import jet
 from scipy import interpolate
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.expr.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
-from twistax.scalar.primitives.table_load import Table, load
+
+BSpline, Linear, MonotoneCubic = tx.tables.BSpline, tx.tables.Linear, tx.tables.MonotoneCubic
+Clamped, Extrapolated, Refused = tx.tables.Clamped, tx.tables.Extrapolated, tx.tables.Refused
 
 RNG = np.random.default_rng(3)
 x = tx.State("x", (3,))
@@ -132,21 +132,6 @@ def test_equal_tables_are_one() -> None:
     others = [node(kind=BSpline()), node(outside=Refused()), tx.Interp(x[0], axes=EVEN, values=2.0 * values(7))]
     assert len({node().key(), *(other.key() for other in others)}) == 4
     assert repr(node(kind=BSpline())) == "Interp(x[0], 7 points, kind=BSpline())"
-
-
-def test_a_load_under_every_transformation() -> None:
-    """It has no slope: what has one is how its results are weighted."""
-    table = Table([4.0, 5.0, 7.0, -1.0])
-
-    def square(t: jax.Array) -> jax.Array:
-        return t * load(table, t.astype(jnp.int32), t.dtype, 1)
-
-    ts = jnp.array([0.5, 1.5, 2.0])
-    np.testing.assert_array_equal(jax.vmap(square)(ts), [2.5, 10.5, -2.0])
-    for slope in (jax.grad(square), jax.jacfwd(square), lambda t: jet(square, (t,), ((1.0, 0.0),))[1][0]):
-        np.testing.assert_array_equal([slope(t) for t in ts], [5.0, 7.0, -1.0])
-    assert Table([4.0, 5.0, 7.0, -1.0]) == table != Table([4.0, 5.0, 7.0, 1.0])
-    assert load(table, jnp.int32(1), np.float32).dtype == np.float32
 
 
 @pytest.mark.parametrize("far", [[0.0, 1e308, -1e308, 0.0], [0.0, 1.7e308, 1.7e308, 0.0]])

@@ -12,7 +12,6 @@ from windy_body import START, U, windy_body
 
 import twistax as tx
 from compiled_steps import kernels_of_equal_steps
-from twistax.system.dynamics import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -43,7 +42,7 @@ def test_the_solution_is_that_of_the_loop(name: str) -> None:
 def test_a_batch_is_each_solution_with_a_length_and_steps_of_its_own() -> None:
     lengths, pushes = jnp.linspace(0.1, 0.9, 11), jnp.linspace(0.0, 5.0, 33).reshape(11, 3)
 
-    def end(dynamics: Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
+    def end(dynamics: tx.Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
         return tx.integrate(dynamics, START, t1=t1, steps=6, u={"F": push}).xs
 
     found, expected = (
@@ -73,7 +72,7 @@ def test_a_solution_that_fails_ends_where_the_loop_does() -> None:
 
 @pytest.mark.slow
 def test_derivatives_are_those_of_the_steps() -> None:
-    def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
+    def end(dynamics: tx.Dynamics, V: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()
 
     V, arrays = jnp.asarray(START["V"]), tx.compile(windy_body(), backend=tx.JAX())
@@ -131,7 +130,7 @@ def test_wide_states_are_left_to_xla() -> None:
 def test_controls_may_close_over_traced_values(traced: jax.Array) -> None:
     pushes = jnp.arange(9.0).reshape(3, 3)
 
-    def end(dynamics: Dynamics, i: jax.Array) -> jax.Array:
+    def end(dynamics: tx.Dynamics, i: jax.Array) -> jax.Array:
         push = pushes[i] if i.dtype == int else i * pushes[1]
         return tx.integrate(dynamics, START, t1=0.5, steps=5, u=lambda t: {"F": t * push}).xs["V"]
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import gc
 from typing import Any
 
@@ -12,27 +11,6 @@ import pytest
 
 import twistax as tx
 from twistax.scalar.loops import Repeated
-
-TIMES = np.array([0.0, 0.5, 0.75, 2.0])
-
-
-HELD = tx.ZeroOrderHold([0.0, 0.5, 1.0], [1.0, -2.0, 3.0])
-
-
-@functools.cache
-def cart() -> tx.Dynamics:
-    """x' = F, with a rotation that turns about z; outputs read state, control, time and a parameter rates do not."""
-    x, R, F, k = tx.State("x"), tx.State("R", group=tx.SO3), tx.Control("F"), tx.Parameter("k", value=2.0)
-    outputs = {"power": k * F * x, "late": 3.0 * tx.Time(), "a": tx.Concat(x, -x)}
-    return tx.compile(tx.System(rates={x: F, R: np.array([0.0, 0.0, 0.1])}, outputs=outputs))
-
-
-def start(dtype: Any = np.float64) -> dict[str, Any]:
-    return {"x": np.zeros((), dtype), "R": np.eye(3, dtype=dtype)}
-
-
-def flown(dtype: Any = np.float64, **options: Any) -> tx.Solution:
-    return tx.integrate(cart(), start(dtype), t1=2.0, u={"F": HELD}, **({"dt": 0.25, "save_at": TIMES} | options))
 
 
 @pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=["a loop of XLA", "a kernel's loop"])

@@ -1,6 +1,5 @@
 """The dense quadratic program: optimality conditions by other arithmetic, solvers of SciPy, and known answers."""
 
-import re
 import threading
 from dataclasses import replace
 
@@ -10,8 +9,7 @@ import scipy.optimize
 from qp_problems import FAMILIES, QP, contact_forces, solvable, with_row
 
 import twistax as tx
-from twistax.solver import QP_SOURCES, QPOptions, QPSolution, QPStatus, solve_qp
-from twistax.solver.sources import amalgamation
+from twistax.solver import QPOptions, QPSolution, QPStatus, solve_qp
 
 
 @pytest.mark.parametrize("family", FAMILIES)
@@ -234,13 +232,6 @@ def test_the_count_of_iterations_is_limited() -> None:
     assert solution.status is QPStatus.MAX_ITERATIONS
     assert np.isfinite(solution.x).all()
     assert solution.error > 1e-9
-
-
-def test_sources_allocate_nothing_and_options_have_sources() -> None:
-    """Symbols of the object file are looked at in test_core.py."""
-    assert not re.search(r"\b(m|c|re)?(alloc|alloca|free)\s*\(", amalgamation())
-    assert list(QP_SOURCES) == list(QPOptions.__dataclass_fields__)
-    assert all(len(source) > 10 for source in QP_SOURCES.values())
 
 
 # ---- bad input -------------------------------------------------------------------------------------------------------

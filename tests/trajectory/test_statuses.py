@@ -10,7 +10,6 @@ import pytest
 from trajectory_systems import EULER, HEUN, free_flyer
 
 import twistax as tx
-from twistax.report.sections import flights
 from twistax.trajectory import Problem, Status, TrajectoryResult
 
 
@@ -44,15 +43,6 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     assert "'final p' at node 7 is off by" in result.message
     assert result.violation > 1e-2
     assert not result.solved
-
-
-def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
-    """One of 64: from its start it comes to rest 135 rad from where its dynamics lead."""
-    result = flights.quadrotor(20).solve(
-        initial={"g": tx.pose(position=[0.09034702181816101, 0.02820368856191635, -0.22304977476596832])}
-    )
-    assert result.solved
-    assert result.cost == pytest.approx(1.46904, rel=1e-5)
 
 
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:

@@ -86,4 +86,4 @@ class EarlierNames:
 def find_earlier_names() -> None:
     """Let pickles of earlier versions find their classes."""
     if EarlierNames not in sys.meta_path:
-        sys.meta_path.append(EarlierNames)  # type: ignore[arg-type]
+        sys.meta_path.append(EarlierNames)
