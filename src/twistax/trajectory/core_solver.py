@@ -101,7 +101,7 @@ class CoreSolver:
     def units(self, point: Point, given: Given) -> StartUnits:
         """Units at a start."""
         self.staged.set_given(given)
-        return StartUnits(self.staged, point)
+        return StartUnits(self.staged, point, given.limits)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
@@ -218,7 +218,7 @@ class CoreSolver:
                     return False
                 del left[0]
                 here = self.staged.point(z.copy())
-                measured = StartUnits(self.staged, here)
+                measured = StartUnits(self.staged, here, given.limits)
                 if measured.distance(used) > np.log(_MISFIT):
                     fresh, point = measured, here
                 return fresh is not None

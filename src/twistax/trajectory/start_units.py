@@ -12,6 +12,8 @@ from .transcribed import Point
 
 #: Entries of rotation matrices that differ by more are of another attitude.
 _TURNED = 0.5
+import os
+_FEW,_MANY,_TARGET=0.0,float(os.environ.get("MANY","100")),float(os.environ.get("TARGET","16"))
 
 
 class StartUnits:
@@ -24,12 +26,14 @@ class StartUnits:
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point) -> None:
+    def __init__(self, staged: Staged, point: Point, limits: Array) -> None:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
         self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
+        if not os.environ.get("NOFIT"):
+            self._fitted(staged, point, limits)
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
@@ -51,6 +55,32 @@ class StartUnits:
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
             moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+
+    def _fitted(self, staged: Staged, point: Point, limits: Array) -> None:
+        """Measure sizes at durations that controls need."""
+        border, (low, high) = staged.border, np.array(limits).T
+        free = border.free & (np.arange(border.size) < border.phases) & (low < high)
+        self.durations = np.asarray(point.border)
+        reserve = min(part.reserve for part in self.parts)
+        if not free.any() or not np.isfinite(reserve) or _FEW <= reserve <= _MANY:
+            return
+        factor, now, parts = (0.5 if reserve > _MANY else 2.0), self.durations, self.parts
+        for _ in range(60):
+            then = np.where(free, np.clip(now * factor, low, high), now)
+            if (then == now).all():
+                break
+            at = Evaluated(staged.transcription, staged.flat(point._replace(border=then)))
+            good = at.differentiate()
+            blocks = at.blocks(at.F, at.stages.after)
+            if not good:
+                now = then
+                continue
+            parts = self._measured(staged, point._replace(border=then), blocks, at.c)
+            now = then
+            reserve = min(part.reserve for part in parts)
+            if (reserve < _TARGET) if factor < 1.0 else (reserve > _TARGET):
+                break
+        self.durations, self.parts = now, parts
 
     def distance(self, other: StartUnits) -> float:
         """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""

@@ -5,7 +5,7 @@ Each uses the solver as it is, from another start or in other units.
 
 from __future__ import annotations
 
-import enum
+import enum, os
 from collections.abc import Callable, Collection
 from typing import TYPE_CHECKING, Any
 
@@ -101,7 +101,11 @@ def solved(
         other = near(_beside(solver, start, result.scales, _ASIDE, seed), given)
         if other.status in AT_OPTIMUM:
             result = other
-    if may_repeat(Strategy.FIXED_DURATIONS):
+    if (may_repeat(Strategy.FIXED_DURATIONS) or result.status is Status.NON_FINITE and Strategy.FIXED_DURATIONS in strategies) and not os.environ.get("NODUR"):
+        other = start._replace(border=solver.units(start, given).durations)
+        found = near(other, given)
+        if found.status in AT_OPTIMUM: result = found
+    if may_repeat(Strategy.FIXED_DURATIONS) and not os.environ.get("NOFIXED"):
         result = with_fixed_durations(solver, near, result, start, given, budget)
     return result._replace(iterations=budget.used)
 
