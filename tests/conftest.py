@@ -63,7 +63,7 @@ gc.set_threshold(50_000, 20, 20)
 
 #: Their functions act on single scalars or equations, a hundred thousand times for a large system: checks would take
 #: most of the time.
-UNCHECKED = ("twistax.lowering.scalar.", "twistax.lowering.native.", "twistax.jax_inside")
+UNCHECKED = ("twistax.scalar.", "twistax.jax_inside")
 
 #: Annotations of arrays, with shapes, stand here alone.
 SHAPED = "twistax.groups."
@@ -120,7 +120,7 @@ jaxtyping.jaxtyped = checked
 install_import_hook(checked_modules(), "beartype.beartype")
 
 
-from twistax.lowering.native import machine_code  # noqa: E402
+from twistax.scalar.targets.llvm import machine_code  # noqa: E402
 
 #: LLVM's work on kernels took a third of what compiling a problem takes. Tests of kernels and the smoke tier have all.
 USERS = machine_code.LEVEL

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.monte_carlo import _Plan
+from twistax.monte_carlo.sweeps import _Plan
 
 RANDOM = np.random.default_rng(1)
 COUNT = 29

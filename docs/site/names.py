@@ -21,7 +21,7 @@ from typing import Any, NamedTuple
 import twistax
 from twistax.expr import Expr
 from twistax.integrators import Method
-from twistax.lowering.backends import Backend
+from twistax.scalar.backends import Backend
 
 #: Bases that one subclasses to extend twistax: docs/extending.md says how.
 INSIDE = (Expr, Method, Backend)

@@ -19,7 +19,7 @@ import difflib
 import importlib.util
 from typing import TYPE_CHECKING
 
-from . import expr, lie, linalg, spatial, tables
+from . import expr, lie, linalg, spatial
 from .errors import (
     ImmutableError,
     InputError,
@@ -32,25 +32,47 @@ from .errors import (
     TwistaxError,
 )
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
+from .expr import tables
 from .expr.lie import pose
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
-    from .integrators import RKMK, AtStart, CommutatorFree, Event, Magnus, StepControl, integrate
-    from .integrators.controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-    from .integrators.implicit_rkmk import ImplicitRKMK
-    from .integrators.interpolant import Between
-    from .integrators.phased_solution import PhasedSolution
-    from .integrators.phases import Phase, integrate_phases
-    from .integrators.simulator import Simulator, simulator
-    from .integrators.solution import Crossings, Result, Solution
-    from .integrators.splitting import FreeBody, FreeParticle, Splitting
-    from .lowering import JAX, XLA, Dynamics, Native, compile, load, lower
-    from .lowering.fast import fast
+    from .integrators import (
+        RKMK,
+        AtStart,
+        Between,
+        CommutatorFree,
+        Crossings,
+        Event,
+        FirstOrderHold,
+        FreeBody,
+        FreeParticle,
+        ImplicitRKMK,
+        Magnus,
+        Phase,
+        PhasedSolution,
+        PiecewisePolynomial,
+        Result,
+        Simulator,
+        Solution,
+        Splitting,
+        StepControl,
+        ZeroOrderHold,
+        integrate,
+        integrate_phases,
+        simulator,
+    )
+    from .linear import Mode
     from .monte_carlo import Statistics, Sweep, sweep
-    from .trajectory import Maximize, Minimize, Mode, Trim, trim
+    from .scalar.backends import JAX, XLA
+    from .scalar.fast import fast
+    from .scalar.targets.llvm.backend import Native
+    from .system.dynamics import Dynamics, compile, load
+    from .system.lower import lower
+    from .trajectory import Maximize, Minimize
+    from .trimming import Trim, trim
 
 __version__ = "0.2.0.dev0"
 
@@ -77,19 +99,21 @@ _LATER = {
         "charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "testing", "trajectory", "units",
         "view",
     ),
-    ".integrators": ("RKMK", "AtStart", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
-    ".integrators.controls": ("FirstOrderHold", "PiecewisePolynomial", "ZeroOrderHold"),
-    ".integrators.interpolant": ("Between",),
-    ".integrators.phased_solution": ("PhasedSolution",),
-    ".integrators.phases": ("Phase", "integrate_phases"),
-    ".integrators.simulator": ("Simulator", "simulator"),
-    ".integrators.implicit_rkmk": ("ImplicitRKMK",),
-    ".integrators.solution": ("Crossings", "Result", "Solution"),
-    ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
-    ".lowering": ("JAX", "XLA", "Dynamics", "Native", "compile", "load", "lower"),
-    ".lowering.fast": ("fast",),
+    ".integrators": (
+        "RKMK", "AtStart", "Between", "CommutatorFree", "Crossings", "Event", "FirstOrderHold", "FreeBody",
+        "FreeParticle", "ImplicitRKMK", "Magnus", "Phase", "PhasedSolution", "PiecewisePolynomial", "Result",
+        "Simulator", "Solution", "Splitting", "StepControl", "ZeroOrderHold", "integrate", "integrate_phases",
+        "simulator",
+    ),
+    ".scalar.backends": ("JAX", "XLA"),
+    ".scalar.fast": ("fast",),
+    ".scalar.targets.llvm.backend": ("Native",),
+    ".system.dynamics": ("Dynamics", "compile", "load"),
+    ".system.lower": ("lower",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
-    ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
+    ".linear": ("Mode",),
+    ".trajectory": ("Maximize", "Minimize"),
+    ".trimming": ("Trim", "trim"),
 }
 # fmt: on
 

@@ -14,8 +14,7 @@ import equinox as eqx
 
 from .integrators.ambient import Ambient
 from .integrators.diffrax_bridge import LieController, LieSolver, LieTerm, controller, lie_term
-from .lowering import Dynamics
-from .lowering.dynamics import Arrays
+from .system.dynamics import Arrays, Dynamics
 
 __all__ = ["AmbientTerm", "LieController", "LieSolver", "LieTerm", "ambient_term", "controller", "lie_term"]
 

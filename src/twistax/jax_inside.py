@@ -17,6 +17,7 @@ from types import FrameType
 from typing import Any, TypeVar
 
 import jax
+import jax.numpy as jnp
 import jaxlib
 from jax.experimental import jet
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
@@ -439,3 +440,13 @@ def wrapped_terms() -> tuple[Any, Any]:
     from diffrax._term import AdjointTerm, WrapTerm
 
     return WrapTerm, AdjointTerm
+
+
+@contextlib.contextmanager
+def in_double() -> Iterator[None]:
+    """Double precision; and values at once, also in a function that is being traced."""
+    with jax.enable_x64(True), contextlib.ExitStack() as stack:
+        # Only there: checks at run time, as diffrax makes them, do not work in it.
+        if is_tracing() and is_traced(jnp.zeros(())):
+            stack.enter_context(jax.ensure_compile_time_eval())
+        yield

@@ -1,9 +1,9 @@
 """Linear algebra on expressions: `tx.linalg.Solve(M, f)`, `tx.linalg.Norm(v)`, ..."""
 
-from .expr.independent_rows import IndependentRows
-from .expr.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
-from .expr.solve import Inv, Solve
-from .expr.solve_positive import InverseFactor, InversePositive, SolvePositive
+from .expr.matrices.independent_rows import IndependentRows
+from .expr.matrices.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
+from .expr.matrices.solve import Inv, Solve
+from .expr.matrices.solve_positive import InverseFactor, InversePositive, SolvePositive
 
 # fmt: off
 __all__ = [

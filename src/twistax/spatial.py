@@ -1,5 +1,5 @@
 """Attitude on expressions: quaternions (w, x, y, z) and the matrices of rigid-body kinematics."""
 
-from .expr.spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
+from .expr.lie.spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
 
 __all__ = ["QDCM", "SSM", "SSMP", "Quaternion", "QuaternionProduct"]

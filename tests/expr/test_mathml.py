@@ -5,8 +5,8 @@ from xml.etree import ElementTree
 import pytest
 
 import twistax as tx
-from twistax.expr.mathml import mathml
 from twistax.expr.node import all_nodes
+from twistax.expr.printing.mathml import mathml
 
 FENCED = '<mrow><mo stretchy="true">(</mo><mrow>{}</mrow><mo stretchy="true">)</mo></mrow>'
 

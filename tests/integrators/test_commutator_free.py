@@ -13,7 +13,7 @@ from test_order import END, STARTS, fitted_order
 import twistax as tx
 from twistax.groups import Group
 from twistax.integrators import Method, VectorField
-from twistax.lowering import small_call as module
+from twistax.scalar import small_call as module
 from twistax.tableaus import CF4, RK4, CommutatorFreeTableau
 
 CF = tx.CommutatorFree()

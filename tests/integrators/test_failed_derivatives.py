@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.method import Method
+from twistax.integrators import Method
 
 RADAU = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
 

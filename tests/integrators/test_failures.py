@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators import failures
+from twistax.integrators.loop import failures
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, spatial_momentum
 
 RADAU = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
@@ -145,9 +145,9 @@ jax.config.update("jax_enable_x64", True)
 R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
 dynamics = tx.compile(tx.System(rates={R: w, w: -1e5 * w + tx.linalg.Cross(w, tx.Constant(np.array([1.0, 2.0, 3.0])))}))
 method = tx.ImplicitRKMK(tx.tableaus.RADAU_IIA5)
-from twistax.integrators.integrate import planned
+from twistax.integrators.options import Options, plan_of
 x0 = {"R": np.eye(3), "w": np.ones(3)}
-plan = planned(dynamics, x0, t1=1.0, dt=0.1, method=method)
+plan = plan_of(dynamics, x0, Options(t1=1.0, dt=0.1, method=method))
 t, h = jax.numpy.asarray(0.0), jax.numpy.asarray(0.1)
 print(method.step(plan.stepper.field(t, h), t, jax.tree.map(jax.numpy.asarray, plan.x), h)["w"].shape)
 """

@@ -11,8 +11,8 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
-from twistax.lowering import Dynamics
+from compiled_steps import kernels_of_equal_steps
+from twistax.system.dynamics import Dynamics
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -23,11 +23,6 @@ METHODS = {
     "thirteen stages": tx.RKMK(tx.tableaus.DOP853),
     "commutator-free": tx.CommutatorFree(),
 }
-
-
-def _taken(dynamics: Dynamics) -> list[Any]:
-    """The kernels that solutions of a system were made with."""
-    return [made for made in dynamics._functions.steps.values() if isinstance(made, KernelSteps)]
 
 
 def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: float = 1e-13) -> None:
@@ -42,7 +37,7 @@ def test_the_solution_is_that_of_the_loop(name: str) -> None:
     found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
     _near(found.xs, expected.xs)
     assert found.stats == expected.stats
-    assert len(_taken(dynamics)) == 1
+    assert len(kernels_of_equal_steps(dynamics)) == 1
 
 
 def test_a_batch_is_each_solution_with_a_length_and_steps_of_its_own() -> None:
@@ -98,7 +93,7 @@ def test_other_numbers_do_not_compile_again() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     for steps, t1 in ((3, 0.1), (8, 0.5)):
         tx.integrate(dynamics, START, t1=t1, steps=steps, u=U)
-    assert len(_taken(dynamics)) == 1
+    assert len(kernels_of_equal_steps(dynamics)) == 1
 
 
 def test_single_precision_stays_single() -> None:
@@ -129,7 +124,7 @@ def test_wide_states_are_left_to_xla() -> None:
     dynamics = tx.compile(tx.System(rates={x: -x}), backend=tx.Native())
     found = tx.integrate(dynamics, {"x": np.ones(500)}, t1=1.0, steps=50).xs["x"]
     np.testing.assert_allclose(found, np.exp(-1.0), rtol=1e-7)
-    assert not _taken(dynamics)
+    assert not kernels_of_equal_steps(dynamics)
 
 
 @pytest.mark.parametrize("traced", [jnp.arange(3), jnp.arange(3.0)])
@@ -163,4 +158,4 @@ def test_without_jit() -> None:
     with jax.disable_jit():
         found = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, steps=10)
     np.testing.assert_allclose(found.xs["x"], np.exp(-0.5), rtol=1e-7)
-    assert _taken(dynamics)
+    assert kernels_of_equal_steps(dynamics)

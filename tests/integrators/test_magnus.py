@@ -15,7 +15,7 @@ from test_charts import by_another_name, hat
 import twistax as tx
 from twistax.groups import Group, SpecialEuclidean, SpecialOrthogonal
 from twistax.integrators import VectorField
-from twistax.lowering import small_call as module
+from twistax.scalar import small_call as module
 from twistax.tableaus import DOP853, RK4
 
 ANGULAR = tx.SE3.with_order(tx.ANGULAR_FIRST)

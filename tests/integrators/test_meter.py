@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators import meter
-from twistax.integrators.meter import metered
+from twistax.integrators.loop import progress_callback as meter
+from twistax.integrators.loop.progress_callback import metered
 
 FIXED, CHOSEN = {"dt": 5e-3}, {"rtol": 1e-10}
 START = {"x": np.array([1.0, 0.0])}

@@ -5,7 +5,7 @@ import pytest
 from integrator_bodies import forced, forced_body, forced_body_reference, starts
 
 import twistax as tx
-from twistax.integrators import charts
+from twistax.integrators.charts import chart as charts
 from twistax.tableaus import ALL, EULER, RK4, ButcherTableau
 
 END = 1.0

@@ -14,11 +14,8 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Example, Expr
-from twistax.expr.fields import Operand
-from twistax.expr.node import Shape
-from twistax.lowering.backends import Backend
-from twistax.lowering.functions import Kept
 from twistax.mechanics import Chain, chain_models, forward_dynamics
+from twistax.scalar.backends import Backend
 
 RNG = np.random.default_rng(0)
 #: Methods of few stages compile quickly; what runs their rates is the same for all.
@@ -165,30 +162,12 @@ def test_a_backend_of_ones_own() -> None:
 # ---- what is kept ----------------------------------------------------------------------------------------------------
 
 
-def test_what_was_used_longest_ago_is_dropped() -> None:
-    kept, made = Kept(2), []
-
-    def get(key: str) -> str:
-        return kept.get(key, lambda: made.append(key) or key)
-
-    assert [get(key) for key in ("a", "b", "a", "c", "a", "b")] == ["a", "b", "a", "c", "a", "b"]
-    assert made == ["a", "b", "c", "b"]
-    assert kept.values() == ["a", "b"]
-
-
-def test_none_is_kept_too() -> None:
-    kept, made = Kept(2), []
-    for _ in range(2):
-        assert kept.get("a", lambda: made.append("a")) is None
-    assert made == ["a"]
-
-
 class Squared(Expr):
     """A A of one's own, in the precision that JAX is told to take."""
 
-    A: Operand
+    A: tx.expr.fields.Operand
 
-    def infer_shape(self, *shapes: Shape) -> Shape:
+    def infer_shape(self, *shapes: Any) -> Any:
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
@@ -214,18 +193,6 @@ def test_products_of_one_precision_are_not_served_under_another(backend: Backend
     assert "HIGHEST" not in traced()
 
 
-@pytest.mark.skipif(importlib.util.find_spec("llvmlite") is None, reason="native kernels need llvmlite")
-def test_kernels_of_integrations_are_bounded() -> None:
-    x = tx.State("x")
-    dynamics = tx.compile(tx.System(rates={x: -x}))
-    dynamics._functions.steps = steps = Kept(2)
-    for dtmax in (1.0, 1.1, 1.2, 1.0):
-        control = tx.StepControl(dtmax=dtmax)
-        sol = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, rtol=1e-8, atol=1e-8, control=control)
-        np.testing.assert_allclose(sol.xs["x"], np.exp(-0.5), rtol=1e-7)
-    assert len(steps.values()) == 2
-
-
 @pytest.mark.parametrize(("entries", "scalars"), [(1, True), (14, False)])
 def test_wide_arrays_that_are_mostly_zeros_become_scalars(entries: int, scalars: bool) -> None:
     """Of 14 x 14 entries; where all of them matter, arrays do as well."""
@@ -245,7 +212,7 @@ def test_long_functions_are_kernels_in_loops(monkeypatch: pytest.MonkeyPatch) ->
     """With the numbers, and the derivatives, of the loops that XLA compiles."""
     system, x, u = case("arm")
     plain = tx.compile(system, backend=tx.XLA())
-    monkeypatch.setattr("twistax.lowering.native.backend._LONG", 100)
+    monkeypatch.setattr("twistax.scalar.targets.llvm.backend._LONG", 100)
     kernels = tx.compile(system, backend=tx.Native())
 
     def end(dynamics: tx.Dynamics, rate: Any) -> Any:

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 import twistax as tx
-from twistax.walk import uncollected
+from twistax.scalar.walk import uncollected
 
 
 @pytest.fixture(autouse=True)

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.lowering.native.backend import installed
 from twistax.mechanics import screws
 from twistax.report.checks import Absent, Check, explained
 from twistax.report.page import texts
 from twistax.report.sections import FIGURES, identities, keeping, scalars, steps
 from twistax.report.speed.cases import CASES
+from twistax.scalar.targets.llvm.backend import installed
 from twistax.scenes import SCENES
 
 QUICK = [check for section in FIGURES.values() for _, check in explained(section) if not check.slow]

@@ -15,7 +15,7 @@ import pytest
 from twistax.report import checks
 from twistax.report.page import table_of
 from twistax.report.sections import OPTIMAL, rivals
-from twistax.trajectory.result import Trajectory
+from twistax.trajectory.result.result import Trajectory
 
 FASTEST = next(name for name in rivals.RIVALS if name.startswith("least time"))
 TURN = next(name for name in rivals.RIVALS if name.startswith("half turn"))

@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy import ndarray as Array
+from python_functions import PythonFunctions
 
-from twistax.solver import Options, PythonFunctions, Solution, Stages, Units, solve
+from twistax.solver import Options, Solution, Stages, Units, solve
 
 #: With these the core takes the choices of IPOPT, and so the same steps.
 AS_IPOPT = {"multiplier_start": 1.0, "slack_push": 1e-2, "objective_gradient": 100.0}

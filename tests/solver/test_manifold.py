@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy import ndarray as Array
+from python_functions import PythonFunctions
 
 import twistax as tx
-from twistax.solver import Options, PythonFunctions, Solution, Stages, Status, solve
+from twistax.solver import Options, Solution, Stages, Status, solve
 
 so3 = tx.lie.so3
 INTERVALS = 10

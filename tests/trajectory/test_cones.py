@@ -12,7 +12,7 @@ import twistax as tx
 from twistax.expr import Constraint, Expr, Inputs, evaluate_all
 from twistax.expr import Norm as NormNode
 from twistax.trajectory import Integral, Problem, Status
-from twistax.trajectory.cones import without_norms
+from twistax.trajectory.problem.terms import without_norms
 
 Norm = tx.linalg.Norm
 X, U, S = tx.State("x", shape=(3,)), tx.Control("u", shape=(3,)), tx.Control("s")

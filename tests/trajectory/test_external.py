@@ -10,8 +10,8 @@ from program_derivatives import assert_derivatives
 from trajectory_systems import EULER, HEUN, double_integrator
 
 import twistax as tx
-from twistax.precision import in_double
-from twistax.trajectory.program import Program
+from twistax.jax_inside import in_double
+from twistax.trajectory.adapters.program import NonlinearProgram
 
 casadi = pytest.importorskip("casadi")
 
@@ -39,15 +39,15 @@ def turning() -> tx.trajectory.Problem:
     )
 
 
-def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[Program, np.ndarray]:
+def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[NonlinearProgram, np.ndarray]:
     """The program about a point with motion, and unknowns away from it, where charts are curved."""
     rng = np.random.default_rng(0)
     Rs = np.stack([np.asarray(tx.SO3.exp(jnp.asarray(a))) for a in 0.4 * rng.normal(size=(9, 3))])
     guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
     with in_double():
         started = problem.started(guess, final_time_guess=3.0)
-        staged = problem._core(1e-6, started.point, started.given).staged
-        program = Program(staged, started.given, with_copies=copies)
+        staged = problem.core(1e-6, started.point, started.given).staged
+        program = NonlinearProgram(staged, started.given, with_copies=copies)
         start = program.start(started.point, started.given, None)
     return program, start.x + 0.3 * rng.normal(size=program.size)
 
@@ -68,7 +68,8 @@ def test_multipliers_follow_the_charts(turning: tx.trajectory.Problem) -> None:
     multipliers = rng.normal(size=program.count)
     found = program.reached(x, np.zeros(program.size), multipliers)
     z, v = program._at(x)
-    bases, d, before = program._staged.point(z).xs["R"], program._steps(v)[0], -multipliers[program._row_places[0]]
+    bases, d = program._staged.point(z).xs["R"], program._staged.tangents(v * program._curved)[0]
+    before = -multipliers[program._row_places[0]]
     for k in range(1, 9):
         e, y = rng.normal(size=3), before[6 * k - 6 : 6 * k - 3]
         ahead, back = (np.asarray(tx.SO3.retract(bases[k], d[k, :3] + s * h * e)) for s in (1.0, -1.0))
@@ -167,7 +168,7 @@ def test_a_process_that_ends_early_is_said(pushing: tx.trajectory.Problem) -> No
     assert pushing.solve(solver=solver).solved
     process = made._process
     del made, own
-    pushing.built()
+    pushing.forget()
     gc.collect()
     assert process.poll() is not None
 

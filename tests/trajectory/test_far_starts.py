@@ -8,10 +8,11 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.precision import in_double
-from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
-from twistax.trajectory.border import Border, times_of
-from twistax.trajectory.transcribed import Given, Point
+from twistax.jax_inside import in_double
+from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status
+from twistax.trajectory.strategy import other_starts
+from twistax.trajectory.transcription.border import Border, times_of
+from twistax.trajectory.transcription.points import Given, Point
 
 x, u = tx.State("x"), tx.Control("u")
 WALL = u**2 + tx.Exp(10.0 * (x - 1.0)) - x
@@ -105,14 +106,14 @@ def test_a_target_that_moves_is_met_in_least_time() -> None:
 
 
 def test_no_fixed_duration_helps_where_nothing_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried, fixed = list[float](), durations.fixed
+    tried, fixed = list[float](), other_starts.with_fixed_durations
 
     def seen(*args: Any) -> Any:
         for point, given in fixed(*args):
             tried.append(float(np.asarray(point.border)[0]))
             yield point, given
 
-    monkeypatch.setattr(durations, "fixed", seen)
+    monkeypatch.setattr(other_starts, "with_fixed_durations", seen)
     result = stopping().solve(initial={"p": 1.0, "v": 0.7}, final_time=(0.1, 1.5))
     assert result.status is Status.INFEASIBLE
     assert tried == pytest.approx([1.36, 0.8])
@@ -122,13 +123,14 @@ def test_units_of_time_do_not_matter_for_durations_that_are_fixed() -> None:
     for unit in (1e-9, 1.0):
         border = Border(("first", "second"), unit * np.array([[0.1, 60.0], [2.0, 2.0]]))
         start = Point({}, np.zeros((1, 0)), unit * np.array([3.0, 2.0]))
-        found = list(durations.fixed(border, start, Given({}, {}, border.limits)))
+        found = list(other_starts.with_fixed_durations(border, start, Given({}, {}, border.limits)))
         times = [np.asarray(point.border) / unit for point, _ in found]
         np.testing.assert_allclose(times, [[9.0, 2.0], [27.0, 2.0], [3.0, 2.0]])
         limits = np.asarray(found[0][1].limits) / unit
         np.testing.assert_allclose(limits, [[8.91, 9.09], [2.0, 2.0]])
-    fixed = Border(("only",), np.array([[2.0, 2.0]]))
-    assert not list(durations.fixed(fixed, Point({}, np.zeros((1, 0)), np.array([2.0])), Given({}, {}, fixed.limits)))
+    border = Border(("only",), np.array([[2.0, 2.0]]))
+    start, given = Point({}, np.zeros((1, 0)), np.array([2.0])), Given({}, {}, border.limits)
+    assert not list(other_starts.with_fixed_durations(border, start, given))
 
 
 @pytest.mark.parametrize("constant", [0.0, 3.0])

@@ -12,7 +12,7 @@ import pytest
 
 import twistax as tx
 from twistax.errors import TrajectoryError
-from twistax.expr.elementwise import Function
+from twistax.expr.operations.elementwise import Function
 from twistax.trajectory import Collocation, GaussNewton, Phase, Problem, QuasiNewton, solution
 
 p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)

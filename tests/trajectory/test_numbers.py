@@ -12,7 +12,7 @@ from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
-from twistax.trajectory.rollout import Rollout
+from twistax.trajectory.strategy.integration import Rollout
 
 pytest.importorskip("llvmlite")
 
@@ -183,7 +183,7 @@ def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any
     """Of held controls, as `between` looks at them, beside `replay`: of a group, and of free nodes."""
     problem = turned(**options)
     result = problem.solve()
-    core, given = problem._core(1e-6, *problem.started()[:2]), problem.started().given
+    core, given = problem.core(1e-6, *problem.started()[:2]), problem.started().given
     data = core.staged.numbers.vector(given)
     rollout = Rollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
     found, expected = rollout.states(result.warm.point), result.replay(steps=12)

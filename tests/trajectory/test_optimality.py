@@ -10,7 +10,8 @@ import pytest
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.trajectory import Problem, Status, TrajectoryResult, strategies
+from twistax.trajectory import Problem, Status, TrajectoryResult
+from twistax.trajectory.strategy import strategies
 
 
 @functools.cache

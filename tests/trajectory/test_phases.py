@@ -10,9 +10,9 @@ from program_derivatives import assert_derivatives
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
-from twistax.precision import in_double
+from twistax.jax_inside import in_double
 from twistax.trajectory import Phase, PhasedResult, Problem, Status
-from twistax.trajectory.program import Program
+from twistax.trajectory.adapters.program import NonlinearProgram
 
 G0 = 9.80665
 
@@ -222,8 +222,8 @@ def test_all_derivatives_of_joined_phases(seed: int) -> None:
     problem, rng = rich(), np.random.default_rng(seed)
     with in_double():
         started = problem.started()
-        staged = problem._core(1e-6, started.point, started.given).staged
-        program = Program(staged, started.given, with_copies=False)
+        staged = problem.core(1e-6, started.point, started.given).staged
+        program = NonlinearProgram(staged, started.given, with_copies=False)
         x = program.start(started.point, started.given, None).x
         border = program._copies[0]
         x += np.where(np.isin(np.arange(program.size), border), 0.0, 0.4 * rng.normal(size=program.size))

@@ -1,22 +1,25 @@
-"""Every derivative the optimiser sees against finite differences, on a problem that has every kind of row."""
+"""What the core is given of a problem that has every kind of row: rows, values and derivatives."""
 
 import functools
-from collections.abc import Callable
 
 import jax
 import numpy as np
 import pytest
-from trajectory_systems import quick_jit
+from core_functions import (
+    assert_derivatives_by_differences,
+    assert_derivatives_of_the_core,
+    assert_values,
+    core_values,
+    staged_of,
+)
 
 import twistax as tx
 from twistax.trajectory import Problem
-from twistax.trajectory.shooting import Shooting
-from twistax.trajectory.transcribed import Derivatives, Given, Point, Step, Values
+from twistax.trajectory.transcription.points import Given, Point
 
-NODES, N, M, BORDER = 4, 6, 4, 3
+NODES, M = 4, 4
 #: Short steps, for the exponential coordinates in which an interval is differentiated end elsewhere by O(h^5).
 FINAL_TIME = 0.12
-DIRECTIONS = 4
 
 
 @functools.cache
@@ -60,108 +63,20 @@ def given_of(problem: Problem) -> Given:
     return Given({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, problem.border.limits)
 
 
-class Sample:
-    """A random point of the problem, its derivatives, and values after steps."""
-
-    def __init__(self) -> None:
-        self.rng = np.random.default_rng(0)
-        self.problem = rich_problem()
-        self.shooting: Shooting = self.problem.shooting
-        given, point = given_of(self.problem), random_point(self.rng)
-        derivatives = quick_jit(self.shooting.derivatives)
-        values = quick_jit(lambda step, point, given: self.shooting.values(self.shooting.move(point, step), given))
-        self.derivatives: Callable[..., Derivatives] = lambda y, w: jax.tree.map(
-            np.asarray, derivatives(point, y, w, given)
-        )
-        self.values: Callable[[Step], Values] = lambda step: jax.tree.map(np.asarray, values(step, point, given))
-        self.y = self.rng.normal(size=(NODES - 1, N))
-        self.w = self.rng.normal(size=len(self.shooting.exists))
-        self.found = self.derivatives(self.y, self.w)
-
-    def direction(self, parity: int) -> Step:
-        """A random step in which every other node rests: then nodes at which an interval ends do."""
-        d = self.rng.normal(size=(NODES, N)) * (np.arange(NODES) % 2 == parity)[:, None]
-        return Step(d, self.rng.normal(size=(NODES - 1, M)), self.border())
-
-    def border(self) -> np.ndarray:
-        return self.rng.normal(size=BORDER) * np.array([0.1, 1.0, 1.0])
-
-    def whole_direction(self) -> Step:
-        return Step(self.rng.normal(size=(NODES, N)), self.rng.normal(size=(NODES - 1, M)), self.border())
-
-    def inner(self, parity: int) -> np.ndarray:
-        """The intervals that begin at a node that moves."""
-        return np.arange(NODES - 1) % 2 == parity
+def test_derivatives_of_the_core_are_those_of_its_values() -> None:
+    problem = rich_problem()
+    assert_derivatives_by_differences(problem, random_point(np.random.default_rng(0)), given_of(problem))
 
 
-def scaled(step: Step, size: float) -> Step:
-    return Step(*(size * a for a in step))
+def test_values_and_derivatives_of_the_core_are_those_of_jax() -> None:
+    problem = rich_problem()
+    point, given = random_point(np.random.default_rng(0)), given_of(problem)
+    assert_values(problem, point, given)
+    assert_derivatives_of_the_core(problem, point, given)
 
 
-def slope(values: Callable[[Step], np.ndarray], way: Step, size: float = 1e-3) -> np.ndarray:
-    """The derivative along a direction, extrapolated from two central differences."""
-    near, far = ((values(scaled(way, e)) - values(scaled(way, -e))) / (2.0 * e) for e in (size, 2.0 * size))
-    return (4.0 * near - far) / 3.0
-
-
-def bend(values: Callable[[Step], np.ndarray], way: Step, size: float = 1e-2) -> np.ndarray:
-    """The second derivative along a direction, extrapolated likewise."""
-    here = values(scaled(way, 0.0))
-    near, far = ((values(scaled(way, e)) - 2.0 * here + values(scaled(way, -e))) / e**2 for e in (size, 2.0 * size))
-    return (4.0 * near - far) / 3.0
-
-
-def seen(step: Step) -> tuple[np.ndarray, np.ndarray]:
-    """What every interval and the end see of a step."""
-    borders = np.repeat(step.border[None], len(step.u), axis=0)
-    return np.concatenate([step.d[:-1], step.u, borders], axis=1), np.concatenate([step.d[-1], step.border])
-
-
-@pytest.fixture(scope="module")
-def sample() -> Sample:
-    return Sample()
-
-
-@pytest.mark.parametrize("parity", [0, 1])
-def test_slopes_of_the_defects(sample: Sample, parity: int) -> None:
-    own = sample.inner(parity)
-    for _ in range(DIRECTIONS):
-        way = sample.direction(parity)
-        expected = slope(lambda step: sample.values(step).defects, way)
-        found = np.einsum("kna,ka->kn", sample.found.defects, seen(way)[0])
-        np.testing.assert_allclose(found[own], expected[own], atol=1e-7)
-
-
-def test_slopes_of_all_rows_and_of_the_cost(sample: Sample) -> None:
-    for _ in range(DIRECTIONS):
-        way = sample.whole_direction()
-        z, end = seen(way)
-        rows = np.concatenate([np.einsum("kra,ka->kr", sample.found.rows, z).ravel(), sample.found.end_rows @ end])
-        np.testing.assert_allclose(rows, slope(lambda step: sample.values(step).rows, way), atol=1e-7)
-        cost = (sample.found.gradient * z).sum() + sample.found.end_gradient @ end
-        np.testing.assert_allclose(cost, slope(lambda step: sample.values(step).cost, way), atol=1e-7)
-
-
-@pytest.mark.parametrize("parity", [0, 1])
-def test_the_second_derivative_of_the_lagrangian(sample: Sample, parity: int) -> None:
-    """Of cost + y.F + w.rows, with y of the intervals alone that end at a node that rests."""
-    y = np.where(sample.inner(parity)[:, None], sample.y, 0.0)
-    found = sample.derivatives(y, sample.w)
-
-    def lagrangian(step: Step) -> np.ndarray:
-        values = sample.values(step)
-        return np.asarray(values.cost + (y * values.defects).sum() + sample.w @ values.rows)
-
-    for _ in range(DIRECTIONS):
-        way = sample.direction(parity)
-        z, end = seen(way)
-        total = np.einsum("ka,kab,kb->", z, found.hessian, z) + end @ found.end_hessian @ end
-        np.testing.assert_allclose(total, bend(lagrangian, way), atol=1e-6 * np.abs(found.hessian).max())
-    np.testing.assert_allclose(found.hessian, found.hessian.transpose(0, 2, 1), atol=1e-12)
-
-
-def test_there_is_every_kind_of_row(sample: Sample) -> None:
-    names = set(sample.shooting.names)
+def test_there_is_every_kind_of_row() -> None:
+    names = set(rich_problem().shooting.names)
     for name in ("spin", "power", "torque", "level", "w[2] <= 2", "u[0] >= -1", "final w[2]"):
         assert name in names
     assert {"final time: lower limit", "final time: upper limit"} < names
@@ -177,8 +92,8 @@ def test_there_is_every_kind_of_row(sample: Sample) -> None:
     assert bounds == [bounds[0], f"{bounds[0]} >= 0"]
 
 
-def test_rows_are_asked_where_they_matter(sample: Sample) -> None:
-    shooting = sample.shooting
+def test_rows_are_asked_where_they_matter() -> None:
+    shooting = rich_problem().shooting
     asked: dict[str, list[str]] = {name: [] for name in shooting.names}
     for name, place, exists in zip(shooting.names, shooting.places, shooting.exists):
         asked[name] += [place] * bool(exists)
@@ -204,10 +119,10 @@ def test_intervals_end_where_an_integration_does(first: int) -> None:
     found = tx.integrate(problem.dynamics, start, t0=middle, t1=end, steps=200, u=u)
     for name, values in found.xs.items():
         point.xs[name][first + 1] = values[-1]
-    defects = [
-        np.asarray(quick_jit(rich_problem(3, substeps).shooting.values)(point, given_of(problem)).defects)[first]
-        for substeps in (4, 8)
-    ]
+    defects = []
+    for substeps in (4, 8):
+        finer = rich_problem(3, substeps)
+        defects.append(core_values(staged_of(finer, given_of(finer)), point, given_of(finer)).defects[first])
     coarse, fine = (float(np.linalg.norm(defect)) for defect in defects)
     assert coarse < 1e-3
     assert 12.0 < coarse / fine < 22.0
@@ -225,5 +140,5 @@ def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) ->
         Point({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
         Given({}, {"x": np.zeros(())}, np.ones((1, 2))),
     )
-    found = quick_jit(problem.shooting.values)(point, given)
-    np.testing.assert_allclose(found.cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)
+    cost = core_values(staged_of(problem, given), point, given).cost
+    np.testing.assert_allclose(cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)

@@ -19,7 +19,7 @@ from trajectory_systems import EULER, HEUN
 import twistax as tx
 from twistax.expr.fields import Operand
 from twistax.expr.node import Expr
-from twistax.processors import processors
+from twistax.solver.processors import processors
 from twistax.trajectory import Problem, Solution, solution
 
 

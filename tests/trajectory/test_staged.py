@@ -1,20 +1,19 @@
 """The functions that the solver's core calls are those of the transcription, as JAX computes it."""
 
-import ctypes
 from collections.abc import Callable
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+from core_functions import assert_derivatives_by_differences, assert_derivatives_of_the_core, assert_values, staged_of
 
 import twistax as tx
 from twistax.expr.fields import Operand
 from twistax.expr.node import Expr
 from twistax.trajectory import Collocation, Problem
-from twistax.trajectory.evaluated import Evaluated, moved
-from twistax.trajectory.staged import Staged
-from twistax.trajectory.transcribed import Step
+from twistax.trajectory.transcription.evaluation import moved
+from twistax.trajectory.transcription.points import Point, Step
 
 pytest.importorskip("llvmlite")
 
@@ -46,112 +45,54 @@ def collocated() -> Problem:
         tx.Minimize(tx.Time(), running=u @ u + x @ x),
         nodes=5,
         final_time=(1.0, 9.0),
-        transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE4),
+        transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE4, substeps=2),
         initial={x: [1.0, 0.0], attitude: np.eye(3)},
         final=[{x: [0.0, 0.0]}, attitude[2, 2] == 0.5],
         free={k: (1.0, 3.0)},
     )
 
 
+def moved_by(group: Any, point: Point, step: Step) -> Point:
+    """By JAX's retraction."""
+    return Point(jax.vmap(group.retract)(point.xs, step.d), point.us + step.u, point.border + step.border)
+
+
 def point_beside(problem: Problem) -> tuple[Any, Any]:
     """A random point, and what the problem is solved for."""
-    started, own, rng = problem.started(), problem.shooting, np.random.default_rng(0)
+    started, free, rng = problem.started(), problem.shooting.free, np.random.default_rng(0)
     step = Step(
-        np.where(own.free.d, 0.2 * rng.normal(size=own.free.d.shape), 0.0),
-        0.3 * rng.normal(size=own.free.u.shape),
-        np.where(own.free.border, 0.1, 0.0),
+        np.where(free.d, 0.2 * rng.normal(size=free.d.shape), 0.0),
+        0.3 * rng.normal(size=free.u.shape),
+        np.where(free.border, 0.1, 0.0),
     )
-    return jax.tree.map(np.asarray, own.move(started.point, step)), started.given
-
-
-def staged(problem: Problem, given: Any) -> Staged:
-    return Staged(problem.shooting, problem.parts, given)
-
-
-@pytest.mark.parametrize("make", [shot, collocated])
-def test_values_are_those_of_the_transcription(make: Callable[[], Problem]) -> None:
-    problem = make()
-    point, given = point_beside(problem)
-    own = staged(problem, given)
-    at = Evaluated(own.transcription, own.flat(point))
-    expected = jax.jit(problem.shooting.values)(point, given)
-    np.testing.assert_allclose(at.cost[0], expected.cost, rtol=1e-13)
-    np.testing.assert_allclose(at.c.reshape(expected.defects.shape), expected.defects, atol=1e-13)
-    v, (lower, upper) = own.coordinates(point), own.limits(point, given)
-    exists = problem.shooting.exists
-    rows = own.all_rows(at.h, at.e, lower - v, v - upper)
-    np.testing.assert_allclose(rows[exists], np.asarray(expected.rows)[exists], atol=1e-12)
-    assert len(own.parts[0].bounds.rows) > 0
-
-
-@pytest.mark.parametrize("make", [shot, collocated])
-def test_first_derivatives_are_those_of_the_values(make: Callable[[], Problem]) -> None:
-    """By central differences along random steps; defects count about where intervals end, so the next node stays."""
-    problem = make()
-    point, given = point_beside(problem)
-    own = staged(problem, given)
-    z, stages = own.flat(point), own.transcription.stages
-    at = Evaluated(own.transcription, z)
-    assert at.differentiate()
-    rng, size = np.random.default_rng(1), 1e-5
-    for _ in range(3):
-        step = rng.normal(size=stages.variables)
-        ends = [Evaluated(own.transcription, moved(own.transcription, z, side * size * step)) for side in (1.0, -1.0)]
-        cost, h, e = ((getattr(ends[0], name) - getattr(ends[1], name)) / (2.0 * size) for name in ("cost", "h", "e"))
-        np.testing.assert_allclose(at.gradient @ step, cost[0], rtol=1e-7)
-        for name, counts, change in (("Jh", stages.inequalities, h), ("Je", stages.equalities, e)):
-            blocks, first = at.blocks(getattr(at, name), counts), 0
-            for k, block in enumerate(blocks):
-                own_step = np.concatenate([_of_stage(own, step, k), step[len(step) - stages.parameters :]])
-                rows = change[first : first + counts[k]]
-                np.testing.assert_allclose(block @ own_step, rows, atol=1e-6 * (1.0 + np.abs(rows).max(initial=0.0)))
-                first += counts[k]
-
-
-@pytest.mark.parametrize("make", [shot, collocated])
-def test_derivatives_are_those_of_the_transcription(make: Callable[[], Problem]) -> None:
-    """Rows of the dynamics times the left Jacobian of the defect; weights of second derivatives likewise."""
-    problem = make()
-    point, given = point_beside(problem)
-    own, shooting, rng = staged(problem, given), problem.shooting, np.random.default_rng(2)
-    at = Evaluated(own.transcription, own.flat(point))
-    assert at.differentiate()
-    lam, w = rng.normal(size=(shooting.intervals, shooting.n)), np.zeros(len(shooting.exists))
-    w[shooting.exists] = rng.normal(size=int(shooting.exists.sum()))
-    values = jax.jit(shooting.values)(point, given)
-    turn = jax.vmap(shooting.dynamics.group.left_jacobian)(values.defects)
-    weights = np.einsum("kij,ki->kj", turn, lam)
-    expected = jax.jit(shooting.derivatives)(point, weights, w, given)
-    F = np.stack(at.blocks(at.F, own.transcription.stages.after)[:-1])
-    np.testing.assert_allclose(F, turn @ np.asarray(expected.defects), atol=1e-12)
-    y, ye, *_ = own.split_rows(w)
-    H = np.zeros_like(at.H)
-    function = ctypes.CFUNCTYPE(ctypes.c_int32, *[ctypes.c_void_p] * 2, ctypes.c_double, *[ctypes.c_void_p] * 4)
-    functions, z = own.transcription.functions, np.ascontiguousarray(own.flat(point))
-    arrays = (np.ascontiguousarray(lam), y, ye, H)
-    function(functions.hessians)(functions.user, z.ctypes.data, 1.0, *(a.ctypes.data for a in arrays))
-    *inner, end = at.blocks(H, own.transcription.stages.columns)
-    scale = np.abs(np.asarray(expected.hessian)).max()
-    np.testing.assert_allclose(np.stack(inner), expected.hessian, atol=1e-12 * scale)
-    np.testing.assert_allclose(end, expected.end_hessian, atol=1e-12 * scale)
-
-
-def _of_stage(own: Staged, step: Any, k: int) -> Any:
-    """The entries of v of a stage."""
-    stages = own.transcription.stages
-    first = own.first[k]
-    return step[first : first + stages.states[k] + stages.controls[k]]
+    point = moved_by(problem.dynamics.group, started.point, step)
+    return jax.tree.map(np.asarray, point), started.given
 
 
 def test_moves_are_those_of_the_group() -> None:
     problem = shot()
     point, given = point_beside(problem)
-    own, free, rng = staged(problem, given), problem.shooting.free, np.random.default_rng(3)
-    step = Step(rng.normal(size=free.d.shape), rng.normal(size=free.u.shape), rng.normal(size=free.border.shape))
-    found = own.point(moved(own.transcription, own.flat(point), own.step(*step)))
-    expected = problem.shooting.move(point, step)
-    for a, b in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
+    staged, free, rng = staged_of(problem, given), problem.shooting.free, np.random.default_rng(3)
+    step = Step(*(rng.normal(size=a.shape) for a in free))
+    result = staged.point(moved(staged.transcription, staged.flat(point), staged.step(*step)))
+    expected = moved_by(problem.dynamics.group, point, step)
+    for a, b in zip(jax.tree.leaves(result), jax.tree.leaves(expected), strict=True):
         np.testing.assert_allclose(a, b, atol=1e-13)
+
+
+@pytest.mark.parametrize("make", [shot, collocated])
+def test_derivatives_are_those_of_the_values(make: Callable[[], Problem]) -> None:
+    problem = make()
+    assert_derivatives_by_differences(problem, *point_beside(problem))
+
+
+@pytest.mark.parametrize("make", [shot, collocated])
+def test_values_and_derivatives_are_those_of_jax(make: Callable[[], Problem]) -> None:
+    problem = make()
+    point, given = point_beside(problem)
+    assert_values(problem, point, given)
+    assert_derivatives_of_the_core(problem, point, given)
+    assert len(staged_of(problem, given).parts[0].bounds.rows) > 0
 
 
 @jax.custom_jvp

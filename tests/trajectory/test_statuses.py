@@ -79,7 +79,8 @@ def test_too_few_iterations_are_said() -> None:
 def test_what_goes_back_in_time_has_no_rollout() -> None:
     """Free node times of a solve that has not ended may."""
     times = np.array([0.0, 1.0, 0.75, 1.0, 2.0, 2.5, 2.75, 3.0])
-    result = dataclasses.replace(stated().solve(), ts=times)
+    solved = stated().solve()
+    result = dataclasses.replace(solved, phases=(dataclasses.replace(solved.phases[0], ts=times),))
     with pytest.raises(tx.TrajectoryError, match=r"node 2 is before node 1, at 0\.75 s"):
         result.replay()
     assert "no finer rollout: node 2 is before node 1" in result.explain()
@@ -238,3 +239,31 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
     dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
     with pytest.raises(tx.ModelError, match="baked"):
         Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda problem: problem.solve(hessian=1),
+            r"solve has no argument 'hessian'.*\n  fix: tx.*Problem\(",
+        ),
+        (lambda problem: problem.solve_many(callbak=print), "solve_many has no argument 'callbak'"),
+        (lambda _: Problem(None, guesses=3), r"Problem has no argument 'guesses'.*\n  fix: problem.solve\("),
+        (lambda problem: problem.solve(callback=tx.trajectory.Progress), r"got the class Progress.\n  fix: Progress\("),
+    ],
+)
+def test_arguments_that_stand_elsewhere_say_where(call: Any, text: str) -> None:
+    x, u = tx.State("x"), tx.Control("u")
+    problem = Problem(tx.compile(tx.System(rates={x: u})), tx.Minimize(running=u**2), nodes=3, final_time=1.0)
+    with pytest.raises(tx.TrajectoryError, match=text):
+        call(problem)
+
+
+def test_an_unknown_parameter_is_told_all_that_there_are() -> None:
+    x, u, goal = tx.State("x"), tx.Control("u"), tx.Parameter("goal", value=1.0)
+    drag, weight = tx.Parameter("drag", value=0.1), tx.Parameter("weight", value=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u - drag * x}))
+    problem = Problem(dynamics, tx.Minimize(running=weight * u**2), nodes=3, final_time=1.0, final=[x == goal])
+    with pytest.raises(tx.InputError, match=r"params; expected: 'drag', 'weight', 'goal'.\n  fix: did you"):
+        problem.solve(params={"gaol": 2.0})

@@ -10,9 +10,9 @@ import numpy as np
 
 import twistax as tx
 
+from ..linear.discretize import Controls, value_and_jacobian
 from ..scenes.powered_descent import Array
-from ..trajectory.declared import declared
-from ..trajectory.discretize import Controls, value_and_jacobian
+from ..trajectory.transcription.vectors import declared_scales
 
 #: The largest difference allowed.
 BAR = 1e-8
@@ -40,7 +40,7 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str,
     the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
     leading axis; h is the length of the interval, s.
     """
-    scale = jnp.append(declared((*dynamics.states, *dynamics.controls)), h)
+    scale = jnp.append(declared_scales((*dynamics.states, *dynamics.controls)), h)
     n, flat = dynamics.dimension, Controls(dynamics.controls)
     size = scale.shape[0]
     steps = _STEP * jnp.concatenate([step * jnp.eye(size) for step in (0.0, 1.0, -1.0, 2.0, -2.0)])[size - 1 :]

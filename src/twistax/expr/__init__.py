@@ -1,7 +1,17 @@
 """The expression language: leaves, nodes, constraints, and what walks over them."""
 
-from . import lie
-from .arithmetic import (
+from . import lie, moved
+from .canonical import canonicalize_all
+from .examples import Example
+from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
+from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
+from .lie.spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
+from .matrices.independent_rows import IndependentRows
+from .matrices.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
+from .matrices.solve import Inv, Solve
+from .matrices.solve_positive import InverseFactor, InversePositive, SolvePositive
+from .node import Expr, all_nodes, to_expr
+from .operations.arithmetic import (
     Add,
     Constraint,
     Div,
@@ -15,10 +25,9 @@ from .arithmetic import (
     Sub,
     refuse_conditions,
 )
-from .array import Block, Concat, Hstack, Index, Stack, Vstack
-from .canonical import canonicalize_all
-from .choice import All, Any, Cond, LogSumExp, Max, Min, Not, Where
-from .elementwise import (
+from .operations.array import Block, Concat, Hstack, Index, Stack, Vstack
+from .operations.choice import All, Any, Cond, LogSumExp, Max, Min, Not, Where
+from .operations.elementwise import (
     Abs,
     Acos,
     Asin,
@@ -39,20 +48,11 @@ from .elementwise import (
     Tan,
     Tanh,
 )
-from .examples import Example
-from .graph import evaluate_all, find_path, leaves_of, postorder, substitute, traverse
-from .independent_rows import IndependentRows
-from .interpolation import Bilerp, Cinterp, Interp, Linterp
-from .leaves import Constant, Control, Inputs, Leaf, Parameter, State, Time, Variable
-from .linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpose
-from .node import Expr, all_nodes, to_expr
+from .operations.soft import Soft
 from .orders import check_orders
-from .rate import Rate
-from .soft import Soft
-from .solve import Inv, Solve
-from .solve_positive import InverseFactor, InversePositive, SolvePositive
-from .spatial import QDCM, SSM, SSMP, Quaternion, QuaternionProduct
-from .vmap import Vmap
+from .tables.interpolation import Bilerp, Cinterp, Interp, Linterp
+from .transformations.rate import Rate
+from .transformations.vmap import Vmap
 
 #: What `twistax` itself offers; the rest is in its faces, or for the layers above.
 # fmt: off
@@ -65,3 +65,5 @@ __all__ = [
     "traverse",
 ]
 # fmt: on
+
+moved.find_earlier_names()

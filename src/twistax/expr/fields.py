@@ -22,6 +22,7 @@ import jax
 import numpy as np
 
 from ..errors import ModelError, OperationError
+from .moved import first_module
 
 if TYPE_CHECKING:
     from .node import Expr
@@ -147,7 +148,7 @@ def freeze(value: Any) -> Any:
         return repr(value)
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         fields = ((f.name, freeze(getattr(value, f.name))) for f in dataclasses.fields(value))
-        return (f"{type(value).__module__}.{type(value).__qualname__}", *fields)
+        return (f"{first_module(type(value))}.{type(value).__qualname__}", *fields)
     if not callable(value):  # pickle knows functions and classes by names, which may come to mean others
         try:
             return ("pickle", _digest(pickle.dumps(value)))

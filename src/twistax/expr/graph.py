@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from ..checks import callable_with, short
 from ..errors import ModelError, OperationError
-from ..walk import walk
+from ..scalar.walk import walk
 
 if TYPE_CHECKING:
     import jax

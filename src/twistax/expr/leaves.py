@@ -15,7 +15,7 @@ from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
 from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
-from .printing import matrix_latex, name_latex, number_latex
+from .printing.text import matrix_latex, name_latex, number_latex
 from .spellings import Bounded
 
 

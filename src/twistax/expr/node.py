@@ -17,15 +17,16 @@ import numpy as np
 
 from ..checks import listed
 from ..errors import ImmutableError, ModelError, OperationError, ShapeError
-from . import printing
 from .fields import Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
+from .moved import first_module
 from .operators import Operators
+from .printing import text as printing
 
 if TYPE_CHECKING:
     from ..groups import Order
     from .examples import Case, Example
-    from .picture import Picture
+    from .printing.picture import Picture
 
 Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
@@ -292,7 +293,7 @@ class Expr(Operators):
 
     def _own_key(self) -> str:
         digest = hashlib.blake2b(digest_size=16)
-        digest.update(f"{type(self).__module__}.{type(self).__qualname__}".encode())
+        digest.update(f"{first_module(type(self))}.{type(self).__qualname__}".encode())
         digest.update(repr(self.static_key()).encode())
         for child in self.children():
             digest.update(child.__dict__["_key"].encode())
@@ -354,7 +355,7 @@ class Expr(Operators):
         return f"${self.latex()}$"
 
     def _repr_html_(self) -> str:
-        from .mathml import mathml
+        from .printing.mathml import mathml
 
         return mathml(self.latex())
 
@@ -371,7 +372,7 @@ class Expr(Operators):
 
         Raises: ModelError for more than 300 nodes.
         """
-        from .picture import svg
+        from .printing.picture import svg
 
         return svg({"": self})
 

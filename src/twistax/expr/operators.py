@@ -13,8 +13,8 @@ from ..errors import OperationError
 from . import spellings
 
 if TYPE_CHECKING:
-    from .arithmetic import Equality, Inequality, Less
     from .node import Expr
+    from .operations.arithmetic import Equality, Inequality, Less
 
 
 def _nodes() -> Any:

@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
-from ..walk import walk
+from ..scalar.walk import walk
 from .node import Expr
 
 #: A key may count objects of this process; what looks up a table is made of its numbers.

@@ -208,7 +208,7 @@ class Group(ABC):
 
     def known_defect(self, g: np.ndarray) -> float:
         """`defect` of numbers, in double precision. Works while other values are traced."""
-        from twistax.precision import in_double  # which loads what the language alone does not need
+        from twistax.jax_inside import in_double  # which loads what the language alone does not need
 
         with in_double():
             return float(self.defect(jnp.asarray(g, float)))

@@ -12,7 +12,7 @@ from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
 from ..expr.fields import ExprLike
 from ..expr.lie.base import check_element
-from ..expr.rate import changing
+from ..expr.transformations.rate import changing
 from ..units import Quantity, same_unit
 
 

@@ -18,7 +18,7 @@ from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, c
 from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
 from ..expr.lie import twist as join
-from ..expr.rate import changing, rates_by_name
+from ..expr.transformations.rate import changing, rates_by_name
 from ..units import kilograms, metres
 from .arguments import constant, of_shape, pose
 from .inner_motion import InnerMotion, MovingMass, momentum_of, motion_of

@@ -25,7 +25,7 @@ import numpy as np
 from ..errors import ModelError
 from ..expr import Constant, Control, Cross, Dot, Expr, Rate, State, Vstack
 from ..expr.lie import Hat, wrench
-from ..expr.rate import changing
+from ..expr.transformations.rate import changing
 
 
 class MovingMass(NamedTuple):

@@ -13,7 +13,7 @@ from ..checks import listed
 from ..errors import InputError
 from ..expr import Expr, State, leaves_of
 from ..expr.lie import Compose
-from ..lowering import lower
+from ..system.lower import lower
 from ..view import Body, Ellipsoid, Shape
 
 if TYPE_CHECKING:

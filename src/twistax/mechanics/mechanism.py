@@ -15,7 +15,7 @@ from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.lie import AdjointAction, Compose, Inverse
-from ..expr.soft import Asked
+from ..expr.operations.soft import Asked
 from .arguments import of_shape
 from .bodies import SpatialInertia
 from .drives import Drive

@@ -10,8 +10,8 @@ from ..checks import callable_with, listed
 from ..errors import ModelError
 from ..expr import Concat, Constant, Expr, State
 from ..expr.fields import ExprLike
-from ..expr.rate import rates_by_name
-from ..expr.soft import Asked
+from ..expr.operations.soft import Asked
+from ..expr.transformations.rate import rates_by_name
 from ..system import System
 from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics

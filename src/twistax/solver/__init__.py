@@ -3,5 +3,4 @@ no bodies."""
 
 from .core import Solution, StageFunctions, Stages, Status, Units, solve
 from .options import QP_SOURCES, SOURCES, Options, QPOptions
-from .python_functions import PythonFunctions
 from .qp import QPSolution, QPStatus, solve_qp

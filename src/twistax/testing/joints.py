@@ -14,8 +14,8 @@ from ..expr import Expr, State
 from ..expr.graph import leaves_of
 from ..groups import SE3, se3
 from ..jax_inside import quick_compile
-from ..lowering import lower
 from ..mechanics.joints import Joint
+from ..system.lower import lower
 from .laws import STENCIL, STEP, Check, difference_quotient
 
 _EXACT, _BY_DIFFERENCES, _SINGLE = 2e-13, 2e-9, 100.0 * float(np.finfo(np.float32).eps)

@@ -8,9 +8,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from .controls import rate_name
-from .shooting import Shooting
-from .transcribed import Point
+from .problem.controls import rate_name
+from .transcription.points import Point
+from .transcription.shooting import Shooting
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -23,9 +23,7 @@ _ZERO = 1e-6
 #: How often what is known says more.
 _ROUNDS = 4
 #: Limits of a control that are so many times what moves a state by its size say nothing.
-import os
-_WIDE = float(os.environ.get("W","1e6"))
-_SPREAD = os.environ.get("SPREAD","0")=="1"
+_WIDE = 1e3
 
 
 class Sizes(NamedTuple):
@@ -55,7 +53,9 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     for name, part in shooting.dynamics.group.slices.items():
         leaf = cast(State, shooting.leaves[name])
         d[part], most[part] = _of_state(leaf, point.xs[name]), _half_range(leaf)
-        if isinstance(shooting.leaves.get(rate_name(name)), Control):  # a continuous control: its limits say how far it goes
+        if isinstance(
+            shooting.leaves.get(rate_name(name)), Control
+        ):  # a continuous control: its limits say how far it goes
             d[part] = np.where(np.isfinite(most[part]), most[part], d[part])
             steering[part] = np.isfinite(most[part])
     d = np.minimum(d, most)  # NaN: not known
@@ -73,7 +73,9 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
     reserve = _reserve(d, u, box, through, reach[:, :, :n].sum(axis=0), between, steering)
     for number in range(_ROUNDS):
-        sure = d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))  # at first others may be noise
+        sure = (
+            d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
+        )  # at first others may be noise
         needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
         usual = np.where(np.isnan(box), np.where(np.isfinite(needed), needed, box), np.minimum(box, _WIDE * needed))
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
@@ -178,8 +180,6 @@ def _of_control(leaf: Control, values: Array) -> tuple[Array, Array]:
     box = np.where(np.isfinite(box) & (box > 0.0), box, np.where(one_sided > 0.0, one_sided, np.nan))
     spread = _spread(values, leaf)
     # Limits say how far a control goes, if they are not far from all that it needs.
-    if _SPREAD:
-        return np.minimum(spread, np.where(np.isnan(box), np.inf, box)), np.where(np.isnan(box), spread, box)
     return np.where(np.isnan(box), spread, np.nan), np.where(np.isnan(box), spread, box)
 
 

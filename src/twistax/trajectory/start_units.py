@@ -5,15 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .evaluated import Evaluated, moved
 from .sizes import Sizes, measured_sizes
-from .staged import Staged
-from .transcribed import Point
+from .transcription.evaluation import Evaluated, moved
+from .transcription.points import Point
+from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
 _TURNED = 0.5
-import os
-_FEW,_MANY,_TARGET=0.0,float(os.environ.get("MANY","100")),float(os.environ.get("TARGET","16"))
+#: Durations are fitted where limited controls move every state of known size by more than so many of its sizes, to where
+#: they move one of them by no more than so many: least times are at 8, of a double integrator, and at 2, of one integral.
+_RESERVE, _FITTING = 100.0, 16.0
 
 
 class StartUnits:
@@ -21,6 +22,7 @@ class StartUnits:
 
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
+        durations: shared unknowns of the start, its durations fitted to what controls can do.
         v: of all variables.
         rows, equalities, cost: of the rows and the objective.
     """
@@ -32,8 +34,7 @@ class StartUnits:
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
         self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
-        if not os.environ.get("NOFIT"):
-            self._fitted(staged, point, limits)
+        self.durations = self._fit_durations(staged, point, limits)
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
@@ -56,31 +57,29 @@ class StartUnits:
             moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
 
-    def _fitted(self, staged: Staged, point: Point, limits: Array) -> None:
-        """Measure sizes at durations that controls need."""
-        border, (low, high) = staged.border, np.array(limits).T
+    def _fit_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
+        """Durations in which limited controls move states as far as they have to go, and sizes there.
+
+        A guess of a duration may be thousands of times too long. What controls do to states over such a time says
+        nothing of the states of a trajectory. Free durations that leave more than `_RESERVE` are halved to `_FITTING`.
+
+        Args:
+            limits: (g, 2) of the shared unknowns.
+        """
+        border, (low, high), durations = staged.border, np.array(limits).T, np.asarray(point.border)
         free = border.free & (np.arange(border.size) < border.phases) & (low < high)
-        self.durations = np.asarray(point.border)
-        reserve = min(part.reserve for part in self.parts)
-        if not free.any() or not np.isfinite(reserve) or _FEW <= reserve <= _MANY:
-            return
-        factor, now, parts = (0.5 if reserve > _MANY else 2.0), self.durations, self.parts
-        for _ in range(60):
-            then = np.where(free, np.clip(now * factor, low, high), now)
-            if (then == now).all():
+        reserve, most = min(sizes.reserve for sizes in self.parts), _RESERVE
+        while np.isfinite(reserve) and reserve > most:
+            shorter = np.where(free, np.maximum(0.5 * durations, low), durations)
+            if (shorter == durations).all():
                 break
-            at = Evaluated(staged.transcription, staged.flat(point._replace(border=then)))
-            good = at.differentiate()
-            blocks = at.blocks(at.F, at.stages.after)
-            if not good:
-                now = then
-                continue
-            parts = self._measured(staged, point._replace(border=then), blocks, at.c)
-            now = then
-            reserve = min(part.reserve for part in parts)
-            if (reserve < _TARGET) if factor < 1.0 else (reserve > _TARGET):
-                break
-        self.durations, self.parts = now, parts
+            durations, most = shorter, _FITTING
+            there = point._replace(border=durations)
+            at = Evaluated(staged.transcription, staged.flat(there))
+            if at.differentiate():  # long steps of an unstable system may overflow
+                self.parts = self._measured(staged, there, at.blocks(at.F, at.stages.after), at.c)
+                reserve = min(sizes.reserve for sizes in self.parts)
+        return durations
 
     def distance(self, other: StartUnits) -> float:
         """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""

@@ -19,7 +19,6 @@ import pytest
 
 import twistax as tx
 from twistax.expr import all_nodes
-from twistax.lowering.export import saved
 
 
 @pytest.fixture
@@ -97,20 +96,12 @@ def test_sizes_that_a_file_promises_are_not_allocated(members: dict[str, bytes],
         loaded(tmp_path, {**members, "arrays/0.npy": header.getvalue() + bytes(16)})
 
 
-def test_arrays_by_columns_and_empty_ones_come_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    for array in (np.asfortranarray(rng.normal(size=(3, 2))), np.zeros((0, 3)), np.array(2.0), np.arange(6)[::2]):
-        file = io.BytesIO()
-        np.save(file, array)
-        np.testing.assert_array_equal(saved._array(file.getvalue()), array)
-
-
 def test_every_class_that_files_may_name_is_known() -> None:
     """A process that has loaded nothing but the reader knows the modules of all nodes."""
     for module in pkgutil.walk_packages(tx.__path__, "twistax."):
         if not module.name.startswith(("twistax.__main__", "twistax.demo", "twistax.report", "twistax.diffrax")):
             importlib.import_module(module.name)
-    code = "import sys, twistax.lowering.export.saved as s; print(*s._ON_DEMAND, *sys.modules)"
+    code = "import sys, twistax.system.export.saved as s; print(*s._ON_DEMAND, *sys.modules)"
     known = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.split()
     assert {cls.__module__ for cls in all_nodes()} <= set(known)
 

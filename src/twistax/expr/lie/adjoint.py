@@ -17,11 +17,11 @@ import jax
 from ...errors import OperationError
 from ...groups import LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import multiply
-from ..arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
 from ..fields import Operand
-from ..linalg import Cross, cross_columns
+from ..matrices.linalg import Cross, cross_columns
 from ..node import Expr, Shape, expect
-from ..printing import wrap_latex
+from ..operations.arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
+from ..printing.text import wrap_latex
 from .base import (
     COLUMNS,
     OTHER_TWIST,

@@ -16,12 +16,12 @@ from ...groups import pose as pose_of_numbers
 from ...groups import quaternion as quaternion_of_numbers
 from ...groups.euler_angles import ROLL_PITCH_YAW
 from ...groups.pose import one_attitude
-from ..array import Stack
 from ..fields import ExprLike, Operand
 from ..node import Expr, to_expr
-from ..spatial import QDCM, Quaternion
+from ..operations.array import Stack
 from .base import check_element
 from .elements import Pose, SO3Exp, parts_of_pose
+from .spatial import QDCM, Quaternion
 
 
 class EulerRotation(Expr):

@@ -16,14 +16,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
-from ..arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
-from ..array import Index
 from ..canonical import fold
 from ..fields import ExprLike, Operand
 from ..leaves import Constant
-from ..linalg import Cross
+from ..matrices.linalg import Cross
 from ..node import Expr, Shape, expect
-from ..printing import number_latex
+from ..operations.arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
+from ..operations.array import Index
+from ..printing.text import number_latex
 from .base import (
     ELEMENTS,
     OTHER_TWIST,

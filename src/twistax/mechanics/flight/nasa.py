@@ -14,7 +14,7 @@ import numpy as np
 from ... import units as u
 from ...checks import instance, listed
 from ...errors import InputError, ModelError, ShapeError
-from ...layout import Column, Layout
+from ...groups.columns import Column, Layout
 
 __all__ = ["UNITS", "NasaColumns"]
 

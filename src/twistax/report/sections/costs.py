@@ -18,8 +18,8 @@ import jax.numpy as jnp
 
 import twistax as tx
 
-from ...lowering.explain import count_equations
 from ...scenes import SCENES, heavy_top, powered_descent, touchdown
+from ...system.explain import count_equations
 from ..checks import Check, Section, at_most, between, slow
 from ..rows import Origin, Store, plain
 from ..speed.cases import CASES
@@ -71,7 +71,7 @@ def compile_seconds() -> float:
 
 _START = """
 import jax, numpy as np, twistax as tx
-from twistax.lowering.native.backend import KERNEL_EVENT
+from twistax.scalar.targets.llvm.backend import KERNEL_EVENT
 from twistax.mechanics import chain_models, forward_dynamics
 jax.config.update("jax_enable_x64", True)
 spent = [0.0]

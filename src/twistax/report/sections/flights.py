@@ -11,7 +11,6 @@ import twistax as tx
 
 from ...mechanics import chain_models, inverse_dynamics
 from ...trajectory import Linear, Phase, Problem
-from ...trajectory.phases import PhasedProblem
 
 #: Of the Delta III: gravity, radius, spin and air of the Earth, reference area, drag; SI.
 _MU, _RADIUS, _SPIN, _G0 = 3.986012e14, 6378145.0, 7.29211585e-5, 9.80665
@@ -56,7 +55,7 @@ def _path(start: Any, periapsis: Any, ends: Any, nodes: int) -> list[Any]:
     return [place, speed * along, 2.2 * times / _ENDS[-1], 0.5 - 0.8 * times / _ENDS[-1]]
 
 
-def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedProblem:
+def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> Problem:
     """The mass that a Delta III brings into a transfer orbit, in four phases: six boosters, three more, two stages.
 
     The direction of thrust is two angles, linear between nodes. Source: Benson, A Gauss pseudospectral transcription
@@ -116,7 +115,7 @@ def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedP
         for number, (system, time, _) in enumerate(stages)
     ]
     links = [{m: m - dropped} for _, _, dropped in stages[:-1]]
-    return PhasedProblem(phases, links=links, free=[anomaly])
+    return Problem(phases, links=links, free=[anomaly])
 
 
 #: Centres and radii of spheres, m.

@@ -19,7 +19,7 @@ from scipy.spatial.transform import Rotation
 
 from ... import lower
 from ...expr import Constant, Expr, State, leaves_of, lie
-from ...expr.linalg import Dot
+from ...expr.matrices.linalg import Dot
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order
 from ...mechanics import joints, power
 from ..checks import Check, Section, at_most

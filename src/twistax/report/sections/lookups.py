@@ -11,7 +11,7 @@ import numpy as np
 
 import twistax as tx
 
-from ...lowering.native.backend import installed
+from ...scalar.targets.llvm.backend import installed
 from ..checks import Section, between, raced, slow
 from ..timing import Repeats, Timed, compiled
 from .scalars import need_llvmlite

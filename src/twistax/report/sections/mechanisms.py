@@ -17,9 +17,9 @@ import numpy as np
 import twistax as tx
 
 from ... import mechanics
-from ...lowering.scalar.program import scalarize
 from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.derivatives import inverse_dynamics_derivatives
+from ...scalar.reader import scalarize
 from ..checks import Absent, Check, Section, agree, at_most, needed, slow
 from ..speed.contenders import pinocchio_model
 from ..timing import Repeats, Timed, batch, in_turn

@@ -9,15 +9,15 @@ import numpy as np
 import twistax as tx
 
 from ...expr.graph import substitute
-from ...precision import in_double
+from ...jax_inside import in_double
 from ...system import name_of
 from ...trajectory import Problem
-from ...trajectory.conditions import split
+from ...trajectory.problem.conditions import split
 
 
 def packed(problem: Problem) -> Problem:
     """The same problem, of one phase and without conditions at inner nodes; states of groups stay as they are."""
-    stated: dict[str, Any] = dict(problem._stated)
+    stated: dict[str, Any] = dict(problem.stated)
     system = stated["dynamics"].system
     flat = [s for s in system.states if s.group.flat]
     ends = np.cumsum([0, *(int(np.prod(s.shape)) for s in flat)])

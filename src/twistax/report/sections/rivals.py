@@ -20,8 +20,8 @@ import twistax as tx
 from ...integrators.ambient import Ambient
 from ...system import name_of
 from ...trajectory import Linear, Mesh, Problem
-from ...trajectory.conditions import split
-from ...trajectory.result import Trajectory
+from ...trajectory.problem.conditions import split
+from ...trajectory.result.result import Trajectory
 from ..checks import Section, at_most, between, needed, slow
 from . import flights, problems
 from .problems import Known
@@ -121,7 +121,7 @@ class Rival:
         # Held controls are on equal intervals.
         problem = self.known.problem if held else self.make(nodes=Mesh(ts / ts[-1]), controls=Linear())
         us = {n: values[: -1 if held else None] for n, values in self._controls(nodes).items()}
-        return Trajectory(problem, self._states(nodes), us, ts, float(ts[-1]), {}, {} if held else us)
+        return Trajectory(problem.parts[0], self._states(nodes), us, ts, float(ts[-1]), {}, {} if held else us)
 
     def apart(self) -> float:
         """The largest difference of the two statements, relative where above 1; see `_pairs`."""
@@ -131,7 +131,7 @@ class Rival:
     def _pairs(self, said: Mapping[str, Any]) -> Iterator[tuple[Any, Any]]:
         """Theirs and ours: rates, running costs and path constraints at random points, fixed ends, limits of ours."""
         problem = self.known.problem
-        stated, system = problem._stated, problem.dynamics.system
+        stated, system = problem.stated, problem.dynamics.system
         plain, points = Ambient(problem.dynamics), self._numbers(said["points"])
         rows = [each.residual() for each in system.constraints.values()]
         rows += [cost for cost in (stated["objective"].running,) if cost is not None]

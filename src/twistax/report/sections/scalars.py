@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
-from ...lowering.backends import Backend
-from ...lowering.native.backend import installed
-from ...lowering.scalar.derivatives import cotangent_program, jacobian
-from ...lowering.scalar.primitive import Derived, call_program
-from ...lowering.scalar.program import ScalarProgram, one_by_one, scalarize
+from ...scalar.backends import Backend
+from ...scalar.derivatives import cotangent_program, jacobian
+from ...scalar.jax_primitive import Derived, call_program
+from ...scalar.reader import ScalarProgram, one_by_one, scalarize
+from ...scalar.targets.llvm.backend import installed
 from ..checks import Absent, Check, Section, agree, apart, at_most, between
 from ..speed.cases import CASES, Case
 from ..speed.page import apart as relative

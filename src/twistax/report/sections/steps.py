@@ -22,12 +22,12 @@ from ... import diffrax as bridge
 from ...groups import quaternions, se3
 from ...integrators import VectorField
 from ...integrators.charts import Chart
-from ...lowering.backends import Backend
-from ...lowering.small_call import small_call
+from ...scalar.backends import Backend
+from ...scalar.small_call import small_call
 from ...scenes.powered_descent import Start, Vehicle, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
-from ...trajectory.declared import declared
+from ...trajectory.transcription.vectors import declared_scales
 from ..checks import Absent, Check, Section, agree, apart, at_most, between, raced, slow
 from ..timing import Repeats, Timed, compiled, in_turn
 from .stiff import fourth_order, weighted_end
@@ -201,7 +201,7 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     unknowns in their scales. Needs JAX's x64 switch.
     """
     dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
-    scale = np.append(declared((*dynamics.states, *dynamics.controls)), _STEP)
+    scale = np.append(declared_scales((*dynamics.states, *dynamics.controls)), _STEP)
     n = dynamics.dimension
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.
     moves = 0.3 * rng.normal(size=(_BATCH, n)) * scale[:n]

@@ -18,8 +18,7 @@ import twistax as tx
 from ...expr import Control, State
 from ...expr.graph import substitute
 from ...system import name_of
-from ...trajectory.conditions import split
-from ...trajectory.phases import PhasedProblem
+from ...trajectory.problem.conditions import split
 from ..checks import Section, at_most, between, slow
 from . import cops, flights, problems
 from .curvature import is_saddle
@@ -52,8 +51,7 @@ class Restated:
 
     def __call__(self, problem: Any) -> Any:
         """The same problem."""
-        phased = isinstance(problem, PhasedProblem)
-        stated = [vars(phase) for phase in problem._phases] if phased else [problem._stated]
+        stated = [problem.stated] if problem.alone else [vars(phase) for phase in problem.phases]
         leaves = {
             e.name: e for own in stated for e in (*own["dynamics"].system.states, *own["dynamics"].system.controls)
         }
@@ -62,13 +60,11 @@ class Restated:
         sizes |= {name: 1.0 for name, leaf in leaves.items() if not flat(leaf)}
         units = _Units(self, sizes, {name: self._leaf(e, sizes[name]) if flat(e) else e for name, e in leaves.items()})
         units.exchange.update((e.key(), units.old(name)) for name, e in leaves.items())
-        if not phased:
+        if problem.alone:
             return tx.trajectory.Problem(**units.statement(stated[0]))
-        links = [
-            {units.leaves[name_of(k)]: units.new(k, v) for k, v in own.items()} for own in problem._stated["links"]
-        ]
+        links = [{units.leaves[name_of(k)]: units.new(k, v) for k, v in own.items()} for own in problem.stated["links"]]
         phases = [tx.trajectory.Phase(**units.statement(own)) for own in stated]
-        return tx.trajectory.Problem(phases, **problem._stated | {"links": links})
+        return tx.trajectory.Problem(**problem.stated | {"dynamics": phases, "links": links})
 
     def _leaf(self, leaf: State | Control, size: float) -> Any:
         far = _FAR * self.width * self.reach[leaf.name]
@@ -196,7 +192,7 @@ class Sweep:
                 f"plainly stated it ends at {plain.cost:.9g}, where a closer solve does not stay, or at a saddle"
             )
         found = [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach), STARTS)]
-        if not isinstance(self.known.problem, PhasedProblem):
+        if self.known.problem.alone:
             found += [each for size in SIZES for each in self._of(Restated(size, 1.0, reach), 1, packed)]
         return found
 

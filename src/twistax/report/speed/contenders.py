@@ -22,10 +22,10 @@ from numpy.typing import NDArray
 
 import twistax as tx
 
-from ...lowering.backends import Backend
-from ...lowering.scalar.graph import TooLarge
 from ...mechanics import Chain
 from ...mechanics.flight import numbers
+from ...scalar.backends import Backend
+from ...scalar.graph import TooLarge
 from ...scenes.scene import cross_matrix
 from ..timing import Timed, compiled, repeated
 from .cases import CENTER, MASS, Case, inertia

@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...trajectory.many import processors
+from ...trajectory.strategy.batch import processors
 from ..checks import Report, at_most, judged
 from ..page import Table, as_svg, duration, panels, texts
 from ..rows import Row, Store, first_line, now

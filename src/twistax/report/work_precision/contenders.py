@@ -18,7 +18,7 @@ from jax.flatten_util import ravel_pytree
 import twistax as tx
 
 from ...integrators import Method
-from ...lowering.small_call import fits, small_call
+from ...scalar.small_call import fits, small_call
 from ...scenes import Scene
 from ..rows import Row, Store, first_line, now
 from ..timing import Repeats, Tell, Timed, keep, quiet, seconds_of

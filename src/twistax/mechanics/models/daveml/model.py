@@ -13,8 +13,8 @@ from ....checks import listed, number, path_of
 from ....errors import ModelError, TwistaxError
 from ....expr import Constant, Expr, State, to_expr
 from ....expr.fields import ExprLike
-from ....lowering import lower
-from ....precision import in_double
+from ....jax_inside import in_double
+from ....system.lower import lower
 from ..xml_file import Element, read_xml
 from .functions import Functions, by_id, needed
 from .mathml import Calculation, names_in

@@ -10,7 +10,7 @@ import numpy as np
 
 from ....checks import listed
 from ....expr import Expr, Interp, Max, Min, Where
-from ....expr.table_kinds import Clamped, Extrapolated
+from ....expr.tables.kinds import Clamped, Extrapolated
 from ..xml_file import Element
 
 #: One condition for each step of a table of steps, of the input and the breakpoints.

@@ -1,0 +1,1 @@
+"""Linear algebra on expressions; `tx.linalg` is its public face."""

@@ -1,0 +1,116 @@
+"""Linear systems of a symmetric positive definite matrix, such as an inertia: elimination from the last row, no pivots.
+
+Where row i of the matrix of a mechanism has entries for the freedoms before i only, as in a tree, elimination from the
+last row makes no new ones: what is structurally zero stays so and costs nothing.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), section 6.5.
+"""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..bases import expect_square
+from ..fields import Operand
+from ..node import Expr, Shape
+from .solve import LinearSystem
+
+
+def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
+    """The x (n, k) with A x = b by A = L' D L, L unit lower triangular; above its diagonal A is not read."""
+    n, left, right = A.shape[-1], A, b
+    factors, pivots, rows = [], [], []
+    for k in reversed(range(n)):
+        pivots.append(1.0 / left[k, k])
+        factors.append(left[k, :k] * pivots[-1])
+        rows.append(right[k])
+        left = left[:k, :k] - factors[-1][:, None] * left[None, k, :k]
+        right = right[:k] - factors[-1][:, None] * right[None, k]
+    found: list[jax.Array] = []
+    for factor, pivot, row in zip(reversed(factors), reversed(pivots), reversed(rows), strict=True):
+        own = row * pivot
+        found.append(own - jnp.sum(factor[:, None] * jnp.stack(found), axis=0) if found else own)
+    return jnp.stack(found)
+
+
+def inverse_factor(A: jax.Array) -> jax.Array:
+    """V (n, n), lower triangular, with A^-1 = V V'; above its diagonal A is not read.
+
+    Of A = L' D L it is L^-1 D^(-1/2): a row has entries where that of L has, for the freedoms before it in a tree.
+    """
+    left, factors = A, list[tuple[jax.Array, jax.Array]]()
+    for k in reversed(range(A.shape[-1])):
+        pivot = 1.0 / left[k, k]
+        factors.append((left[k, :k] * pivot, jnp.sqrt(pivot)))
+        left = left[:k, :k] - factors[-1][0][:, None] * left[None, k, :k]
+    V = jnp.zeros((0, 0), A.dtype)
+    for factor, root in reversed(factors):
+        own = jnp.concatenate([-(factor @ V), root[None]])
+        V = jnp.concatenate([jnp.pad(V, ((0, 0), (0, 1))), own[None]])
+    return V
+
+
+def inverse_positive(A: jax.Array) -> jax.Array:
+    """A^-1, symmetric to the last bit: the half below the diagonal is not computed."""
+    V = inverse_factor(A)
+    above = V @ V.T
+    return jnp.where(np.tri(A.shape[-1], dtype=bool), above.T, above)
+
+
+class SolvePositive(LinearSystem):
+    """The x with $A x = b$, A symmetric positive definite. Shapes: A (n, n), b (n,) -> (n,); b (n, k) -> (n, k).
+
+    Only the lower half of A is read. A matrix that is not positive definite gives inexact numbers, inf or NaN.
+
+    Attributes:
+        A: the matrix, an inertia for example.
+        b: the right-hand side, one or several columns.
+    Raises: ShapeError if A is no square matrix, or b has another number of rows.
+    """
+
+    cases = (
+        {"A": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]], "b": [1.0, -2.0, 0.5]},
+        {"A": [[4.0, 1.0], [1.0, 3.0]], "b": [[1.0, -2.0, 0.0], [0.5, 3.0, 1.0]]},
+    )
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        A, b = values
+        return solve_positive(A, b[:, None])[:, 0] if b.ndim == 1 else solve_positive(A, b)
+
+
+class _OfPositive(Expr):
+    """Of a symmetric positive definite matrix. Shape: (n, n) -> (n, n)."""
+
+    abstract = True
+    of_numbers = True
+    operand: Operand
+    cases = ({"operand": [[4.0, 1.0, 0.5], [1.0, 3.0, 0.2], [0.5, 0.2, 2.0]]},)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        (A,) = shapes
+        expect_square(self, "the operand", A)
+        return A
+
+
+class InversePositive(_OfPositive):
+    """$A^-1$ of a symmetric positive definite matrix. Shape: (n, n) -> (n, n). To solve A x = b use SolvePositive.
+
+    Raises: ShapeError if the operand is no square matrix.
+    """
+
+    function = inverse_positive
+    formula = "{<0:60>}^{-1}"
+
+
+class InverseFactor(_OfPositive):
+    """V, lower triangular, with $A^-1 = V V'$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
+
+    For many right-hand sides with zeros: x = V (V' b) leaves out what is structurally zero on the way.
+
+    Raises: ShapeError if the operand is no square matrix.
+    """
+
+    function = inverse_factor
+    formula = "{<0:60>}^{-1/2}"

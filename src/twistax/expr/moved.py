@@ -1,0 +1,78 @@
+"""Modules that have moved, by their earlier names, which files and pickles of earlier versions hold."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from importlib.machinery import ModuleSpec
+from types import ModuleType
+from typing import Any
+
+_PACKAGE = __name__.partition(".")[0]
+#: Below the package. Only modules whose classes and functions files or pickles may name.
+MOVED = {
+    "expr.arithmetic": "expr.operations.arithmetic",
+    "expr.array": "expr.operations.array",
+    "expr.choice": "expr.operations.choice",
+    "expr.elementwise": "expr.operations.elementwise",
+    "expr.soft": "expr.operations.soft",
+    "expr.independent_rows": "expr.matrices.independent_rows",
+    "expr.interpolation": "expr.tables.interpolation",
+    "expr.linalg": "expr.matrices.linalg",
+    "expr.rate": "expr.transformations.rate",
+    "expr.solve": "expr.matrices.solve",
+    "expr.solve_positive": "expr.matrices.solve_positive",
+    "expr.spatial": "expr.lie.spatial",
+    "expr.table_kinds": "expr.tables.kinds",
+    "expr.vmap": "expr.transformations.vmap",
+    "expr.without_numbers": "expr.transformations.without_numbers",
+    "lowering.backends": "scalar.backends",
+    "lowering.dynamics": "system.dynamics",
+    "lowering.functions": "system.functions",
+    "lowering.native.backend": "scalar.targets.llvm.backend",
+    "layout": "groups.columns",
+    "table_load": "scalar.primitives.table_load",
+    "tables": "expr.tables",
+}
+_EARLIER = {now: earlier for earlier, now in MOVED.items()}
+#: Packages that are gone; of their modules those above are left.
+_GONE = ("lowering", "lowering.native")
+
+
+def module_now(module: str) -> str:
+    """The module that an earlier name means."""
+    package, _, below = module.partition(".")
+    return f"{package}.{MOVED[below]}" if package == _PACKAGE and below in MOVED else module
+
+
+def first_module(cls: type) -> str:
+    """Where a class was first defined: what files and keys name, so that they stay the same when it moves."""
+    package, _, below = cls.__module__.partition(".")
+    return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
+
+
+class EarlierNames:
+    """Finds a module that has moved where it is now; Python asks when nothing else has a module of that name."""
+
+    @classmethod
+    def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
+        package, _, module = name.partition(".")
+        if package != _PACKAGE or (module not in MOVED and module not in _GONE):
+            return None
+        return ModuleSpec(name, cls, is_package=module in _GONE)  # type: ignore[arg-type]  # a loader by its methods
+
+    @staticmethod
+    def create_module(spec: ModuleSpec) -> ModuleType | None:
+        return None
+
+    @staticmethod
+    def exec_module(module: ModuleType) -> None:
+        """A module may put another one in its place."""
+        if (now := module_now(module.__name__)) != module.__name__:
+            sys.modules[module.__name__] = importlib.import_module(now)
+
+
+def find_earlier_names() -> None:
+    """Let pickles of earlier versions find their classes."""
+    if EarlierNames not in sys.meta_path:
+        sys.meta_path.append(EarlierNames)  # type: ignore[arg-type]

@@ -1,0 +1,1 @@
+"""Nodes of numbers and arrays: arithmetic, elementwise functions, choices, arrays of parts."""

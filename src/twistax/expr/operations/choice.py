@@ -1,0 +1,320 @@
+"""Choosing: greatest and least, predicates and what joins them, entries by a condition, branches of which one runs."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any as Anything
+from typing import ClassVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import OperationError, ShapeError
+from ..bases import Chained, Entrywise, Variadic, align, broadcast
+from ..fields import ExprLike, Operand, Operands
+from ..leaves import Constant
+from ..node import Expr, Shape, to_expr
+from .arithmetic import rebuilt, zeros_of
+
+_VALUES = {"a": [1.0, -2.0, 0.5], "s": 0.25}
+_CASES = r"\begin{cases} <1> & <0> \\ <2> & \text{otherwise} \end{cases}"
+
+
+class Extremum(Chained, init=False):
+    """Base of Max, Min and their smooth relative."""
+
+    operands: Operands
+    abstract = True
+    cases = (
+        {"operands": [[1.0, -2.0, 0.5], 0.25]},
+        {"operands": [[1.0, -3.0, 0.5], [0.5, -3.5, 1.0], -1.0]},
+    )
+    kinks = ({"operands": [[1.0, 1.0, 1.0], Constant(1.0)]},)
+    #: How two constants combine.
+    combine: ClassVar[Anything]
+    #: Whether x with x is x.
+    idempotent: ClassVar[bool] = True
+
+    def simplify(self) -> Expr:
+        """Constants fold into one, equal operands count once. Nested ones are flattened before."""
+        constants = [o.value for o in self.operands if isinstance(o, Constant)]
+        others = [o for o in self.operands if not isinstance(o, Constant)]
+        if self.idempotent:
+            others = list({o.key(): o for o in others}.values())
+        if constants:
+            others.append(Constant(functools.reduce(type(self).combine, constants)))
+        return rebuilt(self, others, self.operands)
+
+
+class Max(Extremum, init=False):
+    """Greatest of two or more operands, entry by entry with broadcasting, in one unit.
+
+    Where several are greatest the derivative is shared: two operands take one half each.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ModelError: fewer than two operands.
+    """
+
+    function = jnp.maximum
+    combine = np.maximum
+    latex_name = r"\max"
+
+
+class Min(Extremum, init=False):
+    """Least of two or more operands, entry by entry with broadcasting, in one unit.
+
+    Where several are least the derivative is shared: two operands take one half each.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ModelError: fewer than two operands.
+    """
+
+    function = jnp.minimum
+    combine = np.minimum
+    latex_name = r"\min"
+
+
+class LogSumExp(Extremum, init=False):
+    """$log(e^a + e^b + ...)$, entry by entry with broadcasting: a smooth maximum, above it by at most log(number).
+
+    It does not overflow for large operands.
+
+    Raises:
+        ShapeError: the shapes do not broadcast.
+        ModelError: fewer than two operands.
+    """
+
+    combine = np.logaddexp
+    idempotent = False
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return jax.nn.logsumexp(jnp.stack(jnp.broadcast_arrays(*align(*values))), axis=0)
+
+
+def _predicate(node: str, value: Anything) -> Expr:
+    """The value as an expression, if its entries are true or false."""
+    if isinstance(value, (bool, np.bool_, Expr)) or getattr(value, "dtype", None) == np.dtype(bool):
+        expr = to_expr(value)
+        if expr.boolean:
+            return expr
+    raise OperationError(
+        f"{node} expects conditions such as x <= 5 or x < 5, or All, Any and Not of them, "
+        f"got {type(value).__name__}: {value!r}"
+    )
+
+
+class Reduction(Variadic, init=False):
+    """Base of All and Any: one truth value from the entries of one or more predicates."""
+
+    predicates: Operands
+    abstract = True
+    associative = True
+    listed = True
+    kinks = (
+        (lambda cls, x, s: cls([x >= 0.0, s <= 1.0]), {"x": [0.5, 0.2, 0.9], "s": 2.0}),
+        (lambda cls, x: cls(x >= 1.0), {"x": [0.5, 0.2, 1.9]}),
+        (lambda cls, x, s: cls([x >= 0.0, s <= 1.0]), {"x": [0.5, 0.2, 0.9], "s": 0.5}),
+        (lambda cls, x: cls(x >= 2.0), {"x": [0.5, 0.2, 1.9]}),
+    )
+    #: How the entries of one predicate and then the predicates combine; the value that leaves the result as it is.
+    reduce: ClassVar[Anything]
+    combine: ClassVar[Anything]
+    neutral: ClassVar[bool]
+
+    def __init__(self, *predicates: Anything) -> None:
+        given = predicates[0] if len(predicates) == 1 and isinstance(predicates[0], (list, tuple)) else predicates
+        super().__init__(*(_predicate(type(self).__name__, predicate) for predicate in given))
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        return ()
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        return functools.reduce(type(self).combine, [type(self).reduce(value) for value in values])
+
+    def simplify(self) -> Expr:
+        """Constants that decide nothing go, one that decides is the result. Nested ones are flattened before."""
+        kept: list[Expr] = []
+        for predicate in self.predicates:
+            if not isinstance(predicate, Constant):
+                kept.append(predicate)
+            elif bool(type(self).reduce(jnp.asarray(predicate.value))) is not self.neutral:
+                return Constant(not self.neutral)
+        if not kept:
+            return Constant(self.neutral)
+        return self if len(kept) == 1 and kept[0].shape else rebuilt(self, kept, self.predicates)
+
+
+class All(Reduction, init=False):
+    """True if every entry of every predicate holds; shape (). Takes constraints one by one or in a list.
+
+    Attributes:
+        predicates: conditions (true where they hold: lhs <= rhs, lhs < rhs, lhs == rhs), All, Any or Not.
+    Raises:
+        TypeError: something that is neither true nor false.
+        ValueError: no predicate.
+    """
+
+    reduce = jnp.all
+    combine = jnp.logical_and
+    neutral = True
+
+
+class Any(Reduction, init=False):
+    """True if some entry of some predicate holds; shape (). Takes constraints one by one or in a list.
+
+    Attributes, Raises: as of `All`.
+    """
+
+    reduce = jnp.any
+    combine = jnp.logical_or
+    neutral = False
+
+
+class Not(Entrywise):
+    """True where the condition does not hold, entry by entry; what `~` builds.
+
+    ~(x <= y) and x > y differ where a side is NaN: no comparison holds there, so the first is true. No rewrite makes
+    one of the other.
+
+    Attributes:
+        condition: a comparison, All, Any or Not.
+    Raises:
+        TypeError: something that is neither true nor false.
+    """
+
+    of_numbers = False
+    condition: Operand
+    function = jnp.logical_not
+    formula = r"\lnot \left(<0>\right)"
+    precedence = 90
+    kinks = ((lambda cls, a, s: cls(a <= s), _VALUES), (lambda cls, a: cls(cls(a < 0.5)), {"a": [1.0, 0.5, -2.0]}))
+
+    def __init__(self, condition: Anything) -> None:
+        super().__init__(_predicate("Not", condition))
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
+
+    def simplify(self) -> Expr:
+        """Twice not is nothing."""
+        return self.condition.condition if isinstance(self.condition, Not) else self
+
+    def to_text(self, *operands: str) -> str:
+        return f"~({operands[0]})"
+
+
+class Where(Entrywise):
+    """x where the condition holds, else y, entry by entry with broadcasting.
+
+    Both sides are evaluated everywhere. A side that is NaN or has an infinite derivative where it is not chosen spoils
+    the derivative of the whole: keep its argument safe, or use Cond.
+
+    Attributes:
+        condition: a comparison (true where it holds), All, Any or Not.
+        x, y: what to choose from, in one unit.
+    Raises:
+        TypeError: a condition that is neither true nor false.
+        ShapeError: the shapes do not broadcast.
+    """
+
+    of_numbers = False
+    condition: Operand
+    x: Operand
+    y: Operand
+    function = jnp.where
+    formula = _CASES
+    cases = (
+        (lambda cls, a, s: cls(a <= s, a**2, s), _VALUES),
+        (lambda cls, a, s: cls(s <= 0.0, a, -a), _VALUES),
+    )
+
+    def __init__(self, condition: Anything, x: ExprLike, y: ExprLike) -> None:
+        super().__init__(_predicate("Where", condition), x, y)
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return operands[1] and operands[2]
+
+    def simplify(self) -> Expr:
+        """A constant condition decides; equal sides need no condition; that of Not turns them round."""
+        condition = self.condition
+        if isinstance(condition, Not):
+            return Where(condition.condition, self.y, self.x)
+        if self.x.key() == self.y.key() and self.x.shape == self.shape:
+            return self.x
+        if isinstance(condition, Constant) and condition.value.all() and self.x.shape == self.shape:
+            return self.x
+        if isinstance(condition, Constant) and not condition.value.any() and self.y.shape == self.shape:
+            return self.y
+        return self
+
+
+class Cond(Expr):
+    """The true branch if the predicate holds, else the false branch; only the chosen branch is evaluated.
+
+    So a branch may be undefined where it is not chosen: neither its value nor its derivative is computed. Under
+    `jax.vmap` with a predicate that differs between elements both are evaluated, as by Where. For branches of a few
+    operations Where is faster. The branches broadcast against each other.
+
+    Attributes:
+        predicate: a scalar comparison, All, Any, Not, or a list of conditions that must all hold.
+        true_branch, false_branch: expressions of broadcastable shapes, in one unit.
+    Raises:
+        TypeError: a predicate that is neither true nor false.
+        ShapeError: the predicate is no scalar, or the branches do not broadcast.
+    """
+
+    predicate: Operand
+    true_branch: Operand
+    false_branch: Operand
+    keeps_order = True
+    formula = _CASES
+    cases = (
+        (lambda cls, a, s: cls(s <= 1.0, a**2, s), _VALUES),
+        (lambda cls, a, s: cls([s <= 1.0, s >= 0.5], a, -a), _VALUES),
+    )
+
+    def __init__(self, predicate: Anything, true_branch: ExprLike, false_branch: ExprLike) -> None:
+        predicate = All(predicate) if isinstance(predicate, (list, tuple)) else _predicate("Cond", predicate)
+        super().__init__(predicate, true_branch, false_branch)
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        if shapes[0] != ():
+            raise ShapeError(
+                f"Cond expects predicate with shape (), got {shapes[0]}",
+                hint="tx.All or tx.Any makes one truth value of it; tx.Where chooses entry by entry",
+            )
+        return broadcast(self, *shapes[1:])
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return operands[1] and operands[2]
+
+    def eager_children(self) -> list[Expr]:
+        return [self.predicate]
+
+    def evaluate(self, *values: jax.Array) -> jax.Array:
+        predicate, true_value, false_value = values
+        return self.evaluate_on_demand([predicate], [lambda: true_value, lambda: false_value])
+
+    def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
+        on_true, on_false = (lambda own=own: jnp.broadcast_to(own(), self.shape) for own in branches)
+        return jax.lax.cond(values[0], on_true, on_false)
+
+    def simplify(self) -> Expr:
+        """A constant predicate decides; equal branches need no predicate; that of Not turns them round."""
+        if isinstance(self.predicate, Not):
+            return Cond(self.predicate.condition, self.false_branch, self.true_branch)
+        if self.true_branch.key() == self.false_branch.key():
+            return self.true_branch
+        if isinstance(self.predicate, Constant):
+            chosen = self.true_branch if self.predicate.value.all() else self.false_branch
+            if chosen.shape == self.shape:
+                return chosen
+            return self if chosen.boolean else chosen + zeros_of(self)
+        return self

@@ -1,0 +1,1 @@
+"""How expressions print: text, LaTeX, MathML, SVG."""

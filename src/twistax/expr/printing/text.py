@@ -1,0 +1,96 @@
+"""How expressions print: one line of text, LaTeX, and the tree. Shared parts of big graphs are shown once."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..graph import postorder
+
+if TYPE_CHECKING:
+    from ..node import Expr
+
+#: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed, and of
+#: a node with more operands only the first ones.
+_LONGEST = 400
+#: A tree is printed to this depth, and so many lines of it.
+_DEEPEST, _MOST_LINES = 60, 2000
+
+
+def wrap(node: Expr, text: str, level: int) -> str:
+    """Parentheses around an operand that binds weaker than its place demands."""
+    return text if node.precedence >= level else f"({text})"
+
+
+def wrap_latex(node: Expr, text: str, level: int) -> str:
+    """As `wrap`, with growing parentheses, and around negative numbers that are no terms of a sum."""
+    plain = node.precedence >= level and not (text.startswith("-") and level > 10)
+    return text if plain else rf"\left({text}\right)"
+
+
+def number_latex(value: Any, digits: int = 6) -> str:
+    """A number as one writes it by hand."""
+    if isinstance(value, (bool, np.bool_)):
+        return r"\top" if value else r"\bot"
+    text = f"{value:.{digits}g}".replace("inf", r"\infty").replace("nan", r"\mathrm{nan}")
+    mantissa, _, exponent = text.partition("e")
+    if not exponent:
+        return text
+    power = rf"10^{{{int(exponent)}}}"
+    return power if mantissa == "1" else rf"{mantissa} \times {power}"
+
+
+def name_latex(name: str) -> str:
+    """A name; what follows its first underscore is an index."""
+    head, _, tail = name.partition("_")
+    symbol = head if len(head) == 1 else rf"\mathrm{{{head}}}"
+    tail = tail.replace("_", r"\_")
+    return f"{symbol}_{{\\mathrm{{{tail}}}}}" if tail else symbol
+
+
+def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
+    """Entries between brackets."""
+    body = r" \\ ".join(" & ".join(row) for row in rows)
+    return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
+
+
+def render(root: Expr, method: str, ellipsis: str) -> str:
+    """What a method of the nodes, `to_text` or `to_latex`, makes of a graph."""
+    sizes: dict[int, int] = {}  # how many nodes each subtree prints, shared parts counted every time
+    done: dict[int, str] = {}
+    for node in postorder(root):
+        below = node.children()
+        sizes[id(node)] = 1 + sum(sizes[id(child)] for child in below)
+        texts = [done[id(child)] if sizes[id(child)] <= _LONGEST else ellipsis for child in below[:_LONGEST]]
+        texts += [ellipsis] * (len(below) > _LONGEST)
+        done[id(node)] = getattr(node, method)(*texts)
+    return done[id(root)]
+
+
+def tree(root: Expr) -> str:
+    """A line a node with its shape; a part met before is shown as a reference to where it stands."""
+    lines: list[str] = []
+    numbers: dict[int, int] = {}
+    stack: list[tuple[Expr, str, str, str]] = [(root, "", "", "")]
+    while stack and len(lines) < _MOST_LINES:
+        node, field, lead, indent = stack.pop()
+        name = f"{field}: " if field else ""
+        if id(node) in numbers and node.children():
+            lines.append(f"{lead}{name}{type(node).__name__} (line {numbers[id(node)]})")
+            continue
+        numbers[id(node)] = len(lines) + 1
+        head = " ".join([type(node).__name__, *(node.details() if node.children() else [node.to_text()])])
+        try:
+            lines.append(f"{lead}{name}{head} {node.check_shape()}")
+        except ValueError:
+            lines.append(f"{lead}{name}{head} (shape does not fit)")
+        below = node.outline()
+        if len(indent) >= 3 * _DEEPEST and below:
+            lines[-1] += " ..."
+            continue
+        for i, (child_name, child) in reversed(list(enumerate(below))):
+            last = i == len(below) - 1
+            stack.append((child, child_name, indent + ("└─ " if last else "├─ "), indent + ("   " if last else "│  ")))
+    return "\n".join([*lines, f"... ({len(postorder(root)):,} nodes in all)"] if stack else lines)

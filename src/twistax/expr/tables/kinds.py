@@ -1,0 +1,279 @@
+"""How a table is read: the interval of each axis, the polynomials in it, and what is done outside.
+
+The intervals are found by loads from constants: an even axis gives a first guess of the interval by a product, others
+take as many steps as their length has bits. So the cost grows with the axes and hardly with the points.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Sequence
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError
+
+if TYPE_CHECKING:
+    from ...scalar.primitives.table_load import Table
+
+#: From coordinates of one shape s to the values (*s, *k) there.
+Lookup: TypeAlias = Callable[[Sequence[jax.Array]], jax.Array]
+
+# ---- one axis --------------------------------------------------------------------------------------------------------
+
+
+def _table(values: Any) -> Table:
+    from ...scalar.primitives.table_load import Table  # not at import: it loads much of JAX that `import jax` does not
+
+    return Table(values)
+
+
+def _load(table: Table, place: jax.Array, dtype: Any, offset: int = 0) -> jax.Array:
+    from ...scalar.primitives.table_load import load
+
+    return load(table, place, dtype, offset)
+
+
+class Axis:
+    """The breakpoints of one axis."""
+
+    def __init__(self, points: np.ndarray) -> None:
+        self.points = points
+        self._table, self._inner = _table(points), _table(points[1:-1])
+        ideal = np.linspace(points[0], points[-1], len(points))
+        #: How many intervals a unit has, where all are about equal.
+        self._density = (len(points) - 1) / (points[-1] - points[0])
+        self._even = bool((np.abs(points - ideal) * self._density < 0.25).all())
+
+    def interval(self, x: jax.Array) -> jax.Array:
+        """The number of the interval of x, that on the right of a breakpoint; the outer ones have no end."""
+        count = len(self.points) - 2
+        found = jnp.zeros(x.shape, jnp.int32)
+        if not count:
+            return found
+        if self._even:
+            # Half an interval low, so that round-off and uneven points leave it right or one too low.
+            guess = (x - float(self.points[0])) * float(self._density) - 0.5
+            found = jnp.clip(guess, 0.0, float(count - 1)).astype(jnp.int32)
+        while not self._even and count > 1:
+            half = count // 2
+            found = jnp.where(x >= _load(self._inner, found, x.dtype, half - 1), found + half, found)
+            count -= half
+        return found + (x >= _load(self._inner, found, x.dtype)).astype(jnp.int32)
+
+    def fraction(self, x: jax.Array, i: jax.Array) -> jax.Array:
+        """How far x has come from breakpoint i to the next: exactly 0 and 1 there."""
+        start, end = (_load(self._table, i, x.dtype, k) for k in (0, 1))
+        return (x - start) / (end - start)
+
+    def beyond(self, x: jax.Array, i: jax.Array) -> jax.Array:
+        """x less breakpoint i."""
+        return x - _load(self._table, i, x.dtype)
+
+
+def _spread(a: jax.Array, rest: tuple[int, ...]) -> jax.Array:
+    """With an axis of length one for each of those that values have beyond the grid's."""
+    return a.reshape(a.shape + (1,) * len(rest))
+
+
+def _places(first: jax.Array, rest: tuple[int, ...]) -> jax.Array:
+    """The places of the entries over these axes, which lie one after the other."""
+    if not rest:
+        return first
+    along = np.arange(math.prod(rest), dtype=np.int32).reshape((1,) * first.ndim + rest)
+    return _spread(first, rest) + along
+
+
+def _weighted(
+    table: Table, place: jax.Array, weights: Sequence[Sequence[jax.Array]], shape: tuple[int, ...]
+) -> jax.Array:
+    """sum_kl... w0_k w1_l ... table[place + (k, l, ...)], of a table of a shape whose last axes have no weights."""
+    rest, strides = shape[len(weights) :], [math.prod(shape[axis + 1 :]) for axis in range(len(weights))]
+    places, own = _places(place, rest), [[_spread(w, rest) for w in each] for each in weights]
+
+    def summed(axis: int, offset: int) -> jax.Array:
+        if axis == len(own):
+            return _load(table, places, own[0][0].dtype, offset)
+        terms = (w * summed(axis + 1, offset + k * strides[axis]) for k, w in enumerate(own[axis]))
+        return functools.reduce(jnp.add, terms)
+
+    return summed(0, 0)
+
+
+def _at(starts: Sequence[jax.Array], shape: tuple[int, ...]) -> jax.Array:
+    """The place of the entry at these indices of the first axes, in a table of a shape."""
+    places = (start * np.int32(math.prod(shape[axis + 1 :])) for axis, start in enumerate(starts))
+    return functools.reduce(jnp.add, places)
+
+
+def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
+    """Linear along each axis; the end lines are continued."""
+    own, table = [Axis(points) for points in axes], _table(values)
+
+    def lookup(xs: Sequence[jax.Array]) -> jax.Array:
+        starts = [axis.interval(x) for axis, x in zip(own, xs, strict=True)]
+        parts = [axis.fraction(x, i) for axis, x, i in zip(own, xs, starts, strict=True)]
+        return _weighted(table, _at(starts, values.shape), [[1.0 - t, t] for t in parts], values.shape)
+
+    return lookup
+
+
+def pieces(points: np.ndarray, coefficients: np.ndarray) -> Lookup:
+    """Polynomials by rising power, (p, n - 1, *k), of x less the breakpoint on its left; the end ones are continued."""
+    axis, ordered = Axis(points), np.moveaxis(coefficients, 0, 1)
+    table, rest = _table(ordered), coefficients.shape[2:]
+    powers, size = len(coefficients), math.prod(rest)
+
+    def lookup(xs: Sequence[jax.Array]) -> jax.Array:
+        (x,) = xs
+        i = axis.interval(x)
+        t, places = _spread(axis.beyond(x, i), rest), _places(i * np.int32(powers * size), rest)
+        own = [_load(table, places, x.dtype, k * size) for k in range(powers)]
+        return functools.reduce(lambda found, c: c + t * found, reversed(own))
+
+    return lookup
+
+
+class _Basis:
+    """The four cubic B-splines that are not zero at a place of one axis, knots not-a-knot, ends continued.
+
+    The first of them is A (r - x)^3 and the last B (x - l)^3 between knots l and r, and all add up to one.
+    """
+
+    def __init__(self, points: np.ndarray, knots: np.ndarray) -> None:
+        from scipy.interpolate import BSpline
+
+        count = len(points)
+        basis = BSpline(knots, np.eye(count), 3)
+        powers = [basis(knots[3:count], nu=p) / math.factorial(p) for p in range(4)]
+        rows = [
+            [*knots[k + 3 : k + 5], -powers[3][k, k], powers[3][k, k + 3], *(power[k, k + 1] for power in powers)]
+            for k in range(count - 3)
+        ]
+        self._axis, self._table, self._last = Axis(points), _table(rows), count - 4
+
+    def at(self, x: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
+        """The number of the first of them, and their values."""
+        # The second and the last point but one are no knots.
+        start = jnp.clip(self._axis.interval(x) - 1, 0, self._last)
+        left, right, down, up, *own = (_load(self._table, 8 * start, x.dtype, k) for k in range(8))
+        s, rest = x - left, right - x
+        first, last = down * rest * rest * rest, up * s * s * s
+        second = functools.reduce(lambda found, c: c + s * found, reversed(own))
+        return start, [first, second, 1.0 - first - second - last, last]
+
+
+def spline(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
+    """Cubic with two continuous derivatives; the end polynomials are continued."""
+    from scipy.interpolate import CubicSpline, make_interp_spline
+
+    if len(axes) == 1:
+        return pieces(axes[0], np.ascontiguousarray(CubicSpline(axes[0], values).c[::-1]))
+    coefficients, own = values, []
+    for k, points in enumerate(axes):
+        fitted = make_interp_spline(points, np.moveaxis(coefficients, k, 0))
+        coefficients = np.moveaxis(fitted.c, 0, k)
+        own.append(_Basis(points, fitted.t))
+    table = _table(coefficients)
+
+    def lookup(xs: Sequence[jax.Array]) -> jax.Array:
+        starts, weights = zip(*(basis.at(x) for basis, x in zip(own, xs, strict=True)), strict=True)
+        return _weighted(table, _at(starts, values.shape), weights, values.shape)
+
+    return lookup
+
+
+# ---- what users choose -----------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class Linear:
+    """Linear along each axis: continuous. At a breakpoint the slope on its right is taken."""
+
+    fewest = 2
+
+    def lookup(self, axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
+        return linear(axes, values)
+
+
+@dataclasses.dataclass(frozen=True)
+class MonotoneCubic:
+    """Cubic with one continuous derivative, monotone wherever the data is, of one axis.
+
+    It does not extend to several axes: its slopes are not linear in the values, so a product of such curves would
+    depend on which axis comes first, and would not stay monotone.
+
+    Source: F. Fritsch, J. Butland, A method for constructing local monotone piecewise cubic interpolants (1984), the
+    weighted harmonic means of SciPy's `PchipInterpolator`, which computes the coefficients.
+    """
+
+    fewest = 2
+
+    def lookup(self, axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
+        from scipy.interpolate import PchipInterpolator
+
+        if len(axes) > 1:
+            raise ModelError(
+                f"MonotoneCubic interpolates along one axis, got {len(axes)}: a product of such curves depends on "
+                "which axis comes first and is not monotone.\n  fix: tx.tables.Linear() or tx.tables.BSpline()"
+            )
+        try:
+            with np.errstate(all="ignore"):
+                coefficients = np.ascontiguousarray(PchipInterpolator(axes[0], values).c[::-1])
+        except ValueError:  # of slopes that are not finite
+            coefficients = np.array(np.nan)
+        if not np.isfinite(coefficients).all():
+            raise ModelError(
+                "MonotoneCubic expects values whose differences and slopes are finite numbers, got values up to "
+                f"{np.max(np.abs(values)):.3g} on points as near as {np.min(np.diff(axes[0])):.3g}.\n"
+                "  fix: give values and points in larger units"
+            )
+        return pieces(axes[0], coefficients)
+
+
+@dataclasses.dataclass(frozen=True)
+class BSpline:
+    """Cubic with two continuous derivatives, a tensor product of not-a-knot splines: for optimisers.
+
+    It goes through all values, and may overshoot between them. Each axis has four points or more.
+
+    Source: C. de Boor, A Practical Guide to Splines (1978), chapters IX and XVII; SciPy computes the coefficients.
+    """
+
+    fewest = 4
+
+    def lookup(self, axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
+        return spline(axes, values)
+
+
+@dataclasses.dataclass(frozen=True)
+class Clamped:
+    """Outside the value at the nearest edge holds. There the slope is zero; at the edge half of that inside."""
+
+    def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
+        """The coordinate at which the table is read."""
+        return jnp.clip(x, float(points[0]), float(points[-1]))
+
+
+@dataclasses.dataclass(frozen=True)
+class Extrapolated:
+    """Outside the polynomials of the outermost intervals are continued."""
+
+    def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
+        """The coordinate at which the table is read."""
+        return x
+
+
+@dataclasses.dataclass(frozen=True)
+class Refused:
+    """Outside the value and the slope are NaN, with which integrations end and say so."""
+
+    def taken(self, x: jax.Array, points: np.ndarray) -> jax.Array:
+        """The coordinate at which the table is read."""
+        # A factor: where(..., x, nan) would have the slope zero outside.
+        return x * jnp.where((x >= float(points[0])) & (x <= float(points[-1])), 1.0, jnp.nan)

@@ -1,0 +1,1 @@
+"""Events: conditions along an integration, the search for their roots, and what follows there."""

@@ -1,0 +1,1 @@
+"""Integration of phases, one after another."""

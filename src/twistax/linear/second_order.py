@@ -1,0 +1,75 @@
+"""An interval with the second derivatives of its end: value, Jacobian and weighted Hessian as one program."""
+
+from __future__ import annotations
+
+import jax
+import jax.numpy as jnp
+
+from ..expr import Inputs
+from ..integrators import VectorField
+from ..integrators.method import Method
+from ..scalar.backends import JAX
+from ..scalar.jax_primitive import Derived, call_program
+from ..system.dynamics import Arrays, Dynamics
+from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
+from ..system.jacobian import Differentiated, along
+
+#: What the end is differentiated by: the start, the controls, the length, and the time of the start.
+_BY = ("x", "u", "h", "t")
+
+
+def second_order(
+    dynamics: Dynamics, method: Method, inputs: Inputs, h: jax.Array, substeps: int, weights: jax.Array | None
+) -> tuple[Arrays, jax.Array, jax.Array | None]:
+    """The end of an interval, its Jacobian (n, N), and the Hessian (N, N) of its weighted tangent difference.
+
+    With e(z) = Log(x1^-1 end(z)), z the tangents of [start, controls, length, time of the start] and x1 = end(0), they
+    are de / dz and the second derivative of weights . e at z = 0, in exponential coordinates at both ends.
+
+    Args:
+        inputs: prepared, with every control.
+        weights: None leaves the Hessian out.
+    """
+    functions = dynamics._functions
+    places, arrays = functions.flat(inputs)
+    arrays = [*arrays, h]
+    names = [state.name for state in dynamics.states]
+    plain = Dynamics(functions.run_by(JAX()))
+    count = len(arrays)
+
+    def end(*arrays: jax.Array) -> Arrays:
+        t, x, u, params = functions.by_kind(places, arrays[:-1])
+        field, step = VectorField(plain, lambda _: u, params), arrays[-1] / substeps
+        for number in range(substeps):
+            x = method.step(field, t + number * step, x, step)
+        return x
+
+    def gap(*arrays: jax.Array) -> list[jax.Array]:
+        """The tangent difference from an end that stays, and the end."""
+        found = end(*arrays[:count])
+        held = dict(zip(names, arrays[count:], strict=True))
+        return [dynamics.group.difference(held, found), *(found[name] for name in names)]
+
+    def make() -> Derived | None:
+        closed = jax.make_jaxpr(gap)(*arrays, *(inputs.x[name] for name in names))
+        all_places = [*places, ("h", "h"), *(("end", name) for name in names)]
+        try:
+            found = WeightedHessian(Differentiated(closed, all_places, dynamics.group, _BY), weighted=1)
+        except REFUSALS:
+            return None
+        program = found.beside_values({count + k: 1 + k for k in range(len(names))})
+        return functions.backend.derived(program)
+
+    key = (functions.backend, method, substeps, places, inputs.dtype)
+    derived = None if weights is None else functions.hessians.get(key, make)
+    if derived is None:
+        sizes, moved = along(dynamics.group, [*places, ("h", "h")], _BY, arrays)
+        found, zero = end(*arrays), jnp.zeros(sum(sizes.values()), h.dtype)
+
+        def apart(z: jax.Array) -> jax.Array:
+            return gap(*moved(z), *(found[name] for name in names))[0]
+
+        hessian = None if weights is None else hessian_in_arrays(lambda z: weights @ apart(z), zero)
+        return found, jax.jacfwd(apart)(zero), hessian
+    _, *ends, slopes, matrix = call_program(derived, *arrays, weights)
+    return dict(zip(names, ends, strict=True)), slopes, matrix

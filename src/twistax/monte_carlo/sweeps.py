@@ -1,0 +1,375 @@
+"""Monte Carlo: one function of many members, in chunks over all devices, resumable from disk, failures by number."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import hashlib
+import os
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.sharding import Mesh, PartitionSpec
+from numpy.typing import NDArray
+
+from ..checks import callable_with, instance, path_of, reals, short, whole
+from ..errors import InputError
+from ..integrators import Result, Solution, ended_well
+from ..progress import Progress
+from .chunks import Chunks, Columns, InMemory, OnDisk
+
+__all__ = ["Statistics", "Sweep", "sweep"]
+
+
+@dataclasses.dataclass(frozen=True)
+class Statistics:
+    """Moments and ends of each result over the members that did not fail, shaped as one member's results.
+
+    Attributes:
+        count: how many members there are.
+        mean, std: the mean, and the standard deviation of the sample (n - 1).
+        least, most: the ends.
+    """
+
+    count: int
+    mean: Any
+    std: Any
+    least: Any
+    most: Any
+
+    def __str__(self) -> str:
+        """A line for each result."""
+        lines = [f"{self.count} members"]
+        columns = (jax.tree.leaves(own) for own in (self.mean, self.std, self.least, self.most))
+        for (path, _), *values in zip(jax.tree_util.tree_leaves_with_path(self.mean), *columns, strict=True):
+            texts = (np.array2string(np.asarray(value), precision=6) for value in values)
+            words = ", ".join(map(" ".join, zip(("mean", "std", "least", "most"), texts, strict=True)))
+            lines.append(f"{jax.tree_util.keystr(path, simple=True, separator='.') or 'result'}: {words}")
+        return "\n".join(lines)
+
+
+class Sweep:
+    """What a sweep gave, read from its chunks when asked for.
+
+    Attributes:
+        count: how many members there are.
+        codes: (count,) the number of each member's `Result`.
+        statistics: of the members that did not fail.
+    """
+
+    def __init__(self, plan: _Plan, chunks: Chunks) -> None:
+        self._plan, self._chunks = plan, chunks
+        self.count = plan.count
+        self.codes = np.concatenate([chunks.read(k)[-1] for k in range(plan.chunks)])
+        moments = _Moments(plan.shapes)
+        for k in range(plan.chunks):
+            *columns, codes = chunks.read(k)
+            moments.add([column[ended_well(codes)] for column in columns])
+        self.statistics = Statistics(moments.count, *(plan.tree(own) for own in moments.summary()))
+
+    def __repr__(self) -> str:
+        return f"Sweep({self.count} members, {len(self.failed)} failed)"
+
+    @property
+    def failed(self) -> dict[int, Result]:
+        """The members that failed, by number. `member` gives what one was run with."""
+        bad = np.flatnonzero(~ended_well(self.codes))
+        return {int(i): Result(int(self.codes[i])) for i in bad}
+
+    @functools.cached_property
+    def values(self) -> Any:
+        """The results of all members, on the leading axis, those that failed too: as much memory as they take."""
+        rows = [self._chunks.read(k)[:-1] for k in range(self._plan.chunks)]
+        return self._plan.tree([np.concatenate(own) for own in zip(*rows, strict=True)])
+
+    def percentiles(self, percent: float | int | Sequence[float | int]) -> Any:
+        """Of each result over the members that did not fail, by linear interpolation; one result in memory at a time.
+
+        Args:
+            percent: 0 to 100, one number or several, which make a leading axis.
+        Raises:
+            InputError: numbers outside; every member failed.
+        """
+        asked = reals("percentiles", percent, InputError)
+        if not np.all((asked >= 0.0) & (asked <= 100.0)):
+            raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
+        good = ended_well(self.codes)
+        if not good.any():
+            raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
+
+        def column(place: int) -> NDArray[Any]:
+            return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)
+
+        return self._plan.tree([np.percentile(column(i), asked, axis=0) for i in range(self._plan.columns)])
+
+    def member(self, number: int) -> Any:
+        """What a member was run with.
+
+        Raises:
+            InputError: there is no such member.
+        """
+        if whole("member: number", number, 0) >= self.count:
+            raise InputError(f"member expects a number from 0 to {self.count - 1}, got {number}")
+        return self._plan.member(number)
+
+
+def sweep(
+    run: Callable[[Any], Any],
+    members: Any,
+    *,
+    count: int | None = None,
+    seed: int = 0,
+    chunk: int = 4096,
+    directory: str | os.PathLike[str] | None = None,
+    devices: Sequence[jax.Device] | None = None,
+    progress: bool | None = None,
+) -> Sweep:
+    """Run a function for many members, as a Monte Carlo over starts, parameters and controls does.
+
+        def drop(member):
+            solution = tx.integrate(dynamics, member["x"], t1=10.0, dt=1e-3, params=member["params"])
+            return solution, {"miss": jnp.linalg.norm(solution.xs["r"][-1])}
+
+        found = tx.sweep(drop, lambda key: {"x": ..., "params": ...}, count=100_000, directory="out/drop")
+        found.statistics.mean["miss"], found.percentiles([5, 50, 95])["miss"], found.failed
+
+    Members are computed in chunks, of which each is shared between the devices. With a directory every chunk is kept as
+    soon as it is there: the same call takes up where an earlier one was stopped, and several processes of
+    `jax.distributed` with the same directory share the chunks. A member that fails is named by its number, with its
+    `Result`, and no other one is touched by it.
+
+    Args:
+        run: traceable, from one member to a `Solution`, to (Solution, results), or to results alone, a pytree of
+            arrays. Of a solution alone the states at the saved times are kept. A member has failed where its solution
+            has, or where a result is not finite.
+        members: a pytree of arrays, members on the leading axis; or a traceable function from a random key to one
+            member, which has a key of its own that depends on `seed` and its number alone.
+        count: how many members a function draws.
+        chunk: members that are in memory at a time, in each process.
+        directory: where chunks are kept; made if missing. In memory if None.
+        devices: those of this process; all if None.
+        progress: show a line on the terminal; None: if there is one.
+    Raises:
+        InputError: axes of different lengths, a count that is missing or given twice, several processes without a
+            directory; a directory with a sweep of something else.
+    """
+    own_devices = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
+    mine = [d for d in own_devices if isinstance(d, jax.Device) and d.process_index == jax.process_index()]
+    if not mine or len(set(mine)) < len(own_devices):
+        raise InputError(f"sweep: devices must be a list of different devices of this process, got {short(devices)}")
+    plan = _Plan.given(run, members, count, seed, chunk, own_devices)
+    if directory is None and jax.process_count() > 1:
+        raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
+    instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
+    chunks: Chunks = InMemory()
+    if directory is not None:
+        chunks = OnDisk(path_of("sweep", directory), plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
+    shown = (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0
+    line = Progress("sweep") if shown else None
+    own = range(jax.process_index(), plan.chunks, jax.process_count())
+    missing = [k for k in own if not chunks.have(k)]
+    before = len(own) - len(missing)
+    for done, k in enumerate(missing, before + 1):
+        chunks.keep(k, plan.compute(k))
+        if line is not None:
+            line.done(done / len(own), f"{plan.count} members", before / len(own))
+    while not all(map(chunks.have, range(plan.chunks))):  # of other processes
+        time.sleep(0.05)
+    if line is not None:
+        line.close()
+    return Sweep(plan, chunks)
+
+
+# ---- what is computed ------------------------------------------------------------------------------------------------
+
+
+class _Plan:
+    """The members, and the compiled function of a chunk of them."""
+
+    def __init__(self, run: Any, draw: Any, arrays: Any, count: int, seed: int, size: int, devices: list[Any]) -> None:
+        self._run, self._draw, self._arrays, self._seed = run, draw, arrays, seed
+        self.count, self.size = count, min(size, count)
+        self.chunks = -(-count // self.size)
+        self._batch = -(-self.size // len(devices)) * len(devices)
+        shape = jax.eval_shape(self._one, self._given(np.zeros(1, int), one=True))
+        self._structure = jax.tree.structure(shape[0])
+        self.shapes = [(leaf.shape, np.dtype(leaf.dtype).str) for leaf in jax.tree.leaves(shape[0])]
+        self.columns = len(self.shapes)
+        if not self.columns:
+            raise InputError("sweep expects run to give a Solution or arrays, and it gives nothing")
+        mapped = jax.vmap(self._one)
+        if len(devices) > 1:
+            each = PartitionSpec("members")
+            mesh = Mesh(np.array(devices), ("members",))
+            # Unchecked, for the loops of users: these would have to say what varies between devices.
+            mapped = jax.shard_map(mapped, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
+        self._compiled = jax.jit(mapped)
+
+    @classmethod
+    def given(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
+        callable_with("sweep", run, ["member"], InputError)
+        size, count = whole("sweep: chunk", size), None if count is None else whole("sweep: count", count)
+        if (seed := whole("sweep: seed", seed, 0)) >= 2**32:
+            raise InputError(f"sweep: seed must be less than 2^32, got {seed}")
+        if callable(members):
+            if count is None:
+                raise InputError("sweep expects a count beside a function that draws members: sweep(..., count=...)")
+            callable_with("sweep: members", members, ["key"], InputError)
+            drawn = jax.make_jaxpr(members)(jax.random.key(0)).jaxpr
+            if drawn.invars[0] not in [*drawn.outvars, *(v for eqn in drawn.eqns for v in eqn.invars)]:
+                raise InputError(
+                    "sweep: members gives the same member for every key.\n"
+                    "  fix: draw with the key, as jax.random.normal(key) does"
+                )
+            return cls(run, members, None, count, seed, size, devices)
+        arrays = jax.tree.map(_as_jax_has_it, members)
+        shapes = [np.shape(a) for a in jax.tree.leaves(arrays)]
+        lengths = {shape[:1] for shape in shapes}
+        if len(lengths) != 1 or lengths & {(), (0,)}:
+            raise InputError(
+                f"sweep expects arrays with one length of the leading axis, at least 1, got shapes {shapes}.\n"
+                "  fix: give arrays, np.array([...]); the entries of a list are arrays of their own"
+            )
+        ((length,),) = lengths
+        if count is not None and count != length:
+            raise InputError(f"sweep has arrays of {length} members, and count is {count}.\n  fix: leave count out")
+        return cls(run, None, arrays, length, seed, size, devices)
+
+    def tree(self, columns: Sequence[Any]) -> Any:
+        """Columns as the results of a member are structured."""
+        return jax.tree.unflatten(self._structure, columns)
+
+    def member(self, number: int) -> Any:
+        return self._member(self._given(np.array([number]), one=True))
+
+    def compute(self, k: int) -> Columns:
+        """The results of a chunk."""
+        numbers = k * self.size + np.arange(self._batch)
+        last = min(self.count, (k + 1) * self.size) - 1
+        results, codes = self._compiled(self._given(np.minimum(numbers, last)))
+        kept = numbers <= last  # the rest fills up the batch
+        return [np.asarray(column)[kept] for column in (*jax.tree.leaves(results), codes)]
+
+    def shapes_of(self, k: int) -> list[tuple[int, ...]]:
+        """Those of the columns of a chunk."""
+        rows = min(self.size, self.count - k * self.size)
+        return [(rows, *shape) for shape, _ in [*self.shapes, ((), "")]]
+
+    def setup(self) -> dict[str, Any]:
+        """What says whether chunks on disk are of this sweep."""
+        digest = hashlib.sha256()
+        leaves, structure = jax.tree.flatten(self._arrays)
+        digest.update(str(structure).encode())
+        for leaf in leaves:
+            digest.update(f"{leaf.shape} {leaf.dtype}".encode() + np.ascontiguousarray(leaf).tobytes())
+        results = [str(self._structure), *([list(shape), dtype] for shape, dtype in self.shapes)]
+        members = "drawn" if self._draw else digest.hexdigest()
+        return {"count": self.count, "chunk": self.size, "seed": self._seed, "members": members, "results": results}
+
+    def _given(self, numbers: NDArray[Any], one: bool = False) -> Any:
+        """What the compiled function takes for members of these numbers; for one of them without an axis."""
+        own = numbers.astype(np.uint32) if self._draw else jax.tree.map(lambda a: a[numbers], self._arrays)
+        return jax.tree.map(lambda a: a[0], own) if one else own
+
+    def _member(self, given: Any) -> Any:
+        return self._draw(jax.random.fold_in(jax.random.key(self._seed), given)) if self._draw else given
+
+    def _one(self, given: Any) -> tuple[Any, jax.Array]:
+        """The results of one member, and the number of its `Result`."""
+        found, code = self._run(self._member(given)), jnp.asarray(Result.SUCCESS.value, jnp.int32)
+        pair = isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Solution)
+        solution, results = found if pair else (found, found)
+        if isinstance(solution, Solution):
+            results, code = results if pair else solution.xs, jnp.asarray(solution.code, jnp.int32)
+        is_solution = lambda part: isinstance(part, Solution)  # noqa: E731
+        if any(map(is_solution, jax.tree.leaves(results, is_leaf=is_solution))):
+            raise InputError(
+                "sweep: run gives a Solution within its results, whose failure would not be seen.\n"
+                "  fix: return (solution, results), or solution.xs of the others"
+            )
+        results = jax.tree.map(_as_numpy_has_it, results)
+        real = [leaf for leaf in jax.tree.leaves(results) if jnp.issubdtype(leaf.dtype, jnp.inexact)]
+        finite = functools.reduce(jnp.logical_and, [jnp.isfinite(leaf).all() for leaf in real], jnp.asarray(True))
+        return results, jnp.where(ended_well(code) & ~finite, jnp.int32(Result.NON_FINITE.value), code)
+
+
+def _as_numpy_has_it(value: Any) -> jax.Array:
+    """An array in a type that NumPy keeps in files: float32 for bfloat16 and its like. Raises InputError."""
+    array = jnp.asarray(value)
+    if (array.dtype != bool and not jnp.issubdtype(array.dtype, np.number)) or jnp.iscomplexobj(array):
+        raise InputError(
+            f"sweep expects run to give real numbers, got {array.dtype}.\n"
+            "  fix: return real and imaginary parts of complex numbers, and jax.random.key_data of keys"
+        )
+    return array.astype(jnp.float32) if array.dtype.kind == "V" else array
+
+
+def _as_jax_has_it(value: Any) -> NDArray[Any]:
+    """An array in the type that JAX gives it.
+
+    Raises:
+        InputError: entries are not numeric, or integers overflow, as without x64.
+    """
+    try:
+        array = np.asarray(value)
+    except TypeError:  # random keys, traced values
+        array = np.empty(0, object)
+    if array.dtype != bool and not jnp.issubdtype(array.dtype, np.number):
+        raise InputError(
+            f"sweep: members must be arrays of known numbers, got {short(value)}.\n"
+            "  fix: for random keys give a function of a key, and a count; call sweep outside of jit and vmap"
+        )
+    found = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
+    if array.dtype.kind in "iu" and not np.array_equal(found, array):
+        raise InputError(
+            f"sweep has members that {found.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
+        )
+    return found
+
+
+# ---- statistics ------------------------------------------------------------------------------------------------------
+
+
+class _Moments:
+    """Mean, squared deviations and ends, chunk by chunk (T. F. Chan, G. H. Golub and R. J. LeVeque 1983, eq. 2.1)."""
+
+    def __init__(self, shapes: Sequence[tuple[tuple[int, ...], str]]) -> None:
+        self.count, self._shapes = 0, shapes
+        self._columns: list[tuple[Any, ...]] = []
+
+    def add(self, columns: Columns) -> None:
+        n = len(columns[0]) if columns else 0
+        if n == 0:
+            return
+        new = []
+        for column in columns:
+            with np.errstate(over="ignore"):  # infinite then
+                mean = column.mean(0, dtype=float)
+                squares = ((column - mean) ** 2).sum(0)
+            new.append((mean, squares, column.min(0), column.max(0)))
+        self._columns = list(map(self._merged(n), self._columns, new)) if self.count else new
+        self.count += n
+
+    def _merged(self, n: int) -> Callable[..., tuple[Any, ...]]:
+        share = n / (self.count + n)
+
+        def merged(one: Any, other: Any) -> tuple[Any, ...]:
+            apart = other[0] - one[0]
+            squares = one[1] + other[1] + apart**2 * self.count * share
+            return one[0] + share * apart, squares, np.minimum(one[2], other[2]), np.maximum(one[3], other[3])
+
+        return merged
+
+    def summary(self) -> Iterator[list[Any]]:
+        """Means, standard deviations, least and most; NaN where there are no members."""
+        found = self._columns if self.count else [(np.full(shape, np.nan),) * 4 for shape, _ in self._shapes]
+        for which, own in enumerate(zip(*found, strict=True)):
+            # Of one member there is no deviation.
+            yield (
+                [np.sqrt(a / (self.count - 1 if self.count > 1 else np.nan)) for a in own] if which == 1 else list(own)
+            )

@@ -1,0 +1,126 @@
+"""A function of arrays as one equation of JAX: what the types of arrays say of meshes ends there."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
+from .jax_primitive import Differentiable, Rows, Shapes, call_program, differentiable
+
+Result = TypeVar("Result")
+
+
+@weakly_kept
+class Written(Differentiable):
+    """A function of arrays, as JAX has it. Its derivatives are JAX's own.
+
+    Args:
+        program: the function, of plain arrays.
+    """
+
+    def __init__(self, program: ClosedJaxpr) -> None:
+        super().__init__()
+        self.program = program
+
+    @property
+    def results(self) -> Shapes:
+        return [(v.aval.shape, np.dtype(v.aval.dtype)) for v in self.program.jaxpr.outvars]
+
+    @property
+    def real(self) -> list[int]:
+        """Complex results too."""
+        return [k for k, (_, dtype) in enumerate(self.results) if jnp.issubdtype(dtype, jnp.inexact)]
+
+    @functools.cached_property
+    def function(self) -> Callable[..., list[jax.Array]]:
+        run = jaxpr_as_fun(self.program)
+        return lambda *a: [jnp.asarray(value) for value in run(*a)]
+
+    def primitive(self, inside: bool) -> Primitive:
+        return _written_p
+
+    def kernel(self, rows: int) -> Rows | None:
+        return None
+
+    def made(self, program: ClosedJaxpr) -> Written:
+        """Another function, which runs as this one does."""
+        return Written(program)
+
+    def _tangent(self, active: tuple[int, ...]) -> Written:
+        def tangent(given: list[Any], moved: list[Any]) -> list[Any]:
+            return list(jax.jvp(self._of(active, given), [given[k] for k in active], moved)[1])
+
+        return self._derivative(tangent, [self.program.jaxpr.invars[k].aval for k in active])
+
+    def _cotangent(self, active: tuple[int, ...]) -> Written:
+        def cotangent(given: list[Any], back: list[Any]) -> list[Any]:
+            return list(jax.vjp(self._of(active, given), *(given[k] for k in active))[1](back))
+
+        return self._derivative(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
+
+    def transposed(self, linear: tuple[int, ...]) -> Written:
+        def back(given: list[Any], cotangents: list[Any]) -> list[Any]:
+            shapes = [jax.ShapeDtypeStruct(given[k].shape, given[k].dtype) for k in linear]
+            return list(jax.linear_transpose(self._of(linear, given), *shapes)(cotangents))
+
+        return self._derivative(back, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
+
+    def _of(self, active: tuple[int, ...], given: Sequence[Any]) -> Callable[..., list[jax.Array]]:
+        """The real results as a function of some of the arguments."""
+
+        def function(*own: jax.Array) -> list[jax.Array]:
+            values = list(given)
+            for k, value in zip(active, own, strict=True):
+                values[k] = value
+            found = self.function(*values)
+            return [found[k] for k in self.real]
+
+        return function
+
+    def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Written:
+        own: list[Any] = [v.aval for v in self.program.jaxpr.invars]
+        count = len(own)
+        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*own, *more]]
+        with of_one_device():
+            closed = jax.make_jaxpr(lambda *values: derivative(list(values[:count]), list(values[count:])))(*shapes)
+        return self.made(closed)
+
+
+#: A function, or one that runs in parts.
+_written_p = Primitive("whole_function")
+differentiable(_written_p)
+
+
+def is_written(eqn: Any) -> bool:
+    """Whether an equation of a jaxpr is such a function."""
+    return eqn.primitive is _written_p
+
+
+def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
+    """function(*arguments): as one equation where the types of arrays say how they lie on a mesh.
+
+    Else loops inside of the function would have to say it too. What the function closes over must not be traced.
+    Arguments and result are pytrees of arrays.
+    """
+    leaves, structure = jax.tree.flatten(arguments)
+    if not spread(leaves):
+        return function(*arguments)
+    shapes: list[Any] = []
+
+    def flat(*leaves: jax.Array) -> list[jax.Array]:
+        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
+        shapes.append(shape)
+        return results
+
+    with of_one_device():
+        closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
+    if closed.effects:
+        return function(*arguments)
+    found: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
+    return found

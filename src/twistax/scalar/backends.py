@@ -1,0 +1,268 @@
+"""What runs the functions of a system: JAX, as arrays, or XLA, as scalars; `native/backend.py` has machine code."""
+
+from __future__ import annotations
+
+import dataclasses
+from abc import ABC, abstractmethod
+from collections import Counter
+from collections.abc import Callable, Collection, Sequence
+from typing import Any, TypeAlias
+from typing import Literal as OneOf
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import instance, whole
+from ..errors import ModelError
+from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
+from .array_primitive import on_any_mesh
+from .graph import LIMITS, Limits, TooLarge
+from .jax_primitive import Derived, Rows, call_program
+from .loops import Repeated, Ring
+from .primitives.table import entry_of
+from .reader import ScalarProgram, called_names, emitted_form, scalarize
+from .small_call import is_key, known_inside
+
+#: A step of arrays to arrays, and what it takes.
+Step: TypeAlias = Callable[..., list[jax.Array]]
+Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
+
+#: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
+_LARGEST_STEP = 10_000
+#: Numbers that a step closes over become scalars one by one: reading a longer table takes minutes.
+_MOST_CONSTANTS = 1000
+#: XLA recurses into operations that wait for each other; at three times as many its stack overflows.
+_LONGEST_CHAIN = 30_000
+#: Matrices are mostly zeros where scalars take at most such a part of the operations of arrays. Where those are more
+#: than so many times the most scalars it is not tried.
+_MOSTLY, _MOST_WORK = 0.25, 10
+#: What became scalars has derivatives of any order, and nothing else to fall back on.
+ANY_SIZE = 10**9
+
+
+@dataclasses.dataclass(frozen=True)
+class Emission:
+    """A function and how it came about."""
+
+    function: Callable[..., list[jax.Array]]  # pure and traceable
+    program: ScalarProgram | None  # that it runs; None where it runs as arrays
+    reason: str  # one sentence
+
+
+class Backend(ABC):
+    """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
+
+    #: Operations on scalars from which on a call runs as a kernel; None: never.
+    least: int | None = None
+
+    def __str__(self) -> str:
+        """Its name, and the options that are not the usual ones."""
+        options: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(self) if dataclasses.is_dataclass(self) else ()
+        changed = [f"{f.name}={getattr(self, f.name)}" for f in options if getattr(self, f.name) != f.default]
+        return type(self).__name__ + (f"({', '.join(changed)})" if changed else "")
+
+    @abstractmethod
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        """The function of a jaxpr.
+
+        Args:
+            fixed: arguments that stay the same where the function is called again and again, as parameters do.
+        """
+
+    def derived(self, program: ScalarProgram) -> Derived:
+        """A program with its derivatives, to be called."""
+        return Derived(program)
+
+    def in_loops(self) -> Backend:
+        """The backend of functions that an integrator puts into its loop."""
+        return self
+
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+        """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
+
+        Args:
+            shapes: of its arguments.
+            state: how many arguments are the state.
+            row: what makes a row of what the step leaves for it, where it leaves something.
+        """
+        return None
+
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
+        """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
+        return None
+
+    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
+        """A function that stands beside loops in kernels as one too, however small; None: it runs as it is."""
+        return None
+
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+        """What makes a kernel, of one body (True) or of many, that takes all iterations of a loop; None: it has none.
+
+        Args:
+            step: one iteration.
+            ring: how its arguments and results go round.
+        """
+        return None
+
+
+@dataclasses.dataclass(frozen=True)
+class JAX(Backend):
+    """As written, in small arrays, by JAX."""
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        return Emission(as_arrays(closed), None, "arrays, as written")
+
+
+@dataclasses.dataclass(frozen=True)
+class XLA(Backend):
+    """Scalars without structural zeros and ones, compiled by XLA, where a function is large enough to gain by it.
+
+    By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; numbers are folded; x / d, y / d
+    share 1 / d. What has no scalar form is called as it is.
+
+    Attributes:
+        checked: keep 0 x, 0 / x and x - x, and every division.
+        least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
+            them XLA finds as much by itself.
+        largest: functions of more scalars run as arrays: the compiler would take long.
+        widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it. Of
+            arrays between arguments and results that is so where they are not mostly zeros.
+
+    Raises:
+        ModelError: least, largest or widest is no whole number from 0 on.
+    """
+
+    checked: bool = False
+    least: int = 500
+    largest: int = 30_000
+    widest: int = 128
+
+    def __post_init__(self) -> None:
+        for name in ("least", "largest", "widest"):
+            whole(f"XLA: {name}", getattr(self, name), 0, ModelError)
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        arrays = as_arrays(closed)
+        if array_operations(closed.jaxpr).total() < self.least:
+            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
+        try:
+            program = self.scalarised(closed)
+        except TooLarge as error:
+            return Emission(arrays, None, f"arrays: {str(error).splitlines()[0]}")
+        changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
+        count = sum(program.graph.input_of(i) is None for i in changing)
+        if count < self.least:
+            # What parameters alone determine XLA computes once, before a loop, as long as it is in arrays.
+            kind = "change with time and state, " if fixed else ""
+            return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
+        calls = emitted_form(program).calls if program.calls else []
+        foreign = [c for c in calls if not known_inside(c.jaxpr.jaxpr)]
+        if foreign:
+            names = called_names(foreign)
+            return Emission(arrays, None, f"arrays: it calls {names}, around which scalars would be slow")
+        program.graph.largest = ANY_SIZE
+        derived = Derived(program)
+        return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
+
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
+        closed = pure(step, shapes)
+        if closed is None or array_operations(closed.jaxpr).total() > _LARGEST_STEP:
+            return None
+        # The slopes of all stages make an array that may be wider.
+        if max(v.aval.size for v in closed.jaxpr.invars) > self.widest:
+            return None
+        program = self.scalars(closed, ANY_SIZE)
+        return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
+
+    def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
+        """The scalars of a jaxpr.
+
+        Raises:
+            TooLarge: there are more than `largest`, or an array of more than `widest` entries; complex results, of
+                which scalars have no derivatives.
+        """
+        if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
+            raise TooLarge("one of the results is complex")
+        ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
+        widest = max((v.aval.size for v in _variables(closed.jaxpr)), default=0)
+        work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
+        if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
+            program = self.scalars(closed, self.largest, limits)
+            if not work or program.operations <= _MOSTLY * work:
+                return program
+        raise TooLarge(f"one of the arrays has more than {self.widest} entries")
+
+    def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
+        """A jaxpr as a scalar program, of at most so many scalars."""
+        return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
+
+
+def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
+    """The backend that a user asked for, `auto` for "auto".
+
+    Raises:
+        ModelError: it is not a backend.
+    """
+    found = auto if isinstance(backend, str) and backend == "auto" else backend
+    instance("backend", found, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
+    return found
+
+
+def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
+    """The jaxpr of a function; None where it has no good program.
+
+    Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
+    closes over take minutes to read.
+    """
+    closed = jax.make_jaxpr(function)(*shapes)
+    keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    if closed.effects or is_traced(closed.consts) or keys:
+        return None
+    return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
+
+
+def _steady(jaxpr: Jaxpr) -> bool:
+    """Whether a call runs inside of a small function and has a derivative in reverse: none of its loops is open."""
+    return known_inside(jaxpr) and all(eqn.primitive.name != "while" for eqn in all_equations(jaxpr))
+
+
+def array_operations(jaxpr: Any) -> Counter[str]:
+    """Operations by name, all entries of arrays and all iterations of loops counted; factorisations by their cube."""
+    found: Counter[str] = Counter()
+    for eqn in jaxpr.eqns:
+        entry = entry_of(eqn)
+        inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
+        for each in inner:
+            for kind, count in array_operations(each.jaxpr).items():
+                found[kind] += count * (entry.repeats(eqn) if entry else 1)
+        if entry is not None:
+            found.update(entry.operations(eqn))
+        elif not inner:
+            found[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
+    return +found
+
+
+def _variables(jaxpr: Jaxpr) -> list[Any]:
+    """All that comes in, and all that is computed, also inside of calls and loops."""
+    return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
+
+
+def as_arrays(closed: ClosedJaxpr) -> Callable[..., list[jax.Array]]:
+    """The function of a jaxpr as it is. Raises TooLarge where XLA would end the process on it."""
+    depth: dict[Any, int] = {}
+    for eqn in closed.jaxpr.eqns if len(closed.jaxpr.eqns) > _LONGEST_CHAIN else ():
+        length = 1 + max((depth.get(v, 0) for v in eqn.invars if not isinstance(v, Literal)), default=0)
+        depth.update(dict.fromkeys(eqn.outvars, length))
+        if length > _LONGEST_CHAIN:
+            raise TooLarge(
+                f"the function is a chain of more than {_LONGEST_CHAIN:,} array operations that wait for each other: "
+                "XLA ends the process on such functions.\n"
+                "  fix: write what repeats as a node of your own whose evaluate is a jax.lax.scan"
+            )
+    run = jaxpr_as_fun(closed)
+
+    def as_it_is(*leaves: jax.Array) -> list[jax.Array]:
+        # An output that is a number in the jaxpr comes back as NumPy's.
+        return [jnp.asarray(value) for value in (on_any_mesh(run, *leaves) if spread(leaves) else run(*leaves))]
+
+    return as_it_is

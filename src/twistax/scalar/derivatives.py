@@ -1,0 +1,304 @@
+"""Derivatives on the graph: what is structurally zero in them is never computed."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import operator
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, Concatenate, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+
+from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
+from .cotangents import Cotangent, Cotangents
+from .graph import Call, Graph
+from .primitives.entry import Nodes, flat, nodes
+from .reader import Reader, ScalarProgram
+
+Own = ParamSpec("Own")
+Made = TypeVar("Made")
+
+
+def _alone(
+    derivative: Callable[Concatenate[ScalarProgram, Own], Made],
+) -> Callable[Concatenate[ScalarProgram, Own], Made]:
+    """What adds to the graph of a program, by one thread at a time."""
+
+    @functools.wraps(derivative)
+    def locked(program: ScalarProgram, *args: Own.args, **kwargs: Own.kwargs) -> Made:
+        g = program.graph
+        with g.lock:
+            before, g.differentiating = g.differentiating, True
+            try:
+                return derivative(program, *args, **kwargs)
+            finally:
+                g.differentiating = before
+
+    return locked
+
+
+def is_real(dtype: Any) -> bool:
+    """Whether results of a type have derivatives."""
+    return bool(jnp.issubdtype(dtype, jnp.floating))
+
+
+@_alone
+def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """The derivative along tangents of the arguments `active`: (arguments, their tangents) -> tangents of the results.
+
+    Results that are no floating-point numbers have none and are left out.
+    """
+    g, inputs = program.graph, list(program.inputs)
+    seeds: dict[int, dict[int, int]] = {}
+    for k in active:
+        inputs.append(_new_inputs(g, len(inputs), program.inputs[k]))
+        seeds |= {node: {0: tangent} for node, tangent in zip(flat(program.inputs[k]), flat(inputs[-1]), strict=True)}
+    found = {node: row[0] for node, row in _carried(program, seeds).items()}
+    outputs = tuple(
+        _gathered(g, found, own) for own, dtype in zip(program.outputs, program.types, strict=True) if is_real(dtype)
+    )
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
+
+
+@_alone
+def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
+    g, found = program.graph, Cotangents(program.graph)
+    inputs, weights = _with_cotangents(program)
+    for i, c in zip(program.flat, weights, strict=True):
+        found.add(i, Cotangent(c, g.one))
+    _pull(g, program.live, found, program.depending(active))
+    return _by_arguments(program, inputs, found, active)
+
+
+@_alone
+def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
+    """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
+    g, found = program.graph, Cotangents(program.graph)
+    inputs, weights = _with_cotangents(program)
+    columns = flat(*(program.inputs[k] for k in active))
+    for (place, column), entry in jacobian(program, active).items():
+        found.add(columns[column], Cotangent(g.mul(entry, weights[place]), g.one))
+    return _by_arguments(program, inputs, found, active)
+
+
+def _with_cotangents(program: ScalarProgram) -> tuple[list[Nodes], list[int]]:
+    """The arguments and new ones, cotangents of the real results; and for each entry of all results its cotangent."""
+    g, inputs, weights = program.graph, list(program.inputs), list[int]()
+    for own, dtype in zip(program.outputs, program.types, strict=True):
+        if is_real(dtype):
+            inputs.append(_new_inputs(g, len(inputs), own))
+        weights += flat(inputs[-1]) if is_real(dtype) else [g.zero] * own.size
+    return inputs, weights
+
+
+def _by_arguments(
+    program: ScalarProgram, inputs: Sequence[Nodes], found: Mapping[int, int], active: Sequence[int]
+) -> ScalarProgram:
+    """What was found of the entries of the arguments `active`, as a program."""
+    g, own = program.graph, [program.inputs[k] for k in active]
+    return ScalarProgram(g, tuple(inputs), tuple(_gathered(g, found, a) for a in own), tuple(map(g.dtype_of, own)))
+
+
+def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
+    """All derivatives that are not structurally zero: (place in the results, place in the arguments) -> node.
+
+    Places count through all results and through the arguments `active`, one after the other.
+    """
+    columns = flat(*(program.inputs[k] for k in active))
+    return columns_of(program, {node: {column: program.graph.one} for column, node in enumerate(columns)})
+
+
+@_alone
+def columns_of(
+    program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
+) -> dict[tuple[int, int], int]:
+    """The derivatives along several tangents at once, by sparse forward accumulation.
+
+    Args:
+        seeds: input node -> (tangent -> its entry there), zeros left out.
+        wanted: node -> the tangents it may carry, as `needed` gives them; all if None.
+    Returns:
+        (place in the results, tangent) -> node, zeros left out. Each node carries only tangents that reach it.
+    """
+    carried = _carried(program, seeds, wanted)
+    return {
+        (place, column): node
+        for place, output in enumerate(program.flat)
+        for column, node in sorted(carried.get(output, {}).items())
+    }
+
+
+def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
+    """node -> the tangents that it depends on, each a bit of a number; what may be zero all the same included."""
+    found = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
+    for i in program.live:
+        if i not in found:
+            found[i] = functools.reduce(operator.or_, (found.get(a, 0) for a in program.graph.sources(i)), 0)
+    return found
+
+
+def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
+    """node -> the tangents that it must carry, each a bit of a number, so that some nodes have those they want."""
+    found = dict(wanted)
+    for i in reversed(program.live):
+        if tangents := found.get(i, 0):
+            for a in program.graph.sources(i):
+                found[a] = found.get(a, 0) | tangents
+    return found
+
+
+# ---- forward ---------------------------------------------------------------------------------------------------------
+
+
+def _carried(
+    program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
+) -> dict[int, dict[int, int]]:
+    """node -> (tangent -> its entry there), of all nodes that are needed, zeros left out."""
+    g = program.graph
+    carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
+    called: set[int] = set()
+    for i in program.live:
+        if i in carried:
+            continue
+        call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
+        if call is not None and id(call) not in called:
+            called.add(id(call))
+            _carry_call(g, call, carried, wanted)
+        touched = _allowed({column for a in arguments for column in carried.get(a, ())}, [i], wanted)
+        if operation is None or not touched:
+            continue
+        rows = [carried.get(a, {}) for a in arguments]
+        along = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
+        found = {c: v for c, v in zip(touched, along, strict=True) if v is not None and v != g.zero}
+        if found:
+            carried[i] = found
+    return carried
+
+
+def _allowed(columns: set[int], own: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
+    """Of columns those that some of the nodes may carry."""
+    if wanted is None:
+        return sorted(columns)
+    mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in own), 0)
+    return sorted(column for column in columns if mask >> column & 1)
+
+
+def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None) -> None:
+    """The derivatives of the results of a call, column by column."""
+    inputs = flat(*call.arguments)
+    for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
+        found = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
+        active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
+        along = _tangents(_function(g, call), active)
+        given = [*call.arguments, *(_gathered(g, found, call.arguments[k]) for k in active)]
+        for i, tangent in zip(flat(*call.results), flat(*Reader(g).read(along, given)), strict=True):
+            if tangent != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact):
+                carried.setdefault(i, {})[column] = tangent
+
+
+@functools.lru_cache(512)
+def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
+    """The derivative of the function of a call: (arguments, tangents of the active ones)."""
+
+    def along(values: list[Any], tangents: list[Any]) -> list[Any]:
+        return jax.jvp(_of_some(called.jaxpr, active, values), [values[k] for k in active], tangents)[1]
+
+    return jax.make_jaxpr(along)(list(called.arguments), [called.arguments[k] for k in active])
+
+
+# ---- reverse ---------------------------------------------------------------------------------------------------------
+
+
+def _pull(g: Graph, live: Sequence[int], found: Cotangents, depending: Collection[int]) -> None:
+    """Add to `found` the cotangents of all nodes that depend on active inputs, last ones first."""
+    done: set[int] = set()
+    for i in reversed(live):
+        if i not in found or i not in depending:
+            continue
+        call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
+        pairs: Any = ()
+        if operation is not None:
+            terms = [operation.cotangents(g, arguments, i, term) for term in found.of(i)]
+            pairs = [pair for own in terms for pair in zip(arguments, own, strict=True)]
+        elif call is not None and id(call) not in done:
+            # All results of a call stand before whatever reads them: their cotangents are complete.
+            done.add(id(call))
+            pairs = _pulled_call(g, call, found, depending)
+        for a, c in pairs:
+            if c is not None and a in depending:
+                found.add(a, c)
+
+
+def _pulled_call(
+    g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]
+) -> list[tuple[int, Cotangent]]:
+    """The arguments of a call and their cotangents."""
+    real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
+    active = tuple(
+        k
+        for k, a in enumerate(call.arguments)
+        if jnp.issubdtype(g.dtype_of(a), jnp.inexact) and any(i in depending for i in flat(a))
+    )
+    given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
+    results = Reader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
+    cotangents = [Cotangent(c, g.one) for c in flat(*results)]
+    return list(zip(flat(*(call.arguments[k] for k in active)), cotangents, strict=True))
+
+
+@functools.lru_cache(512)
+def _cotangents(called: _Called, active: tuple[int, ...], real: tuple[int, ...]) -> ClosedJaxpr:
+    """The transpose of the function of a call: (arguments, cotangents of the real results)."""
+
+    def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
+        moving = _of_some(called.jaxpr, active, values)
+        given = [values[k] for k in active]
+        return list(jax.vjp(lambda *some: [moving(*some)[k] for k in real], *given)[1](cotangents))
+
+    return jax.make_jaxpr(back)(list(called.arguments), [called.results[k] for k in real])
+
+
+# ---- the functions of calls ------------------------------------------------------------------------------------------
+
+
+@dataclasses.dataclass(frozen=True)
+class _Called:
+    """The function of a call. Equal where the calls do the same, in whatever graph: its derivatives are traced once."""
+
+    key: Any
+    arguments: tuple[jax.ShapeDtypeStruct, ...]
+    results: tuple[jax.ShapeDtypeStruct, ...]
+    jaxpr: ClosedJaxpr = dataclasses.field(compare=False)
+
+
+def _function(g: Graph, call: Call) -> _Called:
+    arguments, results = (tuple(_shape(g, a) for a in own) for own in (call.arguments, call.results))
+    return _Called(call.key, arguments, results, call.jaxpr)
+
+
+# ---- arrays of nodes -------------------------------------------------------------------------------------------------
+
+
+def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
+    """A function of its arguments `active` alone."""
+
+    def function(*some: Any) -> Any:
+        given = dict(zip(active, some, strict=True))
+        return jaxpr_as_fun(jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
+
+    return function
+
+
+def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:
+    return nodes([g.input(argument, j, g.dtypes[i]) for j, i in enumerate(flat(like))], like.shape)
+
+
+def _gathered(g: Graph, found: Mapping[int, int], own: Nodes) -> Nodes:
+    """What was found of each node, else zero of its type."""
+    return nodes([found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in flat(own)], own.shape)
+
+
+def _shape(g: Graph, own: Nodes) -> Any:
+    return jax.ShapeDtypeStruct(own.shape, g.dtype_of(own))

@@ -1,0 +1,162 @@
+"""`fast`: any JAX function of small arrays as scalars, in kernels of its own where they can be had."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any, Generic, Literal, ParamSpec, TypeVar
+
+import jax
+from jax import dtypes
+
+from ..errors import ModelError
+from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as_fun, of_one_device, opened, spread
+from .array_primitive import on_any_mesh
+from .backends import XLA, Backend, chosen
+from .closures import closed_over, replaced
+from .jax_primitive import call_program
+from .segments import Whole, has_loops
+from .targets.llvm.backend import Native, installed
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+class Fast(Generic[P, R]):
+    """What `fast` made of a function: jitted, differentiable, batched as any JAX function."""
+
+    def __init__(self, function: Callable[P, R], backend: Backend, static: dict[str, Any]) -> None:
+        functools.update_wrapper(self, function)
+        self._function, self._backend, self._static = function, backend, static
+        self._jitted = self._jit(lambda *args, **kwargs: self._traced(args, kwargs)[0])
+
+    def _jit(self, traced: Callable[..., Any]) -> Any:
+        return jax.jit(functools.wraps(self._function)(traced), **self._static)
+
+    def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
+        found: R = self._jitted(*args, **kwargs)
+        return found
+
+    def __getattr__(self, name: str) -> Any:
+        """`lower`, `trace` and `eval_shape` of the jitted function."""
+        if name in ("lower", "trace", "eval_shape"):
+            return getattr(self._jitted, name)
+        raise AttributeError(f"{type(self).__name__!r} object has no attribute {name!r}")
+
+    def __get__(self, owner: Any, kind: Any = None) -> Any:
+        return self if owner is None else _Bound(self, owner)
+
+    def __repr__(self) -> str:
+        return f"tx.fast({getattr(self._function, '__qualname__', self._function)}, backend={self._backend})"
+
+    def explain(self, *args: P.args, **kwargs: P.kwargs) -> str:
+        """How the parts of the function run for arguments of these shapes and types, a line each."""
+        reasons: list[str] = []
+
+        def asking(*args: Any, **kwargs: Any) -> Any:
+            found, own = self._traced(args, kwargs)
+            reasons.extend(own)
+            return found
+
+        self._jit(asking).trace(*args, **kwargs)
+        return "\n".join(reasons)
+
+    def _traced(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, list[str]]:
+        """The results for traced arguments, and how they came about."""
+        leaves, structure = jax.tree.flatten((args, kwargs))
+        places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
+        over = closed_over(self._function)
+        if not places and not over:
+            return self._function(*args, **kwargs), ["as written: no argument is an array"]
+        if any(dtypes.canonicalize_dtype(t) != t for t in (leaf.dtype for leaf in [*over, *leaves] if is_traced(leaf))):
+            # Of these JAX decides operation by operation.
+            return self._function(*args, **kwargs), ["arrays, as written: 64-bit arrays where jax_enable_x64 is off"]
+        # Elsewhere JAX itself makes inputs of what a function closes over.
+        over = over if spread([*over, *leaves]) else []
+        shapes: list[Any] = []
+
+        def flat(*values: Any) -> list[Any]:
+            inside, own = dict(zip(map(id, over), values, strict=False)), list(leaves)
+            for i, value in zip(places, values[len(over) :], strict=True):
+                own[i] = value
+            args, kwargs = jax.tree.unflatten(structure, own)
+            with replaced(self._function, lambda value: inside.get(id(value), value)) as function:
+                results, shape = jax.tree.flatten(function(*args, **kwargs))
+            shapes.append(shape)
+            return results
+
+        values = [*over, *(leaves[i] for i in places)]
+        plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
+        with of_one_device():
+            closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
+            run, held = opened(closed)
+            if held:
+                others = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)]
+                closed = jax.make_jaxpr(run)(*others, *plain)
+        function, reasons = _compiled(closed, self._backend)
+        found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
+        return found, reasons
+
+
+class _Bound(functools.partial[Any]):
+    """A method of an object."""
+
+    def explain(self, *args: Any, **kwargs: Any) -> str:
+        said: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
+        return said
+
+
+def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:
+    """A function of arrays, and how its parts run."""
+    variables = [*closed.jaxpr.invars, *(v for eqn in all_equations(closed.jaxpr) for v in eqn.outvars)]
+    if closed.effects or any(map(is_key, variables)):
+        run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))
+        return run, ["arrays, as written: it has effects or random keys"]
+    if not has_loops(closed):
+        emission = backend.emit(closed)
+        return emission.function, [emission.reason]
+    whole = Whole(closed, backend)
+    return functools.partial(call_program, whole), whole.parts[1]
+
+
+def fast(
+    function: Callable[P, R] | None = None,
+    *,
+    static_argnums: int | Sequence[int] | None = None,
+    static_argnames: str | Iterable[str] | None = None,
+    backend: Backend | Literal["auto"] = "auto",
+) -> Any:
+    """A JAX function of pytrees of small arrays, compiled as scalars: `jax.jit` for small dense mathematics on the CPU.
+
+    XLA runs a function as a chain of operations on arrays, some 50 ns each, far more than the arithmetic of a 3x3
+    matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
+    llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor. `lax.scan`, `fori_loop` and
+    `while_loop` with a body of scalars become one kernel each, with all of their iterations. Batches of `jax.vmap`
+    run side by side in the processor's vectors. What has no such form (libraries, large arrays, effects, random keys)
+    runs as JAX has it, and so does everything on other devices. `fast(f).explain(*arguments)` says what became of it.
+
+    Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
+    unless the backend is `tx.Native(tx.XLA(checked=True))`.
+
+    In single precision intermediate derivatives may leave the range of numbers. `jax.jacfwd(fast(f))` and
+    `jax.grad(fast(f))` differentiate the program in a form that keeps them in range. `fast(jax.jacfwd(f))` and
+    `fast(jax.grad(f))` compile the formulas of JAX, of which only those of quotients and powers are put into that form.
+
+    Args:
+        function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.
+        static_argnums, static_argnames: arguments that are no arrays, as in `jax.jit`; another value compiles anew.
+        backend: what runs the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
+    Raises:
+        ModelError: the function cannot be called; another backend.
+    """
+    own = chosen(backend, Native() if installed() else XLA())
+    static = {"static_argnums": static_argnums, "static_argnames": static_argnames}
+
+    def made(function: Callable[P, R]) -> Fast[P, R]:
+        if not callable(function):
+            raise ModelError(
+                f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it"
+            )
+        return Fast(function, own, static)
+
+    return made if function is None else made(function)

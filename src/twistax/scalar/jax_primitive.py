@@ -1,0 +1,449 @@
+"""Equations of JAX that twistax compiles: what JAX asks of them, and scalar programs with their derivatives."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..jax_inside import (
+    Primitive,
+    ad,
+    batching,
+    by_one_device,
+    is_shared_out,
+    jet,
+    mlir,
+    needs_devices,
+    on_axes,
+    placed_as,
+    shaped_array,
+    shared_out,
+    varying_alike,
+    weakly_kept,
+)
+from .derivatives import cotangent_program, is_real, tangent_program
+from .reader import ScalarProgram, called_names, emitted_form
+from .small_call import apart, inside_small_call, small_call
+from .targets.xla import as_function
+
+#: Of each result of a program.
+Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
+#: From the number of rows, and arguments (rows, *shape), or (1, *shape) where all rows share one, to results.
+Rows: TypeAlias = Callable[..., list[jax.Array]]
+
+
+@dataclasses.dataclass(frozen=True)
+class Bodies:
+    """Of how many bodies the arguments of an equation are.
+
+    Attributes:
+        depth: how many axes are of bodies; they come first.
+        shared: the arguments that do not have them: all bodies share one.
+    """
+
+    depth: int = 0
+    shared: frozenset[int] = frozenset()
+
+    def shape(self, arguments: Sequence[Any]) -> tuple[int, ...]:
+        """The lengths of these axes."""
+        return next((np.shape(a)[: self.depth] for k, a in enumerate(arguments) if k not in self.shared), ())
+
+    def each(self, function: Callable[..., list[jax.Array]], arguments: Sequence[Any]) -> list[jax.Array]:
+        """A function of one body, of all of them at once."""
+        axes = [None if k in self.shared else 0 for k in range(len(arguments))]
+        for _ in range(self.depth):
+            function = jax.vmap(function, in_axes=axes)
+        return function(*arguments)
+
+    def rows(self, function: Rows, arguments: Sequence[Any]) -> list[jax.Array]:
+        """A function of rows, of bodies whose axes are made one."""
+        shape = self.shape(arguments)
+        rows = math.prod(shape)
+        flat = [
+            jnp.reshape(a, (1, *jnp.shape(a)) if k in self.shared else (rows, *jnp.shape(a)[self.depth :]))
+            for k, a in enumerate(arguments)
+        ]
+        return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in function(rows, *flat)]
+
+    def batched(self, arguments: Sequence[Any], axes: Sequence[int | None]) -> tuple[Bodies, list[Any]]:
+        """The same with one more axis, in front, that stands somewhere in some arguments, and those arguments."""
+        size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
+        whole = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
+        moved = [
+            a if k in whole else batching.bdim_at_front(a, d, size)
+            for k, (a, d) in enumerate(zip(arguments, axes, strict=True))
+        ]
+        found = Bodies(self.depth + 1, frozenset(whole))
+        # Those that only the axes from before share are no longer the same for all.
+        shape = Bodies(self.depth + 1, self.shared | whole).shape(moved)
+        for k in self.shared - whole:
+            own = moved[k].shape[1:]
+            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *own), (*shape, *own))
+        return found, moved
+
+
+class Runner(Protocol):
+    """What runs programs on the CPU in another way than by XLA, where a call has at least so many operations."""
+
+    @property
+    def least(self) -> int: ...
+
+    @property
+    def alone(self) -> bool:
+        """Whether it runs them also in what would be one small function without them."""
+
+    def prepare(self, program: ScalarProgram, single: bool) -> Rows | None:
+        """What runs the program; None: XLA does.
+
+        Args:
+            single: for one row; else for many. Asked once for each program.
+        """
+
+
+class Computed(ABC):
+    """What an equation computes. Compared and hashed by identity.
+
+    Attributes:
+        results: the shapes and types of the results.
+        function: from arguments to results of one body; pure and traceable.
+    """
+
+    results: Any
+    function: Any
+
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU where there is no kernel; `inside` of a small call or not."""
+        return bodies.each(self.function, arguments)
+
+    @abstractmethod
+    def kernel(self, rows: int) -> Rows | None:
+        """What runs so many bodies at once on the CPU instead."""
+
+
+class Differentiable(Computed):
+    """What an equation computes, with its derivatives, each made when it first runs.
+
+    Attributes:
+        origin: of one made by `tangent`: which one it is a derivative of, and along which arguments.
+    """
+
+    def __init__(self) -> None:
+        self._tangents: dict[tuple[int, ...], Differentiable] = {}
+        self._cotangents: dict[tuple[int, ...], Differentiable] = {}
+        self.origin: tuple[Differentiable, tuple[int, ...]] | None = None
+
+    @abstractmethod
+    def primitive(self, inside: bool) -> Primitive:
+        """What JAX calls it; `inside` of a small call or not."""
+
+    @abstractmethod
+    def _tangent(self, active: tuple[int, ...]) -> Differentiable:
+        """(arguments, tangents of the active ones) -> tangents of the real results."""
+
+    @abstractmethod
+    def _cotangent(self, active: tuple[int, ...]) -> Differentiable:
+        """(arguments, cotangents of the real results) -> cotangents of the active arguments."""
+
+    @property
+    def real(self) -> list[int]:
+        """The results that have derivatives."""
+        return [k for k, (_, dtype) in enumerate(self.results) if is_real(dtype)]
+
+    @abstractmethod
+    def transposed(self, linear: tuple[int, ...]) -> Differentiable:
+        """`cotangent` of a function that is linear in these arguments, whatever their values.
+
+        Raises:
+            NotImplementedError: it is not.
+        """
+
+    def tangent(self, active: tuple[int, ...]) -> Differentiable:
+        if active not in self._tangents:
+            found = self._tangents[active] = self._tangent(active)
+            found.origin = (self, active)
+        return self._tangents[active]
+
+    def cotangent(self, active: tuple[int, ...]) -> Differentiable:
+        if active not in self._cotangents:
+            self._cotangents[active] = self._cotangent(active)
+        return self._cotangents[active]
+
+
+@weakly_kept
+class Derived(Differentiable):
+    """A program with its derivatives.
+
+    Args:
+        program: the program; or what makes it, with the shapes and types of its results.
+        runner: what runs it and its derivatives on the CPU; XLA if None.
+    """
+
+    def __init__(
+        self,
+        program: ScalarProgram | Callable[[], ScalarProgram],
+        results: Shapes | None = None,
+        runner: Runner | None = None,
+    ) -> None:
+        super().__init__()
+        self._program = program
+        self.runner = runner
+        self._results = results
+        self._prepared: dict[bool, Rows | None] = {}
+
+    @functools.cached_property
+    def program(self) -> ScalarProgram:
+        return self._program if isinstance(self._program, ScalarProgram) else self._program()
+
+    @functools.cached_property
+    def results(self) -> Shapes:
+        if self._results is not None:
+            return self._results
+        return [(nodes.shape, dtype) for nodes, dtype in zip(self.program.outputs, self.program.types, strict=True)]
+
+    @functools.cached_property
+    def function(self) -> Callable[..., list[jax.Array]]:
+        return as_function(self.program)
+
+    @functools.cached_property
+    def _apart(self) -> Any:
+        return as_function(self.program, apart)
+
+    def kernel(self, rows: int) -> Rows | None:
+        """What the runner runs for so many bodies at once on the CPU; None: XLA does."""
+        if self.runner is None or self.program.operations * rows < self.runner.least:
+            return None
+        return self.native(rows == 1)
+
+    def native(self, single: bool) -> Rows | None:
+        """What the runner runs, for one body or for more, however many operations there are."""
+        if self.runner is not None and single not in self._prepared:
+            self._prepared[single] = self.runner.prepare(self.program, single)
+        return self._prepared.get(single)
+
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        """What XLA runs on the CPU: body after body, each loop compiled as one function, or `inside` of one."""
+        empty = not any(jnp.size(a) for a in arguments)
+        if bodies.depth == 0:
+            return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
+        if empty:
+            return bodies.each(self.function, arguments)
+
+        def every(*flat: jax.Array) -> list[jax.Array]:
+            def one(row: dict[int, jax.Array]) -> list[jax.Array]:
+                return self._apart(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
+
+            return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in bodies.shared})
+
+        return bodies.rows(lambda rows, *flat: small_call(every, *flat), arguments)
+
+    def primitive(self, inside: bool) -> Primitive:
+        joins = self.runner is None or (inside and not self.runner.alone)
+        return _program_p if joins else _native_p
+
+    def _tangent(self, active: tuple[int, ...]) -> Derived:
+        # Made when it runs: what is only transposed need not have a forward derivative at all.
+        results = [self.results[k] for k in self.real]
+        return Derived(lambda: tangent_program(self.program, active), results, self.runner)
+
+    def _cotangent(self, active: tuple[int, ...]) -> Derived:
+        return Derived(cotangent_program(self.program, active), None, self.runner)
+
+    def transposed(self, linear: tuple[int, ...]) -> Differentiable:
+        back = self.cotangent(linear)
+        assert isinstance(back, Derived)
+        moving = back.program.depending(linear)
+        if any(i in moving for i in back.program.flat):
+            raise NotImplementedError(NOT_LINEAR)
+        return back
+
+
+#: A program that XLA runs; it may be part of a small call.
+_program_p = Primitive("scalar_program")
+#: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
+_native_p = Primitive("native_program")
+
+
+#: What JAX's transformations say of a function that they take for a linear one.
+NOT_LINEAR = (
+    "a compiled function cannot be transposed: it is not linear in the arguments that are asked for.\n"
+    "  fix: jax.vjp and jax.grad differentiate functions that are not linear"
+)
+
+#: No batch.
+_ONE = Bodies()
+
+
+def call_program(program: Differentiable, *arguments: Any, bodies: Bodies = _ONE) -> list[Any]:
+    """The results of a program, of one body or of many; differentiable and batched as any JAX function."""
+    # A loop that is compiled as one small function needs no other one inside.
+    inside = inside_small_call()
+    return program.primitive(inside).bind(*varying_alike(arguments), program=program, bodies=bodies, inside=inside)
+
+
+# ---- what JAX asks of them -------------------------------------------------------------------------------------------
+
+
+def _by_xla(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    return program.on_cpu(arguments, bodies, inside)
+
+
+def by_kernel(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    """On the CPU: the kernel, where there is one."""
+    rows = math.prod(bodies.shape(arguments))
+    kernel = program.kernel(rows) if rows else None
+    return program.on_cpu(arguments, bodies, inside) if kernel is None else bodies.rows(kernel, arguments)
+
+
+def _elsewhere(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
+    return bodies.each(program.function, arguments)
+
+
+def _abstract(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[Any]:
+    batch, depth, shared = bodies.shape(arguments), bodies.depth, bodies.shared
+    return [
+        placed_as(shaped_array((*batch, *shape), dtype), depth, shared, arguments) for shape, dtype in program.results
+    ]
+
+
+def _jvp(
+    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, bodies: Bodies, inside: bool
+) -> tuple[list[Any], list[Any]]:
+    results = call_program(program, *primals, bodies=bodies)
+    active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
+    # A tangent has the shape of its argument.
+    shared = {len(primals) + j for j, k in enumerate(active) if k in bodies.shared}
+    own = dataclasses.replace(bodies, shared=bodies.shared | shared)
+    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), bodies=own))
+    real = set(program.real)
+    return results, [
+        next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
+    ]
+
+
+def _transpose(
+    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, bodies: Bodies, inside: bool
+) -> list[Any]:
+    """The cotangents of the arguments that JAX asks for, in which the program is linear."""
+    linear = [k for k, a in enumerate(arguments) if ad.is_undefined_primal(a)]
+    # A tangent has the shape of its argument: what it transposes to is a derivative of the program it came from.
+    count = 0 if program.origin is None else len(arguments) - len(program.origin[1])
+    if program.origin is not None and min(linear) >= count:
+        origin, active = program.origin
+        back = origin.cotangent(tuple(active[k - count] for k in linear))
+        given = list(arguments[:count])
+    else:
+        back = program.transposed(tuple(linear))
+        given = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
+    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < len(given)))
+    weights = [ad.instantiate_zeros(cotangents[k]) for k in program.real]
+    result: list[Any] = [None] * len(arguments)
+    for k, value in zip(linear, call_program(back, *given, *weights, bodies=own), strict=True):
+        every = range(bodies.depth if k in bodies.shared else 0)
+        result[k] = jnp.sum(value, every) if every else value
+    return result
+
+
+class _Held:
+    """Keeps a program alive; on disk, where compiled code may go, it is nothing."""
+
+    def __init__(self, program: Computed | None = None) -> None:
+        self.program = program
+
+    def __reduce__(self) -> tuple[type[_Held], tuple[()]]:
+        return _Held, ()
+
+
+def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
+    """Tell JAX how an equation runs, for one body or for batches of them."""
+
+    @functools.lru_cache(32)  # what is jitted keeps its program
+    def compiled(**own: Any) -> Any:
+        return jax.jit(functools.partial(primitive.bind, **own))
+
+    def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
+        debugging: Any = jax.config
+        if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
+            return _elsewhere(*arguments, **own)
+        # As every operation of JAX: compiled also where functions are not.
+        with jax.disable_jit(False):
+            found: list[jax.Array] = compiled(**own)(*arguments)
+        return found
+
+    def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
+        def lowered(context: Any, *arguments: Any, **own: Any) -> Any:
+            # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
+            module = context.module_context
+            if not module.lowering_parameters.for_export:
+                module.add_keepalive(_Held(own["program"]))
+
+            # JAX keeps what it traced as long as the function: a new one each time.
+            def once(*a: Any) -> list[jax.Array]:
+                return function(*a, **own)
+
+            depth, shared = own["bodies"].depth, own["bodies"].shared
+            run = on_axes(once, depth, shared, context) if depth else None
+            if run is None:
+                run = shared_out(once, depth, shared) if depth and is_shared_out(context) else once
+                context = by_one_device(context)
+            return mlir.lower_fun(lambda *a: run(*a), multiple_results=True)(context, *arguments)
+
+        return lowered
+
+    def batch(arguments: Sequence[Any], axes: Sequence[Any], bodies: Bodies, **own: Any) -> tuple[list[Any], list[int]]:
+        bodies, moved = bodies.batched(arguments, axes)
+        results = primitive.bind(*moved, **{**own, "inside": False, "bodies": bodies})
+        return results, [0] * len(results)
+
+    needs_devices(primitive)
+    primitive.multiple_results = True
+    primitive.def_impl(evaluate)
+    primitive.def_abstract_eval(_abstract)
+    batching.primitive_batchers[primitive] = batch
+    mlir.register_lowering(primitive, lower(_elsewhere))
+    mlir.register_lowering(primitive, lower(on_cpu), platform="cpu")
+
+
+def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bodies: Bodies, inside: bool) -> Any:
+    """Taylor series: those of the operations on scalars, `as_function` has barriers, which have none."""
+    form = emitted_form(program.program)
+    if form.calls:
+        names = called_names(form.calls)
+        raise NotImplementedError(f"jet: no Taylor series of {names} in a compiled system; use backend=tx.JAX()")
+
+    def function(*arguments: jax.Array) -> list[jax.Array]:
+        values = form.computed(
+            lambda argument, place: jnp.reshape(arguments[argument], -1)[place],
+            lambda value, dtype: jnp.asarray(value, dtype),
+            lambda operation, _, *own: operation.array(*own),
+        )
+        flat = [[values[i] for i in nodes.reshape(-1).tolist()] for nodes in form.outputs]
+        return [jnp.stack(own).reshape(nodes.shape) for own, nodes in zip(flat, form.outputs, strict=True)]
+
+    def every(*arguments: jax.Array) -> list[jax.Array]:
+        return bodies.each(function, arguments)
+
+    return jet.jet(every, tuple(primals), tuple(series), factorial_scaled=False)
+
+
+_taylor_rules: dict[Any, Any] = jet.jet_rules
+
+
+def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] | None = None) -> None:
+    """The same for an equation of a `Differentiable`; on the CPU by its kernel if there is one."""
+    define(primitive, on_cpu or by_kernel)
+    ad.primitive_jvps[primitive] = _jvp
+    ad.primitive_transposes[primitive] = _transpose
+
+
+differentiable(_program_p, _by_xla)
+differentiable(_native_p)
+for _primitive in (_program_p, _native_p):
+    _taylor_rules[_primitive] = _jet

@@ -1,0 +1,130 @@
+"""Machine code of kernels on disk, for the next process: a file each, read only where it is this user's alone."""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import stat
+import sys
+import tempfile
+from pathlib import Path
+
+from ..jax_inside import say_once
+
+#: A directory, or "off". Read whenever a kernel is needed.
+_VARIABLE = "TWISTAX_CACHE"
+
+#: Bytes that all files may have together. The Panda's step takes 0.1 MB, its Jacobian 0.7 MB.
+_MOST = 2**28
+
+#: What the names of all files begin with: nothing else in the directory is ever touched.
+_NAME = "kernel_"
+
+#: Bytes of the checksum that each file begins with.
+_SUM = hashlib.sha256().digest_size
+
+
+def version() -> str:
+    """The version of this package, `twistax.__version__`; that module stands above, and is there when this runs."""
+    return str(sys.modules[__name__.partition(".")[0]].__version__)
+
+
+def kept(key: str) -> bytes | None:
+    """The machine code that some process kept under a key; None where no file is kept, or none can be trusted."""
+    folder = _folder()
+    if folder is None:
+        return None
+    try:
+        _check_owner(os.stat(folder), f"the directory {folder}")
+        with open(folder / (_NAME + key), "rb", opener=_opened) as file:
+            _check_owner(os.fstat(file.fileno()), f"a file in {folder}")
+            content = file.read()
+            with contextlib.suppress(OSError):  # where files may only be read none is dropped either
+                os.utime(file.fileno())  # those that were not read for longest go first
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        _say(folder, error)
+        return None
+    code = content[_SUM:]
+    return code if content[:_SUM] == _checksum(key, code) else None
+
+
+def keep(key: str, code: bytes) -> None:
+    """Keep machine code under a key: whole or not at all, however many processes do so at once."""
+    folder = _folder()
+    if folder is None:
+        return
+    try:
+        folder.mkdir(0o700, parents=True, exist_ok=True)
+        _check_owner(os.stat(folder), f"the directory {folder}")
+        handle, part = tempfile.mkstemp(prefix=_NAME, suffix=".part", dir=folder)
+        try:
+            with open(handle, "wb") as file:
+                file.write(_checksum(key, code) + code)
+            os.replace(part, folder / (_NAME + key))
+        except BaseException:
+            with contextlib.suppress(FileNotFoundError):
+                os.unlink(part)
+            raise
+        _drop_oldest(folder)
+    except OSError as error:
+        _say(folder, error)
+
+
+def _folder() -> Path | None:
+    """Where files are; None: nowhere, also where the system cannot say whose they are."""
+    named, usual = os.environ.get(_VARIABLE, ""), os.environ.get("XDG_CACHE_HOME", "")
+    if named.lower() == "off" or not hasattr(os, "getuid"):
+        return None
+    if named:
+        return Path(os.path.expanduser(named)).absolute()  # shells leave "~" within quotes
+    # The rule for this variable is that relative paths do not count; nor does a home that the system does not know.
+    usual = usual if os.path.isabs(usual) else os.path.expanduser("~/.cache")
+    return Path(usual, "twistax") if os.path.isabs(usual) else None
+
+
+def _opened(path: str, flags: int) -> int:
+    return os.open(path, flags | os.O_NOFOLLOW)
+
+
+def _check_owner(found: os.stat_result, what: str) -> None:
+    """What others could have written is not run.
+
+    Raises:
+        PermissionError: it is another user's, or others may write to it.
+    """
+    if found.st_uid != os.getuid():
+        raise PermissionError(None, f"{what} belongs to another user")
+    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+        raise PermissionError(None, f"others may write to {what} (chmod go-w mends it)")
+
+
+def _checksum(key: str, code: bytes) -> bytes:
+    """Of the key too: a file under another name is no other kernel."""
+    return hashlib.sha256(key.encode() + b"\0" + code).digest()
+
+
+def _drop_oldest(folder: Path) -> None:
+    """Down to the most that there may be."""
+    found = []
+    for entry in os.scandir(folder):
+        if entry.name.startswith(_NAME):
+            with contextlib.suppress(FileNotFoundError):
+                own = entry.stat(follow_symlinks=False)
+                found.append((own.st_mtime_ns, own.st_size, entry.path))
+    total = sum(size for _, size, _ in found)
+    for _, size, path in sorted(found):
+        if total <= _MOST:
+            return
+        with contextlib.suppress(FileNotFoundError):
+            os.unlink(path)
+        total -= size
+
+
+def _say(folder: Path, error: OSError) -> None:
+    say_once(
+        f"kernels are compiled anew: {error.strerror or error} ({folder}).\n"
+        f"  fix: let the environment variable {_VARIABLE} name another directory, or be 'off'"
+    )

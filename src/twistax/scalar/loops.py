@@ -1,0 +1,300 @@
+"""Equations of JAX that are loops: a step taken again and again, and loops of JAX, all iterations in one kernel."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+import weakref
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+
+from ..jax_inside import Primitive, varying_alike, weakly_kept
+from .jax_primitive import Bodies, Computed, Rows, Shapes, by_kernel, define
+from .reader import ScalarProgram
+from .small_call import need_outside
+from .targets.xla import as_function
+
+#: From what an iteration left for rows, and a mark, to the row.
+Row: TypeAlias = Callable[[Any, jax.Array], jax.Array]
+
+#: A table, and the number of the next row.
+_Filled: TypeAlias = tuple[jax.Array, jax.Array]
+
+#: Of a batch the rows of each body are filled some at once: as many as one of so many steps would pass.
+_STEPS = 64
+#: But no more than these, of which those that are not due yet are computed in vain.
+_AT_ONCE = 16
+
+
+class _Rolled(Computed):
+    """A loop and the kernels that take all of its iterations. Compared and hashed by identity.
+
+    Args:
+        kernel: makes the kernel, for one body (True) or for many; None where there is none.
+    """
+
+    def __init__(self, kernel: Callable[[bool], Rows | None]) -> None:
+        self._kernel = functools.lru_cache(kernel)
+
+    def kernel(self, rows: int) -> Rows | None:
+        return self._kernel(rows == 1)
+
+
+class Filling(NamedTuple):
+    """Rows that are filled one after the other, each as soon as what is computed has come to its mark.
+
+    Attributes:
+        marks: (n,) in order, n > 0; infinite for rows that stay as they are.
+        table: (n, width) the rows.
+        number: that of the next row.
+    """
+
+    marks: Any
+    table: Any
+    number: Any
+
+    def up_to(self, reach: jax.Array, row: Row, record: Any) -> Filling:
+        """With all rows whose marks are not beyond `reach`, each row(record, mark).
+
+        Args:
+            row: reads nothing that is traced but its arguments.
+        """
+        table, number = _filled(row)(reach, self, record)
+        return self._replace(table=table, number=number)
+
+
+def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
+    """What fills rows, from how far it is and a record.
+
+    Under vmap it is not the loop of one body with an axis more: where some bodies have come to their marks and others
+    not, JAX would select between whole tables for every row.
+    """
+
+    @jax.custom_batching.custom_vmap
+    def one(reach: jax.Array, rows: Filling, record: Any) -> _Filled:
+        marks, count = rows.marks, len(rows.marks)
+
+        def next_mark(number: jax.Array) -> jax.Array:
+            return marks[jnp.minimum(number, count - 1)]
+
+        def due(now: _Filled) -> jax.Array:
+            return (now[1] < count) & (next_mark(now[1]) <= reach)
+
+        def fill(now: _Filled) -> _Filled:
+            table, number = now
+            return table.at[number].set(row(record, next_mark(number))), number + 1
+
+        return jax.lax.while_loop(due, fill, (rows.table, rows.number))
+
+    @jax.custom_batching.custom_vmap
+    def many(reach: jax.Array, rows: Filling, record: Any) -> _Filled:
+        """The same of bodies, along the first axis of all arrays: some rows of each at once, as long as any is due."""
+        count = rows.marks.shape[1]
+        few = min(max(count // _STEPS, 1), _AT_ONCE)
+
+        def due(now: _Filled) -> jax.Array:
+            at = jnp.minimum(now[1], count - 1)
+            marks = jnp.take_along_axis(rows.marks, at[:, None], 1)[:, 0]
+            return ((now[1] < count) & (marks <= reach)).any()
+
+        def fill(reach: jax.Array, marks: jax.Array, record: Any, table: jax.Array, number: jax.Array) -> _Filled:
+            first = jnp.minimum(number, count - few)
+            marks = jax.lax.dynamic_slice_in_dim(marks, first, few)
+            here = (first + jnp.arange(few, dtype=number.dtype) >= number) & (marks <= reach)
+            old = jax.lax.dynamic_slice_in_dim(table, first, few)
+            new = jnp.where(here[:, None], jax.vmap(row, (None, 0))(record, marks), old)
+            return jax.lax.dynamic_update_slice_in_dim(table, new, first, 0), number + here.sum(dtype=number.dtype)
+
+        def fill_all(now: _Filled) -> _Filled:
+            return jax.vmap(fill)(reach, rows.marks, record, *now)
+
+        return jax.lax.while_loop(due, fill_all, (rows.table, rows.number))
+
+    def whole(size: int, mapped: Any, arguments: Any) -> Any:
+        """All arguments with the axis of bodies."""
+        return jax.tree.map(
+            lambda own, a: a if own else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
+        )
+
+    @one.def_vmap
+    def of_one(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
+        return many(*whole(size, mapped, arguments)), (True, True)
+
+    @many.def_vmap
+    def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
+        own = whole(size, mapped, arguments)
+        shape = own[0].shape
+        found = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), own))
+        table, number = (a.reshape(*shape, *a.shape[1:]) for a in found)
+        return (table, number), (True, True)
+
+    return one
+
+
+def _row_of(program: ScalarProgram) -> Row:
+    function = as_function(program)
+    return lambda record, mark: function(*record, mark)[0]
+
+
+@weakly_kept
+class Repeated(_Rolled):
+    """A step, taken again and again, and rows that are filled on the way.
+
+    Args:
+        step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows; or
+            (*state, more, reach, *record).
+        state: how many arguments are the state.
+        kernel: as of all loops.
+        row: takes (reach, *record, mark), gives a row; None: there are none.
+        length: how many rows there are.
+    """
+
+    def __init__(
+        self,
+        step: ScalarProgram,
+        state: int,
+        kernel: Callable[[bool], Rows | None],
+        row: ScalarProgram | None = None,
+        length: int = 0,
+    ) -> None:
+        super().__init__(kernel)
+        self._step, self._state, self.row, self._length = step, state, row, length
+        # Every number of rows is another program: it lasts as long as what was traced with it.
+        self._others: weakref.WeakValueDictionary[int, Repeated] = weakref.WeakValueDictionary()
+
+    def of_length(self, length: int) -> Repeated:
+        """The same for so many rows, by the same kernels."""
+        found = self._others.get(length)
+        if found is None:
+            found = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
+        return found
+
+    def kernel(self, rows: int) -> Rows | None:
+        found = super().kernel(rows)
+        return found if found is None or self.row is None else functools.partial(found, length=self._length)
+
+    @functools.cached_property
+    def results(self) -> Shapes:
+        number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
+        found = [*rest[len(rest) - self._state :], number]
+        if self.row is not None:
+            found += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
+        return found
+
+    @functools.cached_property
+    def function(self) -> Callable[..., list[jax.Array]]:
+        """A loop."""
+        step, count = as_function(self._step), self._state
+        row = None if self.row is None else _row_of(self.row)
+
+        def loop(first: jax.Array, stop: jax.Array, *rest: jax.Array, rows: Filling | None = None) -> list[jax.Array]:
+            fixed, state = rest[: len(rest) - count], rest[len(rest) - count :]
+
+            def going(carried: tuple[jax.Array, jax.Array, Any]) -> jax.Array:
+                return carried[1] & (carried[0] < stop)
+
+            def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
+                k, _, (state, rows) = carried
+                found = step(k, *fixed, *state)
+                if row is not None:
+                    record = found[count + 1 :]
+                    rows = rows.up_to(record[0], row, record)
+                if len(found) > count:
+                    return k + 1, found[count], (found[:count], rows)
+                good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
+                kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
+                return k + good.astype(k.dtype), good, (kept, rows)
+
+            start = (list(state), rows)
+            k, _, (found, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
+            return [*found, k, *([] if rows is None else [rows.number, rows.table])]
+
+        if row is None:
+            return loop
+
+        def with_rows(
+            _: jax.Array, first: jax.Array, stop: jax.Array, number: jax.Array, *rest: Any
+        ) -> list[jax.Array]:
+            *own, marks, table = rest
+            return loop(first, stop, *own, rows=Filling(marks, table, number))
+
+        return with_rows
+
+
+@dataclasses.dataclass(frozen=True)
+class Ring:
+    """How the arguments and results of one iteration go round.
+
+    A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
+    A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
+    not going.
+
+    Attributes:
+        fixed, state: how many arguments stay the same, and how many are carried.
+        length: the iterations of a scan; None: it is a `while_loop`.
+        reverse: whether a scan begins with the last rows.
+    """
+
+    fixed: int
+    state: int
+    length: int | None = None
+    reverse: bool = False
+
+
+@weakly_kept
+class Looped(_Rolled):
+    """A loop of JAX.
+
+    Args:
+        function: of (count, *arguments).
+        results: the shapes and types of its results.
+        kernel: as of all loops.
+    """
+
+    def __init__(
+        self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: Callable[[bool], Rows | None]
+    ) -> None:
+        super().__init__(kernel)
+        self.function, self.results = function, results
+
+
+#: A repeated step, or a loop.
+_repeat_p = Primitive("repeated_step")
+define(_repeat_p, by_kernel)
+
+
+def repeat(
+    step: Repeated,
+    first: jax.Array,
+    stop: jax.Array,
+    fixed: Sequence[jax.Array],
+    state: Sequence[jax.Array],
+    rows: Filling | None = None,
+) -> tuple[list[jax.Array], jax.Array, Filling | None]:
+    """state = step(k, fixed, state) for k = first, ..., stop - 1.
+
+    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
+    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
+
+    Args:
+        rows: of a step that leaves something for them.
+    Returns:
+        The state, the number of the next iteration, and the rows.
+    """
+    need_outside()
+    arguments = [first, stop, *fixed, *state]
+    if rows is not None:
+        step = step.of_length(len(rows.marks))
+        arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
+    results = _repeat_p.bind(*varying_alike(arguments), program=step, bodies=Bodies(), inside=False)
+    found, (k, *filled) = results[: len(state)], results[len(state) :]
+    return found, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
+
+
+def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
+    """The results of a loop. Traceable, batched by vmap, not differentiable."""
+    return _repeat_p.bind(*varying_alike([jnp.int32(count), *arguments]), program=looped, bodies=Bodies(), inside=False)

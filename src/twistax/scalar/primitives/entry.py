@@ -1,0 +1,315 @@
+"""What an entry of the table says of a primitive of JAX, or of an operation on scalars."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax import lax
+from numpy.typing import NDArray
+
+from ...jax_inside import ClosedJaxpr, inner_jaxprs, parameters
+from ..cotangents import Cotangent
+
+if TYPE_CHECKING:
+    from ..graph import Graph
+    from ..reader import Reader
+
+#: An array of nodes.
+Nodes: TypeAlias = NDArray[Any]
+
+#: read(reader, equation, *arrays of nodes) -> the arrays of the results; None: the equation stays a call of JAX.
+Read: TypeAlias = "Callable[..., list[Nodes] | None]"
+
+#: A derivative of an operation: a node, or two of which it is the product, w q. A tangent t then becomes w (q t): w q
+#: itself may leave the range of numbers. None: it is zero everywhere.
+Slope: TypeAlias = "int | tuple[int, int] | None"
+#: Those of an operation with respect to its arguments.
+Partials: TypeAlias = "Callable[[Graph, tuple[int, ...], int], Sequence[Slope]]"
+
+#: Sets of tangents of the arguments of an operation; None stands for zero.
+Tangents: TypeAlias = Sequence[Sequence[int | None]]
+
+# ---- primitives ------------------------------------------------------------------------------------------------------
+
+
+def up_to(entries: float) -> Callable[[Any], bool]:
+    """Whether an equation reads and makes arrays of at most so many entries."""
+    return lambda eqn: max((v.aval.size for v in (*eqn.invars, *eqn.outvars)), default=0) <= entries
+
+
+#: It calls a library.
+NEVER = up_to(-1)
+#: Beyond, XLA shares the work of an operation between threads, or compiles it in ways of its own.
+SMALL = up_to(4096)
+#: What moves numbers, or holds other equations.
+ALWAYS = up_to(math.inf)
+
+
+def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
+    """Whether a parameter is left out."""
+    return lambda params: params.get(name) is None
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False)
+class Entry:
+    """What is known of a primitive of JAX. Compared and hashed by identity.
+
+    Attributes:
+        name: of the primitive.
+        read: how an equation becomes scalars; None: it stays a call of JAX.
+        takes: the names of all its parameters; "a | a b" where versions of JAX have different ones.
+        when: whether the values of the parameters are ones that are read.
+        any_type: whether it is read in complex numbers and in other precisions than the program's too.
+        inside: whether an equation compiles as part of one small function on the CPU.
+        moves: whether it only moves numbers, or holds other equations: it counts as no operation.
+        work: operations on scalars that an equation takes, by name; by default one for each entry of the results.
+        runs: the jaxprs that an equation runs; a linear solve holds others for its derivatives.
+        repeats: how often the equations in them run.
+    """
+
+    name: str
+    read: Read | None = None
+    takes: str = ""
+    _: dataclasses.KW_ONLY
+    when: Callable[[Mapping[str, Any]], bool] = lambda params: True
+    any_type: bool = False
+    inside: Callable[[Any], bool] = NEVER
+    moves: bool = False
+    work: Callable[[Any], Mapping[str, int]] | None = None
+    runs: Callable[[Any], list[ClosedJaxpr]] = inner_jaxprs
+    repeats: Callable[[Any], int] = lambda eqn: 1
+
+    def __repr__(self) -> str:
+        return self.name
+
+    def understands(self, eqn: Any) -> bool:
+        """Whether the values of an equation's parameters are ones that are read.
+
+        Raises:
+            Unread: it has other parameters than are known.
+        """
+        return self.when(parameters(eqn, *_names(self.takes)))
+
+    def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+        """The results of an equation as nodes; None: it stays a call of JAX.
+
+        Raises:
+            Unread: a parameter has a form that is not known.
+        """
+        return None if self.read is None else self.read(reader, eqn, *arrays)
+
+    def operations(self, eqn: Any) -> Mapping[str, int]:
+        """Operations on scalars that an equation takes, those of equations in it left out."""
+        if self.work is not None:
+            return self.work(eqn)
+        return {} if self.moves else {self.name: sum(v.aval.size for v in eqn.outvars)}
+
+
+@functools.cache
+def _names(takes: str) -> list[set[str]]:
+    return [set(form.split()) for form in takes.split("|")]
+
+
+#: The entry of what only moves numbers, or holds other equations, whatever their type and the size of arrays.
+moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
+
+# ---- operations on scalars -------------------------------------------------------------------------------------------
+
+
+class Forms(NamedTuple):
+    """How an operation is written in another language, by the type of its last argument; None: it is not.
+
+    In C: an expression in $a, $b, $c; $T and $R are the types of the arguments and the result, $U is an unsigned
+    type to add integers in, $f the suffix of libm's names, $least and $most the ends of the result's type.
+    In LLVM: a function of the `Code`, the name of the type and the values. In CasADi: of the module and expressions.
+    """
+
+    real: Any = None
+    integer: Any = None
+    boolean: Any = None
+    unsigned: Any = None
+
+    def of(self, dtype: np.dtype[Any]) -> Any:
+        """The form on arguments of a type."""
+        integers = {"i": self.integer, "u": self.unsigned or self.integer}
+        return {"f": self.real, "b": self.boolean, **integers}.get(dtype.kind)
+
+
+_NOWHERE = Forms()
+
+
+def everywhere(form: Any) -> Forms:
+    """The same form on all types."""
+    return Forms(form, form, form)
+
+
+def code(method: str, *first: Any) -> Any:
+    """By a method of LLVM's `Code`."""
+    return lambda code, kind, *values: getattr(code, method)(*first, kind, *values)
+
+
+@dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
+class Operation(Entry):
+    """An operation on scalars; `name` is what counts and pictures call it, that of JAX's primitive where there is one.
+
+    Attributes:
+        number: the operation on NumPy scalars or arrays.
+        array: the operation on JAX arrays of one shape.
+        arity: how many arguments it takes.
+        partials: the derivatives, those at kinks as JAX has them; None where they are zero or not defined.
+        result: the type of the result, None: that of the arguments.
+        symmetric: whether arguments may be swapped.
+        parity: -1 for odd functions, 1 for even ones, 0 for others.
+        maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
+        written: graph -> what makes the node that emitters write for it; None: they write the operation.
+        llvm, c, casadi: how it is written in these languages.
+    """
+
+    number: Callable[..., Any]
+    array: Callable[..., jax.Array]
+    arity: int = 1
+    partials: Partials | None = None
+    result: np.dtype[Any] | None = None
+    symmetric: bool = False
+    parity: int = 0
+    maker: Callable[[Graph], Callable[..., int]] | None = None
+    written: Callable[[Graph], Callable[..., int]] | None = None
+    inside: Callable[[Any], bool] = SMALL
+    llvm: Forms = _NOWHERE
+    c: Forms = _NOWHERE
+    casadi: Forms = _NOWHERE
+
+    def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+        return [each(self.on(reader.graph), *arrays)]
+
+    def on(self, g: Graph) -> Callable[..., int]:
+        """What makes its node from those of the arguments."""
+        return functools.partial(g.node, self) if self.maker is None else self.maker(g)
+
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+        """sum_i (partial_i) t_i for each set of tangents t."""
+        if self.partials is None:
+            return [None] * len(along)
+        partials, found = self.partials(g, arguments, node), []
+        for tangents in along:
+            pairs = zip(partials, tangents, strict=True)
+            terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
+            found.append(functools.reduce(g.add, terms) if terms else None)
+        return found
+
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
+        """What the cotangent of the result gives to each argument."""
+        if self.partials is None:
+            return [None] * len(arguments)
+        return [None if p is None else cotangent.through(g, p) for p in self.partials(g, arguments, node)]
+
+
+def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
+    """A derivative times a tangent."""
+    weight, rate = slope if isinstance(slope, tuple) else (g.one, slope)
+    return g.mul(weight, g.over(tangent, rate))
+
+
+class Select(Operation):
+    """a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
+
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+        zero = g.constant(0.0, g.dtypes[node])
+        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in along]
+        return [None if pair == [zero, zero] else g.select(arguments[0], *pair) for pair in chosen]
+
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
+        c, zero, (weight, rate) = arguments[0], g.constant(0.0, g.dtypes[node]), cotangent
+        return [None, Cotangent(g.select(c, weight, zero), rate), Cotangent(g.select(c, zero, weight), rate)]
+
+
+class Convert(Operation):
+    """The conversion to another type. Linear between floating-point types, else of no derivative."""
+
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+        linear = self._linear(g, arguments, node)
+        return [g.node(self, t) if linear and t is not None else None for (t,) in along]
+
+    def cotangents(
+        self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
+    ) -> Sequence[Cotangent | None]:
+        if not self._linear(g, arguments, node):
+            return [None]
+        return [Cotangent(g.node(convert(g.dtypes[arguments[0]]), cotangent.total(g)), g.one)]
+
+    def _linear(self, g: Graph, arguments: tuple[int, ...], node: int) -> bool:
+        return all(jnp.issubdtype(g.dtypes[i], jnp.inexact) for i in (node, arguments[0]))
+
+
+@functools.cache
+def convert(dtype: np.dtype[Any]) -> Operation:
+    """The conversion to a type: to truth whether it is not zero; to integers the whole part in range, of NaN zero."""
+    cast, in_range = "($R)$a", "isnan($a) ? 0 : $a <= ($T)$least ? $least : $a >= ($T)$most ? $most : ($R)$a"
+    c = {"b": everywhere("$a != 0"), "f": everywhere(cast)}.get(dtype.kind, Forms(in_range, cast, cast))
+    casadi = {
+        "b": Forms(lambda casadi, a: a != 0, lambda casadi, a: a != 0, lambda casadi, a: a),
+        "f": everywhere(lambda casadi, a: a),
+        "c": Forms(),
+    }
+    return Convert(
+        name=f"to {dtype.name}",
+        number=functools.partial(_converted, dtype),
+        array=lambda x: lax.convert_element_type(x, dtype),
+        result=dtype,
+        llvm=everywhere(code("converted", dtype)),
+        c=c,
+        casadi=casadi.get(dtype.kind, Forms(whole, lambda casadi, a: a, lambda casadi, a: a)),
+    )
+
+
+def _converted(dtype: np.dtype[Any], x: Any) -> Any:
+    if dtype.kind in "iu" and np.asarray(x).dtype.kind == "f":
+        ends = np.iinfo(dtype)
+        within = (x > ends.min) & (x < ends.max)
+        return np.where(
+            np.isnan(x), 0, np.where(within, np.where(within, x, 0).astype(dtype), np.where(x > 0, ends.max, ends.min))
+        ).astype(dtype)
+    return (x if np.issubdtype(dtype, np.complexfloating) else np.real(x)).astype(dtype)
+
+
+def whole(casadi: Any, a: Any) -> Any:
+    """The whole part, towards zero."""
+    return casadi.sign(a) * casadi.floor(casadi.fabs(a))
+
+
+# ---- arrays of nodes -------------------------------------------------------------------------------------------------
+
+
+def nodes(flat: Iterable[int], shape: Iterable[int]) -> Nodes:
+    """An array of nodes."""
+    return np.array(list(flat), np.int64).reshape(tuple(shape))
+
+
+def flat(*arrays: Nodes) -> list[int]:
+    """The nodes of arrays, one after the other."""
+    return [node for array in arrays for node in array.reshape(-1).tolist()]
+
+
+def each(function: Callable[..., int], *arrays: Nodes) -> Nodes:
+    """A function of nodes on arrays, entry by entry."""
+    shape = np.broadcast_shapes(*(a.shape for a in arrays))
+    return nodes(map(function, *(flat(a if a.shape == shape else np.broadcast_to(a, shape)) for a in arrays)), shape)
+
+
+def gathered(a: Nodes, axes: Collection[int]) -> tuple[list[list[int]], tuple[int, ...]]:
+    """The entries over the axes, one list for each of the rest, and the shape of the rest."""
+    kept = [i for i in range(a.ndim) if i not in axes]
+    shape = tuple(a.shape[i] for i in kept)
+    count = math.prod(a.shape[i] for i in axes)
+    return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape

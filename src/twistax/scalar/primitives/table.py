@@ -1,0 +1,173 @@
+"""The table of primitives: an entry says all that this package knows of a primitive of JAX.
+
+What is not in it, or has parameters that its entry does not know, stays a call of JAX, with the same numbers. Here are
+the entries of calls, loops and branches, and of functions with a derivative of their own.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ...jax_inside import Unread, all_equations, closed, expansion, say_once, scan_parts
+from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
+from .entry import Entry, Nodes, each, flat, moving, nodes
+from .movement import INDEXING, MOVEMENT
+from .norms import NORM
+from .operations import OPERATIONS, on
+from .table_loads import TABLE_LOAD
+
+if TYPE_CHECKING:
+    from ..reader import Reader
+
+# ---- calls -----------------------------------------------------------------------------------------------------------
+
+
+def _jit(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    return reader.read(closed(eqn.params["jaxpr"]), arrays)
+
+
+def _batched_by_rule(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    """A function with a rule for batches, of one body."""
+    return reader.read(closed(eqn.params["call"]), arrays)
+
+
+def _composite(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """What it is composed of, where it has no derivative of its own."""
+    inside = expansion(eqn, own_derivatives=False)
+    return None if inside is None else reader.read(inside, arrays)
+
+
+def _with_derivative(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    """A call, for its derivative; what is known needs none."""
+    own = closed(eqn.params["call_jaxpr"])
+    return reader.call(eqn, arrays, own) if reader.whole and not reader.known(arrays) else reader.read(own, arrays)
+
+
+def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
+    """A linear solve is linear in its right-hand side: none is needed where the matrix is known."""
+    counts, solve = eqn.params["const_lengths"], closed(eqn.params["jaxprs"].solve)
+    if reader.whole and not reader.known(arrays[: sum(counts)]):
+        return reader.call(eqn, arrays, solve)
+    skip = counts.matvec + counts.vecmat
+    return reader.read(solve, [*arrays[skip : skip + counts.solve], *arrays[sum(counts) :]])
+
+
+# ---- loops and branches ----------------------------------------------------------------------------------------------
+
+
+def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    p = eqn.params
+    body, length = p["jaxpr"], p["length"]
+    if length * _equations(body.jaxpr) > reader.graph.limits.equations:
+        return None
+    fixed, carried = scan_parts(eqn)
+    consts, carry, along = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
+    rows: list[list[Nodes]] = []
+    for k in reversed(range(length)) if p["reverse"] else range(length):
+        found = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in along)])
+        carry = found[:carried]
+        rows.append(found[carried:])
+    if p["reverse"]:
+        rows = rows[::-1]
+    shapes = [v.aval.shape for v in eqn.outvars[carried:]]
+    stacked = [nodes(flat(*(row[i] for row in rows)), shape) for i, shape in enumerate(shapes)]
+    return [*carry, *stacked]
+
+
+def _cond(reader: Reader, eqn: Any, index: Nodes, *operands: Nodes) -> list[Nodes] | None:
+    """The branch that is known, or all of them with the results selected."""
+    branches, g = eqn.params["branches"], reader.graph
+    number = g.numbers[int(index)]
+    if number is not None:
+        return reader.read(branches[int(np.clip(number, 0, len(branches) - 1))], operands)
+    if sum(_equations(b.jaxpr) for b in branches) > g.limits.equations:
+        return None
+    before = len(g.calls)
+    cases = [reader.read(branch, operands) for branch in branches]
+    if not all(call.inline for call in g.calls[before:]):
+        return None  # what is not unrolled runs only where its branch is taken: it may be a loop without end
+    last = cases[-1]
+    for k in range(len(branches) - 2, -1, -1):
+        here = on(g, "le", int(index), g.constant(k, g.dtypes[int(index)]))
+        last = [each(lambda a, b, here=here: g.select(here, a, b), x, y) for x, y in zip(cases[k], last, strict=True)]
+    return last
+
+
+def _equations(jaxpr: Any) -> int:
+    """Equations, inner ones included."""
+    return sum(1 for _ in all_equations(jaxpr))
+
+
+def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """The scalars of a program of this package, for one body."""
+    return None if eqn.params["bodies"].depth else reader.inlined(eqn.params["program"].program, arrays)
+
+
+def _operations(eqn: Any) -> dict[str, int]:
+    """Those of all bodies."""
+    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["bodies"].depth])
+    counts: dict[str, int] = eqn.params["program"].program.counts()
+    return {name: bodies * count for name, count in counts.items()}
+
+
+# ---- the entries -----------------------------------------------------------------------------------------------------
+
+#: Where arrays of a jitted function lie, and how it is kept: nothing that changes numbers.
+WHERE = "in_shardings out_shardings in_layouts out_layouts ctx_mesh name inline keep_unused donated_invars"
+_SCAN = "jaxpr length reverse unroll"
+
+_CONTROL = [
+    moving("jit", _jit, f"jaxpr compiler_options_kvs {WHERE}", when=lambda p: not p["compiler_options_kvs"]),
+    moving("custom_vmap_call", _batched_by_rule, "call rule in_tree out_tree"),
+    moving("remat2", _jit, "jaxpr prevent_cse differentiated policy"),
+    moving("call_hi_primitive", _composite, "_prim"),  # JAX 0.12
+    moving("custom_jvp_call", _with_derivative, "call_jaxpr jvp_jaxpr_fun num_consts symbolic_zeros"),
+    moving("custom_vjp_call", _with_derivative, "call_jaxpr fwd_jaxpr_thunk bwd num_consts out_trees symbolic_zeros"),
+    moving(
+        "custom_linear_solve",  # inside as far as the equations in it are
+        _solve,
+        "const_lengths jaxprs",
+        runs=lambda eqn: [closed(eqn.params["jaxprs"].solve)],
+    ),
+    moving(
+        "scan",
+        _scan,
+        f"{_SCAN} num_consts num_carry | {_SCAN} ft_in ft_out",  # JAX 0.10; 0.11 and later
+        repeats=lambda eqn: eqn.params["length"],
+    ),
+    # By platform it is not read.
+    moving("cond", _cond, "branches | branches branches_platforms", when=lambda p: "branches_platforms" not in p),
+    moving("while", None, "body_jaxpr body_nconsts cond_jaxpr cond_nconsts"),
+    # This package's own.
+    TABLE_LOAD,
+    NORM,
+    moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
+    Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
+]
+
+#: By the name of the primitive.
+TABLE: dict[str, Entry] = {
+    **OPERATIONS,
+    **{e.name: e for e in (*ELEMENTWISE, *MOVEMENT, *INDEXING, *CONTRACTION, *LINEAR_ALGEBRA, *_CONTROL)},
+}
+
+
+def entry_of(eqn: Any) -> Entry | None:
+    """The entry of an equation; None where there is none, or where it does not understand all parameters.
+
+    One warning for names of parameters that it does not know.
+    """
+    entry = TABLE.get(eqn.primitive.name)
+    try:
+        return entry if entry is not None and entry.understands(eqn) else None
+    except Unread as error:
+        say_unread(error)
+        return None
+
+
+def say_unread(error: Unread) -> None:
+    """Tell the user, once, that an operation stays a call of JAX."""
+    say_once(f"{error}, which this twistax does not know: that operation runs as JAX has it")

@@ -1,0 +1,337 @@
+"""A function of arrays with loops in it, in parts: what is straight as scalars, loops as kernels of their own."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..jax_inside import (
+    ClosedJaxpr,
+    Literal,
+    Unread,
+    all_equations,
+    alone,
+    closed,
+    expansion,
+    inner_jaxprs,
+    jaxpr_as_fun,
+    parameters,
+    part,
+    scan_parts,
+    weakly_kept,
+)
+from .array_primitive import Written, is_written
+from .backends import Backend, array_operations
+from .jax_primitive import Bodies
+from .loops import Looped, Ring, loop
+from .primitives.table import say_unread
+from .small_call import small_call
+
+#: Loops of fewer operations on scalars, all iterations together, are unrolled.
+_UNROLLED = 2000
+_LOOPS = ("scan", "while")
+#: Constants of more entries are arguments of the parts.
+_LARGEST = 1000
+#: Calls of which nothing but the function matters, once derivatives are taken.
+_CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
+
+
+@dataclasses.dataclass(frozen=True)
+class Part:
+    """Some equations of a function, and how they run.
+
+    Attributes:
+        inputs, outputs: variables of the jaxpr.
+        function: from the values of these to the values of those.
+        reason: a sentence for each thing that is said of it.
+    """
+
+    inputs: Sequence[Any]
+    outputs: Sequence[Any]
+    function: Callable[..., Sequence[Any]]
+    reasons: list[str]
+
+
+@weakly_kept
+class Whole(Written):
+    """A function of arrays, run in parts. Its derivatives are taken before it is parted.
+
+    Args:
+        program: the function.
+        backend: what runs its parts.
+    """
+
+    def __init__(self, program: ClosedJaxpr, backend: Backend) -> None:
+        super().__init__(program)
+        self.backend = backend
+
+    @functools.cached_property
+    def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+        """What runs on the CPU, and how it came about."""
+        return emit_whole(self.program, self.backend)
+
+    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+        return bodies.each(self.parts[0], arguments)
+
+    def made(self, program: ClosedJaxpr) -> Whole:
+        return Whole(program, self.backend)
+
+
+# ---- parting ---------------------------------------------------------------------------------------------------------
+
+
+def has_loops(program: ClosedJaxpr) -> bool:
+    """Whether a function has loops that are not unrolled."""
+    return any(map(_loops, _opened(program).jaxpr.eqns))
+
+
+def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+    """What runs a function, and a sentence for each of its parts."""
+    program = _opened(program)
+    jaxpr = program.jaxpr
+    if not any(map(_loops, jaxpr.eqns)):
+        emission = backend.emit(program)
+        return emission.function, [emission.reason]
+    parts = _parts(program, backend)
+
+    def run(*arguments: jax.Array) -> list[jax.Array]:
+        values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
+        for each in parts:
+            found = each.function(*(values[v] for v in each.inputs))
+            values.update(zip(each.outputs, found, strict=True))
+        return [jnp.asarray(v.val if isinstance(v, Literal) else values[v], v.aval.dtype) for v in jaxpr.outvars]
+
+    return run, [reason for each in parts for reason in each.reasons]
+
+
+def _opened(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function without calls of functions."""
+    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
+    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
+    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
+
+
+def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
+    jaxpr = program.jaxpr
+    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
+
+    def value(v: Any) -> Any:
+        own: Any = v.aval
+        return jnp.asarray(v.val, own.dtype) if isinstance(v, Literal) else values[v]
+
+    for eqn in jaxpr.eqns:
+        name = eqn.primitive.name
+        if is_written(eqn) and not eqn.params["bodies"].depth:
+            inside: ClosedJaxpr | None = eqn.params["program"].program
+        else:
+            inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
+        if inside is None:
+            own = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
+            found = jaxpr_as_fun(alone(jaxpr, eqn, own))(*map(value, own))
+        else:
+            found = _evaluate(inside, *map(value, eqn.invars))
+        values.update(zip(eqn.outvars, found, strict=True))
+    results: list[Any] = jaxpr.outvars
+    return [value(v) for v in results]
+
+
+def _loops(eqn: Any) -> bool:
+    """Whether an equation is a loop that is not unrolled, or has one in its branches."""
+    inside = [each for inner in inner_jaxprs(eqn) for each in all_equations(inner.jaxpr)]
+    if eqn.primitive.name == "while" or any(is_written(each) or each.primitive.name == "while" for each in inside):
+        return eqn.primitive.name in (*_LOOPS, "cond")
+    if eqn.primitive.name == "cond":
+        return any(_loops(each) for inner in inner_jaxprs(eqn) for each in inner.jaxpr.eqns)
+    return eqn.primitive.name == "scan" and _operations(eqn) > _UNROLLED
+
+
+def _operations(eqn: Any) -> int:
+    return eqn.params["length"] * array_operations(closed(eqn.params["jaxpr"]).jaxpr).total()
+
+
+class _Constants:
+    """What a function computes from its constants alone, in small arrays: each part that reads it computes it anew.
+
+    Attributes:
+        made: the equations that do.
+        known: all the variables.
+    """
+
+    def __init__(self, program: ClosedJaxpr) -> None:
+        self._jaxpr = program.jaxpr
+        consts = zip(program.jaxpr.constvars, program.consts, strict=True)
+        self._values = {v: c for v, c in consts if np.size(c) <= _LARGEST}
+        self.known, self.made = dict.fromkeys(self._values), []
+        for eqn in program.jaxpr.eqns:
+            small = all(v.aval.size <= _LARGEST for v in eqn.outvars)
+            if small and not _loops(eqn) and all(v in self.known for v in _read([eqn])):
+                self.made.append(eqn)
+                self.known.update(dict.fromkeys(eqn.outvars))
+
+    def close(self, eqns: Sequence[Any], outputs: Sequence[Any]) -> ClosedJaxpr:
+        """The jaxpr of equations, with those of the constants that they read; its inputs are what else they read."""
+        wanted = _read(eqns) | dict.fromkeys(v for v in outputs if not isinstance(v, Literal))
+        before: list[Any] = []
+        for eqn in reversed(self.made):
+            if any(v in wanted for v in eqn.outvars):
+                before.insert(0, eqn)
+                wanted |= _read([eqn])
+        written = {v for eqn in (*before, *eqns) for v in eqn.outvars}
+        inputs = [v for v in wanted if v not in self._values and v not in written]
+        constants = {v: c for v, c in self._values.items() if v in wanted}
+        return part(self._jaxpr, [*before, *eqns], inputs, outputs, constants)
+
+
+def _read(eqns: Iterable[Any]) -> dict[Any, None]:
+    """The variables that equations read, those that they make themselves among them, in order."""
+    return dict.fromkeys(v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal))
+
+
+def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
+    """The parts in order: equations that wait for no loop, loops, equations that wait for these, and so on."""
+    jaxpr, constants = program.jaxpr, _Constants(program)
+    made = set(map(id, constants.made))
+    after: dict[Any, int] = {}
+    groups: dict[tuple[int, bool], list[Any]] = {}
+    for eqn in jaxpr.eqns:
+        if id(eqn) not in made:
+            own, loops = max((after.get(v, 0) for v in _read([eqn])), default=0), _loops(eqn)
+            groups.setdefault((own, loops), []).append(eqn)
+            after.update(dict.fromkeys(eqn.outvars, own + loops))
+    results = [v for v in jaxpr.outvars if not isinstance(v, Literal)]
+    wanted = dict.fromkeys(results)
+    parts = [_straight(constants, [], [v for v in wanted if v in constants.known], backend)]
+    for (_, loops), eqns in sorted(groups.items(), key=lambda group: group[0], reverse=True):
+        for each in [[eqn] for eqn in reversed(eqns)] if loops else [eqns]:
+            outputs = [v for eqn in each for v in eqn.outvars if v in wanted]
+            if outputs:
+                found = _loop(constants, each[0], backend) if loops else _straight(constants, each, outputs, backend)
+                parts.append(found)
+                wanted.update(dict.fromkeys(found.inputs))
+    return parts[::-1]
+
+
+def _straight(constants: _Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
+    own = constants.close(eqns, outputs)
+    emission, computes = backend.emit(own), array_operations(own.jaxpr).total() > 0
+    return Part(own.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
+
+
+# ---- loops -----------------------------------------------------------------------------------------------------------
+
+
+def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
+    """A loop, or a branch with loops in it."""
+    known = [isinstance(v, Literal) or v in constants.known for v in eqn.invars]
+    inputs = [v for v, own in zip(eqn.invars, known, strict=True) if not own]
+    types = [v.aval.dtype for v, own in zip(eqn.invars, known, strict=True) if own]
+    before = jaxpr_as_fun(constants.close([], [v for v, own in zip(eqn.invars, known, strict=True) if own]))
+
+    def joined(which: Sequence[bool], values: Iterable[Any]) -> list[Any]:
+        """What is known, and values of the rest."""
+        mine, given = iter(map(jnp.asarray, before(), types)), iter(values)
+        return [next(mine if own else given) for own in which]
+
+    name = eqn.primitive.name
+    if name == "cond":
+        branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
+
+        def switched(*values: Any) -> Any:
+            index, *operands = joined(known, values)
+            return jax.lax.switch(index, [run for run, _ in branches], *operands)
+
+        return Part(inputs, eqn.outvars, switched, [f"branch: {reason}" for _, own in branches for reason in own])
+
+    def as_it_is(*values: Any) -> Any:
+        return eqn.primitive.bind(*values, **eqn.params)
+
+    try:
+        ring, iteration = _iteration(eqn)
+    except Unread as error:
+        say_unread(error)
+        return Part(inputs, eqn.outvars, lambda *values: as_it_is(*joined(known, values)), [f"{name}, as JAX has it"])
+    fixed = known[: ring.fixed]
+    own = dataclasses.replace(ring, fixed=fixed.count(False))
+
+    def step(*values: Any) -> list[jax.Array]:
+        return iteration(*joined(fixed, values[: own.fixed]), *values[own.fixed :])
+
+    def given(values: Sequence[Any]) -> list[Any]:
+        """The arguments of the loop that are not known inside of it."""
+        every = joined(known, values)
+        return [*(a for a, inside in zip(every, fixed, strict=False) if not inside), *every[ring.fixed :]]
+
+    avals = [v.aval for v in eqn.invars]
+    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a, inside in zip(avals, fixed, strict=False) if not inside]
+    shapes += [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals[ring.fixed : ring.fixed + ring.state]]
+    shapes += [jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in avals[ring.fixed + ring.state :]]
+    inside = jax.make_jaxpr(step)(*shapes)
+    # Loops inside of it that are not unrolled are kernels of their own.
+    around = has_loops(inside)
+    kernel = None if around else backend.looped(step, shapes, own)
+    if kernel is not None:
+        results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
+        looped = Looped(lambda count, *a: as_it_is(*joined(fixed, a[: own.fixed]), *a[own.fixed :]), results, kernel)
+        reason = f"{name}: all iterations in one kernel"
+        return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, given(values)), [reason])
+    if ring.length is None:
+        run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
+        return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(known, values)), reasons)
+    body, reasons = emit_whole(inside, backend if around else backend.in_loops())
+
+    def rolled(*values: Any) -> list[jax.Array]:
+        constants, state, rows = values[: own.fixed], values[own.fixed :][: own.state], values[own.fixed + own.state :]
+
+        def iterate(state: Any, row: Any) -> tuple[Any, Any]:
+            found = body(*constants, *state, *row)
+            return found[: own.state], found[own.state :]
+
+        carried, stacked = jax.lax.scan(iterate, list(state), list(rows), own.length, own.reverse)
+        return [*carried, *stacked]
+
+    reasons = [f"{name}: {reason}" for reason in reasons]
+    return Part(inputs, eqn.outvars, lambda *values: small_call(rolled, *given(values)), reasons)
+
+
+def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+    """A `while_loop` around other loops, and how these run."""
+    asking = eqn.params["cond_nconsts"]
+    fixed = asking + eqn.params["body_nconsts"]
+    going, asked = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
+    body, done = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+
+    def run(*values: Any) -> list[jax.Array]:
+        return jax.lax.while_loop(
+            lambda state: going(*values[:asking], *state)[0],
+            lambda state: body(*values[asking:fixed], *state),
+            list(values[fixed:]),
+        )
+
+    return run, [f"while: {reason}" for reason in (*asked, *done)]
+
+
+def _iteration(eqn: Any) -> tuple[Ring, Callable[..., list[Any]]]:
+    """How a loop goes round, and one iteration of it as `Ring` has it.
+
+    Raises:
+        Unread: a loop of a later JAX.
+    """
+    p = eqn.params
+    if eqn.primitive.name == "scan":
+        fixed, carried = scan_parts(eqn)
+        return Ring(fixed, carried, p["length"], p["reverse"]), jaxpr_as_fun(closed(p["jaxpr"]))
+    p = parameters(eqn, {"body_jaxpr", "body_nconsts", "cond_jaxpr", "cond_nconsts"})
+    asking, going = p["cond_nconsts"], jaxpr_as_fun(closed(p["cond_jaxpr"]))
+    fixed, body = asking + p["body_nconsts"], jaxpr_as_fun(closed(p["body_jaxpr"]))
+
+    def iteration(*values: Any) -> list[Any]:
+        state = values[fixed:]
+        return [*going(*values[:asking], *state), *body(*values[asking:fixed], *state)]
+
+    return Ring(fixed, len(eqn.invars) - fixed), iteration

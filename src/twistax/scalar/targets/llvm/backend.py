@@ -1,0 +1,237 @@
+"""The backends whose functions run as machine code of their own on the CPU."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import importlib.metadata
+import importlib.util
+import math
+import time
+import weakref
+from collections.abc import Callable, Collection
+from typing import Any
+
+import jax
+
+from ....checks import instance, whole
+from ....errors import ModelError
+from ....jax_inside import ClosedJaxpr, say_once
+from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
+from ...graph import TooLarge
+from ...jax_primitive import Derived, Rows, call_program
+from ...loops import Repeated, Ring
+from ...reader import ScalarProgram
+from ...walk import uncollected
+from .code import NotNative
+from .iterations import Iterations
+from .kernel import Kernel, check_kernel
+from .kernel_body import NATIVE_LIMITS, Straight, Tile, native_form
+from .loop import Loop
+from .machine_code import BuildError, Processor
+
+#: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
+#: read it from the cache.
+KERNEL_EVENT = "/twistax/kernel"
+
+_XLA = XLA()
+#: Operations of functions that XLA compiles for many seconds.
+_LONG = 5000
+#: What kernels are written from, between the time when that was looked at and the first kernel.
+_FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
+_MISSING = "llvmlite is not installed"
+
+
+def installed() -> bool:
+    return importlib.util.find_spec("llvmlite") is not None
+
+
+@dataclasses.dataclass(frozen=True)
+class Native(Backend):
+    """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
+
+    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
+    steps of explicit methods, all between two saved times in one kernel, and their derivatives. Other loops of
+    integrators, other devices, and what has no native form run as `scalars` does.
+
+    Attributes:
+        scalars: how functions become scalars, and what runs them where no kernel does.
+        threads: the most that a large batch is shared between; None: as many as XLA has.
+        least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
+            kernel costs some 100 ns by itself.
+
+    Raises:
+        ModelError: threads below one, or least below zero.
+    """
+
+    scalars: XLA = _XLA
+    threads: int | None = None
+    least: int = 500
+
+    def __post_init__(self) -> None:
+        if self.threads is not None:
+            whole("Native: threads", self.threads, 1, ModelError)
+        whole("Native: least", self.least, 0, ModelError)
+        instance("Native: scalars", self.scalars, XLA, "tx.XLA(...)", ModelError)
+
+    def __str__(self) -> str:
+        with_it = f"llvmlite {importlib.metadata.version('llvmlite')}" if installed() else f"{_MISSING}: XLA"
+        return f"{super().__str__()} ({with_it})"
+
+    # ---- the backend ---------------------------------------------------------------------------------------------
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        try:
+            program = self.scalars.scalarised(closed)
+        except TooLarge:
+            return self.scalars.emit(closed, fixed)
+        return self._native(program, lambda: self.scalars.emit(closed, fixed))
+
+    def derived(self, program: ScalarProgram) -> Derived:
+        return self._kernels(program)[0] or Derived(program)
+
+    def in_loops(self) -> Backend:
+        return _InLoops(self.scalars, self.threads, self.least)
+
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return None
+        record = program.restricted(program.outputs[state + 1 :])
+        form, row_form = native_form(program), None
+        if record.outputs and row is not None:
+            given = [jax.ShapeDtypeStruct(own.shape, t) for own, t in zip(record.outputs, record.types, strict=True)]
+            row_program = self._whole_step(row, [*given, given[0]])
+            if row_program is None:
+                return None
+            row_form = native_form(row_program)
+        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state, row_form), row_form)
+
+    def step(self, step: Step, shapes: Shapes) -> Derived | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return self.scalars.step(step, shapes)
+        program.graph.largest = ANY_SIZE
+        return Derived(program, None, self)
+
+    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
+        program = self._whole_step(function, shapes)
+        return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
+
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+        if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
+            return None
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return None
+        form = native_form(program)
+
+        def kernel(single: bool) -> Rows | None:
+            found = self._built(Loop, form, single, ring)
+            return None if found is None else functools.partial(found, length=ring.length or 0)
+
+        return kernel
+
+    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
+        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
+        if not installed() or jax.default_backend() != "cpu":
+            return None
+        closed = pure(step, shapes)
+        if closed is None:
+            return None
+        try:
+            # A step carries what stands around its rates too.
+            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
+            native_form(program)
+        except (NotNative, TooLarge):
+            return None
+        return program
+
+    def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
+        """The program with what runs it, and why."""
+        if not installed():
+            self._say_missing()
+            return None, _MISSING
+        try:
+            form = native_form(program)
+        except NotNative as error:
+            return None, str(error)
+        if form is not program:  # which would hold itself
+            _FORMS[program] = form
+        if not form.operations:
+            return Derived(program, None, self), "numbers are moved, nothing is computed"
+        said = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        return Derived(program, None, self), said
+
+    def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
+        derived, reason = self._kernels(program)
+        if derived is None:
+            found = otherwise()
+            return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+        program.graph.largest = ANY_SIZE
+        return Emission(lambda *a: call_program(derived, *a), program, reason)
+
+    def _say_missing(self) -> None:
+        say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
+
+    # ---- the runner ----------------------------------------------------------------------------------------------
+
+    alone = False
+
+    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
+        """The kernel of a program, for one body or for batches; None where it has no native form."""
+        known = _FORMS.pop(program, program)
+        try:
+            return self._built(Straight, native_form(program) if known is program else known, single)
+        except NotNative:
+            return None
+
+    def _built(self, kind: type[Tile], form: ScalarProgram, single: bool, *more: Any) -> Kernel | None:
+        """A kernel that was seen to be right; None, with a message, where none can be had."""
+        started, processor = time.perf_counter(), Processor.host()
+        lanes = 1 if single else processor.lanes(form.graph.dtype)
+        try:
+            with uncollected():
+                tile = kind(form, lanes, *more)
+                kernel = Kernel(tile, processor, self.threads)
+                check_kernel(kernel, tile)
+        except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
+            say_once(f"no native kernel, XLA compiles the function instead: {error}")
+            return None
+        jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
+        return kernel
+
+
+@dataclasses.dataclass(frozen=True)
+class _InLoops(Native):
+    """In loops: `scalars`, and kernels for what it takes long to compile. Beside so much work a call is nothing."""
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        found = self.scalars.emit(closed, fixed)
+        if found.program is None or found.program.operations < _LONG or not installed():
+            return found
+        return self._native(found.program, lambda: found)
+
+    def in_loops(self) -> Backend:
+        return self
+
+    alone = True
+
+
+@dataclasses.dataclass(frozen=True)
+class Auto(Native):
+    """What `backend="auto"` means: `XLA`, and where llvmlite is installed kernels for what it makes scalars of.
+
+    Attributes: as those of `Native`.
+    """
+
+    def __str__(self) -> str:
+        kernels = f"{Native.__str__(Native())} for large functions, " if installed() else ""
+        return f"auto = {kernels}{self.scalars}"
+
+    def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
+        found = self.scalars.emit(closed, fixed)
+        return found if found.program is None or not installed() else self._native(found.program, lambda: found)
+
+    def _say_missing(self) -> None:
+        """Nobody asked for it."""

@@ -1,0 +1,413 @@
+"""Text of LLVM's intermediate language: instructions on vectors, one after the other."""
+
+from __future__ import annotations
+
+import copy
+import hashlib
+import itertools
+import math
+import re
+import struct
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from ...primitives.table_load import Table
+from .machine_code import Processor
+
+#: 1.5 * 2^52: added to a number it leaves the nearest integer in the lowest bits.
+ROUNDING = 6755399441055744.0
+
+#: log 2 in two pieces, the first of 33 bits: k of up to 11 bits times it is exact.
+_LOG_TWO = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
+
+#: (e^r - 1 - r) / r^2.
+_SERIES = [1.0 / math.factorial(k) for k in range(2, 14)]
+
+
+class NotNative(Exception):
+    """A program has no native form; the message says why."""
+
+
+#: LLVM's names of the types that numbers may have.
+NAMES: dict[np.dtype[Any], str] = {
+    np.dtype(np.float64): "double",
+    np.dtype(np.float32): "float",
+    np.dtype(np.int64): "i64",
+    np.dtype(np.int32): "i32",
+    np.dtype(bool): "i1",
+}
+
+#: LLVM's names of vectors in the names of functions on them.
+_SUFFIXES = {"double": "f64", "float": "f32"}
+
+
+class Module:
+    """What is compiled together: functions and what they declare."""
+
+    def __init__(self, processor: Processor) -> None:
+        self.processor = processor
+        self.declarations: set[str] = set()
+        self.functions: dict[str, str] = {}
+        #: Tables of numbers, by name.
+        self.tables: dict[str, str] = {}
+        #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
+        self.long = False
+        #: Bits of vectors into which LLVM puts operations of one body that are alike; 0: it does not look for them.
+        self.packed = 0
+        #: Functions of the C library that are called.
+        self.library: set[str] = set()
+        #: Where functions of other modules are that are called.
+        self.addresses: dict[str, int] = {}
+
+    def numbers(self, array: np.ndarray[Any, Any]) -> str:
+        """The pointer to the numbers of an array, one after the other."""
+        raw = np.ascontiguousarray(array).tobytes()
+        name = f"@numbers.{hashlib.sha256(raw).hexdigest()[:24]}"
+        if name not in self.tables:
+            self.tables[name] = _constant(name, raw, 64)
+        return name
+
+    def text(self) -> str:
+        bits = min(self.processor.bits, self.packed or self.processor.bits)
+        vectors = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
+        attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins" {vectors} }}']
+        attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
+        return "\n".join([*self.tables.values(), *sorted(self.declarations), *self.functions.values(), *attributes, ""])
+
+
+class Code:
+    """The instructions of one function, all vectors with the same number of lanes.
+
+    Values are LLVM's names or constants, types are LLVM's names of the type of one lane.
+    """
+
+    def __init__(self, module: Module, lanes: int) -> None:
+        self.module = module
+        self.lanes = lanes
+        self.lines: list[str] = []
+        #: Angles of which sine and cosine are there.
+        self.sines: dict[str, tuple[str, ...]] = {}
+        self._numbers = itertools.count(1)
+
+    def of(self, lanes: int) -> Code:
+        """The same function, going on with vectors of so many lanes."""
+        found = copy.copy(self)
+        found.lanes, found.sines = lanes, {}
+        return found
+
+    def emit(self, instruction: str) -> str:
+        """The value of an instruction."""
+        name = self.name()
+        self.lines.append(f"{name} = {instruction}")
+        return name
+
+    def name(self) -> str:
+        """A name not used before."""
+        return f"%v{next(self._numbers)}"
+
+    def label(self) -> str:
+        """The name of a block that is yet to come."""
+        return f"b{self.name()[1:]}"
+
+    def vector(self, kind: str) -> str:
+        """The type of a vector; of one lane that of its number."""
+        return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
+
+    def suffix(self, kind: str) -> str:
+        """The same in the names of functions."""
+        own = _SUFFIXES.get(kind, kind)
+        return own if self.lanes == 1 else f"v{self.lanes}{own}"
+
+    def constant(self, kind: str, value: Any) -> str:
+        """A number in all lanes."""
+        number = _number(kind, value)
+        return number if self.lanes == 1 else f"splat ({kind} {number})"
+
+    def spread(self, kind: str, number: str) -> str:
+        """A number in all lanes, one that is computed."""
+        own, zeros = self.vector(kind), self.vector("i32")
+        first = self.emit(f"insertelement {own} poison, {kind} {number}, i32 0")
+        return self.emit(f"shufflevector {own} {first}, {own} poison, {zeros} zeroinitializer")
+
+    def part(self, kind: str, vector: str, first: int, count: int) -> str:
+        """So many lanes of a vector from one on; a number where it is one."""
+        if count == 1:
+            return self.entry(kind, vector, first)
+        own, order = self.vector(kind), ", ".join(f"i32 {k}" for k in range(first, first + count))
+        return self.emit(f"shufflevector {own} {vector}, {own} poison, <{count} x i32> <{order}>")
+
+    def entry(self, kind: str, vector: str, lane: int) -> str:
+        """The number in a lane."""
+        return vector if self.lanes == 1 else self.emit(f"extractelement {self.vector(kind)} {vector}, i32 {lane}")
+
+    def put(self, kind: str, vector: str, lane: int, number: str) -> str:
+        """The vector with another number in a lane."""
+        own = self.vector(kind)
+        return number if self.lanes == 1 else self.emit(f"insertelement {own} {vector}, {kind} {number}, i32 {lane}")
+
+    # ---- instructions --------------------------------------------------------------------------------------------
+
+    def instruction(self, name: str, kind: str, *arguments: str) -> str:
+        """Of one or two vectors of a type."""
+        return self.emit(f"{name} {self.vector(kind)} {', '.join(arguments)}")
+
+    def intrinsic(self, name: str, kind: str, *arguments: str) -> str:
+        """One of LLVM's own functions of vectors."""
+        own = self.vector(kind)
+        return self.call(own, f"llvm.{name}.{self.suffix(kind)}", *((own, a) for a in arguments))
+
+    def call(self, result: str, name: str, *arguments: tuple[str, str]) -> str:
+        """A function that is declared here, of types and values."""
+        self.module.declarations.add(f"declare {result} @{name}({', '.join(kind for kind, _ in arguments)})")
+        text = f"call {result} @{name}({', '.join(f'{kind} {value}' for kind, value in arguments)})"
+        if result != "void":
+            return self.emit(text)
+        self.lines.append(text)
+        return ""
+
+    def convert(self, name: str, source: str, target: str, value: str) -> str:
+        return self.emit(f"{name} {self.vector(source)} {value} to {self.vector(target)}")
+
+    def select(self, kind: str, condition: str, a: str, b: str) -> str:
+        own = self.vector(kind)
+        return self.emit(f"select {self.vector('i1')} {condition}, {own} {a}, {own} {b}")
+
+    # ---- operations on scalars, as the table names them ----------------------------------------------------------
+
+    def turned(self, place: int, kind: str, x: str) -> str:
+        """Sine (0) or cosine (1) of an angle of which both are there already."""
+        return self.sines[x][place]
+
+    def chosen(self, comparison: str, kind: str, a: str, b: str) -> str:
+        """a where it compares so with b, else b."""
+        return self.select(kind, self.instruction(comparison, kind, a, b), a, b)
+
+    def further(self, comparison: str, kind: str, a: str, b: str) -> str:
+        """The same; NaN where one of them is."""
+        first = self.chosen(comparison, kind, a, b)
+        return self.select(kind, self.instruction("fcmp uno", kind, a, a), a, first)
+
+    def sign(self, kind: str, x: str) -> str:
+        """Zero, with its sign, and NaN as they are."""
+        one = self.intrinsic("copysign", kind, self.constant(kind, 1.0), x)
+        return self.select(kind, self.instruction("fcmp one", kind, x, self.constant(kind, 0.0)), one, x)
+
+    def finite(self, kind: str, x: str) -> str:
+        return self.instruction("fcmp olt", kind, self.intrinsic("fabs", kind, x), self.constant(kind, np.inf))
+
+    def logistic(self, kind: str, x: str) -> str:
+        one, exp = self.constant(kind, 1.0), self.exponential(kind, self.instruction("fneg", kind, x))
+        return self.instruction("fdiv", kind, one, self.instruction("fadd", kind, one, exp))
+
+    def exponential(self, kind: str, x: str) -> str:
+        """e^x."""
+        return self._in_double(self._exponential, kind, x)
+
+    def exponential_less_one(self, kind: str, x: str) -> str:
+        """e^x - 1, also of small x."""
+        return self._in_double(self._exponential_less_one, kind, x)
+
+    def hyperbolic_tangent(self, kind: str, x: str) -> str:
+        """By e^(2 |x|) - 1."""
+        return self._in_double(self._hyperbolic_tangent, kind, x)
+
+    def negative(self, kind: str, x: str) -> str:
+        return self.instruction("sub", kind, "zeroinitializer", x)
+
+    def magnitude(self, kind: str, x: str) -> str:
+        return self.chosen("icmp sgt", kind, x, self.negative(kind, x))
+
+    def integer_sign(self, kind: str, x: str) -> str:
+        below = self.instruction("ashr", kind, x, self.constant(kind, 31 if kind == "i32" else 63))
+        above = self.instruction("icmp sgt", kind, x, "zeroinitializer")
+        return self.instruction("or", kind, below, self.convert("zext", "i1", kind, above))
+
+    def inverted(self, ones: Any, kind: str, x: str) -> str:
+        """All bits the other way; `ones` is the number of which all are set."""
+        return self.instruction("xor", kind, x, self.constant(kind, ones))
+
+    def converted(self, dtype: np.dtype[Any], kind: str, x: str) -> str:
+        """To a type, as JAX does: to the nearest integer that there is, and to truth where it is not zero."""
+        target, real = NAMES[dtype], kind in _SUFFIXES
+        if kind == target:
+            return x
+        if target == "i1":
+            return self.instruction("fcmp une" if real else "icmp ne", kind, x, "zeroinitializer")
+        if real and target not in _SUFFIXES:
+            name = f"llvm.fptosi.sat.{self.suffix(target)}.{self.suffix(kind)}"
+            return self.call(self.vector(target), name, (self.vector(kind), x))
+        if target in _SUFFIXES:
+            wider = "fpext" if target == "double" else "fptrunc"
+            return self.convert(wider if real else "uitofp" if kind == "i1" else "sitofp", kind, target, x)
+        return self.convert("zext" if kind == "i1" else "sext" if target == "i64" else "trunc", kind, target, x)
+
+    def table_load(self, table: Table, offset: int, dtype: np.dtype[Any], kind: str, place: str) -> str:
+        """table[place + offset], lane by lane: LLVM's gather took a third longer on the one that was measured."""
+        target = NAMES[dtype]
+        name = f"@{table.name}.{target}"
+        if name not in self.module.tables:
+            self.module.tables[name] = _constant(name, table.numbers(dtype).tobytes(), dtype.itemsize)
+        found = "poison"
+        for lane in range(self.lanes):
+            one = self.entry(kind, place, lane)
+            there = self.emit(f"getelementptr {target}, ptr {name}, {kind} {one}")
+            there = self.emit(f"getelementptr {target}, ptr {there}, i64 {offset}") if offset else there
+            value = self.emit(f"load {target}, ptr {there}, align {dtype.itemsize}")
+            found = self.put(target, found, lane, value)
+        return found
+
+    # ---- the exponential ---------------------------------------------------------------------------------------------
+
+    # x = k log 2 + r with |r| <= log(2) / 2 (Cody and Waite 1980), and a Taylor series in r. Below 2 units in the last
+    # place; float32 is computed in float64.
+
+    def _in_double(self, function: Callable[[str], str], kind: str, x: str) -> str:
+        if kind == "double":
+            return function(x)
+        return self.convert("fptrunc", "double", kind, function(self.convert("fpext", kind, "double", x)))
+
+    def _exponential(self, x: str) -> str:
+        d, (series, high, low) = "double", self._reduced(x, -800.0, 800.0)
+        scale = self._power_of_two(high)
+        return self.instruction("fmul", d, self.multiply_add(d, scale, series, scale), self._power_of_two(low))
+
+    def _exponential_less_one(self, x: str) -> str:
+        # (2^h s + (2^h - 2^-l)) 2^l with k = h + l and the series s.
+        d, (series, high, low) = "double", self._reduced(x, -60.0, 800.0)
+        scale, down = (
+            self._power_of_two(high),
+            self._power_of_two(self.instruction("sub", "i64", "zeroinitializer", low)),
+        )
+        rest = self.instruction("fsub", d, scale, down)
+        found = self.instruction("fmul", d, self.multiply_add(d, scale, series, rest), self._power_of_two(low))
+        return self.intrinsic("copysign", d, found, x)
+
+    def _hyperbolic_tangent(self, x: str) -> str:
+        d, two = "double", self.constant("double", 2.0)
+        size = self.chosen("fcmp olt", d, self.constant(d, 30.0), self.intrinsic("fabs", d, x))
+        raised = self._exponential_less_one(self.instruction("fmul", d, two, size))
+        # Near zero a / (a + 2), beyond 1 - 2 / (a + 2): one division for both.
+        large = self.instruction("fcmp ogt", d, size, self.constant(d, 0.55))
+        above, below = self.select(d, large, two, raised), self.instruction("fadd", d, raised, two)
+        near = self.instruction("fdiv", d, above, below)
+        far = self.instruction("fsub", d, self.constant(d, 1.0), near)
+        return self.intrinsic("copysign", d, self.select(d, large, far, near), x)
+
+    def _reduced(self, x: str, least: float, most: float) -> tuple[str, str, str]:
+        """e^r - 1, and k as the sum of two halves, of x between bounds beyond which nothing changes; NaN stays."""
+        d = "double"
+        x = self.select(d, self.instruction("fcmp olt", d, x, self.constant(d, least)), self.constant(d, least), x)
+        x = self.select(d, self.instruction("fcmp ogt", d, x, self.constant(d, most)), self.constant(d, most), x)
+        rounding = self.constant(d, ROUNDING)
+        shifted = self.multiply_add(d, x, self.constant(d, 1.0 / math.log(2.0)), rounding)
+        k, r = self.instruction("fsub", d, shifted, rounding), x
+        for piece in _LOG_TWO:
+            r = self.multiply_add(d, k, self.constant(d, -piece), r)
+        square = self.instruction("fmul", d, r, r)
+        # Even and odd powers side by side: half as many products wait for one another.
+        even, odd = (self.polynomial(d, square, _SERIES[first::2]) for first in (0, 1))
+        series = self.multiply_add(d, square, self.multiply_add(d, r, odd, even), r)
+        bits, zero = (self.convert("bitcast", d, "i64", a) for a in (shifted, rounding))
+        count = self.instruction("sub", "i64", bits, zero)
+        high = self.instruction("ashr", "i64", count, self.constant("i64", 1))
+        return series, high, self.instruction("sub", "i64", count, high)
+
+    def _power_of_two(self, k: str) -> str:
+        """2^k of an integer."""
+        biased = self.instruction("add", "i64", k, self.constant("i64", 1023))
+        return self.convert(
+            "bitcast", "i64", "double", self.instruction("shl", "i64", biased, self.constant("i64", 52))
+        )
+
+    # ---- several at once -----------------------------------------------------------------------------------------
+
+    def multiply_add(self, kind: str, a: str, b: str, c: str) -> str:
+        """a b + c, with one rounding where the processor can."""
+        if self.module.processor.fma:
+            return self.intrinsic("fma", kind, a, b, c)
+        return self.instruction("fadd", kind, self.instruction("fmul", kind, a, b), c)
+
+    def loop(self, carried: Sequence[tuple[str, str, str]]) -> Callable[[Sequence[str], str], None]:
+        """Begins what is done once, and again while it says so; its values are then those of the last time.
+
+        Args:
+            carried: names, their types, and their values the first time.
+        Returns:
+            what ends it, given the values of the next time and whether there is one.
+        """
+        before, head, latch, done = (self.label() for _ in range(4))
+        self.lines += [f"br label %{before}", f"{before}:", f"br label %{head}", f"{head}:"]
+        start = len(self.lines)
+
+        def end(following: Sequence[str], more: str) -> None:
+            self.lines += [f"br label %{latch}", f"{latch}:", f"br i1 {more}, label %{head}, label %{done}", f"{done}:"]
+            self.lines[start:start] = [
+                f"{name} = phi {kind} [ {first}, %{before} ], [ {new}, %{latch} ]"
+                for (name, kind, first), new in zip(carried, following, strict=True)
+            ]
+
+        return end
+
+    def any(self, flags: str) -> str:
+        """Whether a truth value holds in any lane."""
+        if self.lanes == 1:
+            return flags
+        return self.call("i1", f"llvm.vector.reduce.or.{self.suffix('i1')}", (self.vector("i1"), flags))
+
+    def polynomial(self, kind: str, x: str, coefficients: Sequence[float]) -> str:
+        """c0 + c1 x + c2 x^2 + ..., by Horner's rule."""
+        *rest, last = coefficients
+        value = self.constant(kind, last)
+        for c in reversed(rest):
+            value = self.multiply_add(kind, value, x, self.constant(kind, c))
+        return value
+
+    def library(self, function: str, kind: str, *arguments: str) -> str:
+        """A function of the C library, lane by lane."""
+        name, own = f"lanes_{function}.{self.suffix(kind)}", self.vector(kind)
+        if name not in self.module.functions:
+            symbol = function if kind == "double" else f"{function}f"
+            self.module.library.add(symbol)
+            names, inner, result = [f"%a{k}" for k in range(len(arguments))], Code(self.module, self.lanes), "poison"
+            for lane in range(self.lanes):
+                given = [(kind, inner.entry(kind, a, lane)) for a in names]
+                value = inner.call(kind, symbol, *given)
+                result = inner.put(kind, result, lane, value)
+            head = f"internal {own} @{name}({', '.join(f'{own} {a}' for a in names)})"
+            self.module.functions[name] = inner.function(head, f"ret {own} {result}")
+        return self.emit(f"call {own} @{name}({', '.join(f'{own} {a}' for a in arguments)})")
+
+    def function(self, head: str, end: str = "ret void") -> str:
+        """The instructions so far as a function."""
+        return "\n".join([f"define {head} #0 {{", *self.lines, end, "}"])
+
+
+def _constant(name: str, raw: bytes, aligned: int) -> str:
+    """Numbers by their bytes: LLVM reads those many times faster than numbers."""
+    digits = "\\" + raw.hex("\\") if raw else ""
+    return f'{name} = private unnamed_addr constant [{len(raw)} x i8] c"{digits}", align {aligned}'
+
+
+def _number(kind: str, value: Any) -> str:
+    if kind == "i1":
+        return "true" if value else "false"
+    if kind in ("i32", "i64"):
+        return str(int(value))
+    # LLVM writes both types as the bits of a double.
+    with np.errstate(over="ignore"):
+        exact = float(np.float32(value)) if kind == "float" else float(value)
+    return f"0x{struct.unpack('<Q', struct.pack('<d', exact))[0]:016X}"
+
+
+def addressed(text: str) -> str:
+    """Text in which loads and stores have an offset in bytes, `ptr %a + 8`, as LLVM reads it."""
+    count = itertools.count()
+
+    def split(match: re.Match[str]) -> str:
+        instruction, base, offset = match.groups()
+        place = f"%place.{next(count)}"
+        return f"{place} = getelementptr i8, ptr {base}, i64 {offset}\n{instruction}, ptr {place}"
+
+    return re.sub(r"^(.*), ptr (%[\w.]+) \+ (\d+)$", split, text, flags=re.MULTILINE)

@@ -1,0 +1,223 @@
+"""A step taken again and again in one function, each body as long as it must; and rows that it fills on the way."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...reader import ScalarProgram
+from .code import NAMES, Code
+from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
+from .lanes import COUNT, Array, Rows
+
+#: Where the marks of rows lie from where a step comes to, in the check of a kernel: within it, there, and beyond.
+_ABOUT = np.array([-1e-3, 0.0, 1e3])
+
+
+class Iterations(Tile):
+    """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
+
+    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
+    iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
+    (*state) or (*state, more), all states of its precision; `state` arguments are the state.
+
+    With rows it takes (length, first, stop, number, *fixed, *state, marks, table) and gives (*state, k, number, table);
+    the program gives (*state, more, reach, *record). After an iteration rows number, number + 1, ... whose marks are
+    not beyond `reach` are filled, in the table that came in; `number` is then that of the next row, at most `length`.
+
+    Args:
+        row: takes (reach, *record, mark), gives a row.
+    """
+
+    tried = len(_ABOUT)
+
+    def __init__(self, program: ScalarProgram, lanes: int, state: int, row: ScalarProgram | None = None) -> None:
+        number, *rest = arguments_of(program)
+        self._row = row
+        heads, behind = [number, number], list[Array]()
+        results = [*rest[len(rest) - state :], number]
+        if row is not None:
+            table = Array(row.outputs[0].shape, row.types[0], long=True)
+            # How long the rows are stands first, as in all functions of long arrays.
+            heads, behind = [COUNT, *heads, number], [Array((), table.dtype, long=True), table]
+            results += [number, table]
+        #: The place of the number of the first iteration; the one to stop at stands behind it.
+        self._first = 0 if row is None else 1
+        #: How far arguments stand behind where the step has them.
+        self._shift = len(heads) - 1
+        #: The first argument of the step that is state.
+        self._first_state = len(rest) - state + 1
+        #: Whether the step says if another iteration follows.
+        self._says = len(program.outputs) > state
+        arguments = [*heads, *rest, *behind]
+        always = {*range(len(heads)), *range(self._first_state + self._shift, len(arguments))}
+        needed = {k + self._shift for k in needed_by(program) if k > 0}
+        super().__init__(program, lanes, arguments, results, needed | always)
+        if row is not None:
+            self.in_place = {len(results) - 1: len(arguments) - 1}
+
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        def read(argument: int, entry: int = 0) -> str:
+            return rows[f"a{argument}"].read(entry)
+
+        step, g = self.program, self.program.graph
+        counter, kind = NAMES[self.arguments[self._first].dtype], NAMES[g.dtype]
+        counters, numbers, flags = code.vector(counter), code.vector(kind), code.vector("i1")
+        first, stop = read(self._first), read(self._first + 1)
+        states = [(k, j) for k in range(self._first_state, len(step.inputs)) for j in range(step.inputs[k].size)]
+        starts = [read(k + self._shift, j) for k, j in states]
+        now = {place: code.name() for place in states}
+        count, live = code.name(), code.name()
+
+        def own(argument: int, entry: int) -> str:
+            return count if argument == 0 else now.get((argument, entry)) or read(argument + self._shift, entry)
+
+        scalars = Scalars(code, step, own)
+        changing = step.depending([0, *range(self._first_state, len(step.inputs))])
+        scalars.compute([i for i in step.live if i not in changing])
+        filling = None if self._row is None else _Filling(code, self._row, rows, self.arguments, len(self.results) - 1)
+        carried = [(now[place], numbers, start) for place, start in zip(states, starts, strict=True)]
+        carried.append((count, counters, first))
+        if filling is not None:
+            carried.append((number := code.name(), counters, filling.first))
+        carried.append((live, flags, code.emit(f"icmp slt {counters} {first}, {stop}")))
+        end = code.loop(carried)
+        values = scalars.compute(step.flat)
+        found, said = values[: len(states)], values[len(states) :]
+        more = said[0] if self._says else _finite(code, kind, found)
+        good = live if self._says else code.instruction("and", "i1", live, more)
+        ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
+        ends.append(code.instruction("add", counter, count, code.convert("zext", "i1", counter, good)))
+        going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {ends[-1]}, {stop}"), good)
+        if self._says:
+            going_on = code.instruction("and", "i1", going_on, more)
+        if filling is not None:
+            ends.append(filling.write(number, live, said[1:]))
+        end([*ends, going_on], code.any(going_on))
+        left = iter(ends)
+        for k in self.written:
+            if k not in self.in_place:
+                rows[f"r{k}"].write([next(left) for _ in range(self.results[k].size)])
+
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """One iteration, two, none, and so on; marks about where the first one comes to."""
+        found = list(arguments)
+        first = found[self._first]
+        found[self._first + 1] = first + np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
+        if self._row is not None:
+            found[0] = np.full_like(found[0], self.tried)
+            found[3] = np.zeros_like(found[3])
+            after = by_numpy(self.program, [first, *found[4:-2]])
+            found[-2] = (after[len(self.results) - 2] + _ABOUT).astype(found[-2].dtype)
+        return found
+
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
+        first, stop = arguments[self._first : self._first + 2]
+        rest = list(arguments[self._shift + 1 :])
+        count = len(self.program.inputs) - self._first_state
+        fixed, state = rest[: self._first_state - 1], rest[self._first_state - 1 :][:count]
+        k, live, filled = first.copy(), first < stop, list[NDArray[Any]]()
+        if self._row is not None:
+            filled = [arguments[3], rest[-1]]
+        while live.any():
+            found = by_numpy(self.program, [k, *fixed, *state], rounded)
+            more = found[count] if self._says else live
+            for values in [] if self._says else found:
+                live = live & np.isfinite(values).all(1, keepdims=True)
+            state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]
+            if self._row is not None:
+                filled = _by_numpy_too(self._row, found[count + 1 :], live, rest[-2], filled, rounded)
+            k = k + live
+            live = live & more & (k < stop)
+        return [*state, k, *filled]
+
+
+class _Filling:
+    """The loop over the rows that one iteration fills."""
+
+    def __init__(
+        self, code: Code, row: ScalarProgram, rows: Mapping[str, Rows], arguments: Sequence[Array], table: int
+    ) -> None:
+        self._code, self._row = code, row
+        self._marks, self._table = rows[f"a{len(arguments) - 2}"], rows[f"r{table}"]
+        self._mark, self._own = Array((), row.types[0]), Array(row.outputs[0].shape, row.types[0])
+        self._counter = NAMES[arguments[3].dtype]
+        length = rows["a0"].read(0)
+        self._length = length if self._counter == "i32" else code.convert("sext", "i32", self._counter, length)
+        self._last = code.instruction("sub", self._counter, self._length, code.constant(self._counter, 1))
+        #: The number of the first row.
+        self.first = rows["a3"].read(0)
+
+    def write(self, number: str, live: str, record: list[str]) -> str:
+        """Adds the loop of an iteration after which row `number` is the first that is not filled; the number after it.
+
+        Args:
+            live: which bodies took the iteration.
+            record: what it left for rows; first how far it came.
+        """
+        code, counter, kind = self._code, self._counter, NAMES[self._mark.dtype]
+        places = [(k, j) for k, own in enumerate(self._row.inputs[:-1]) for j in range(own.size)]
+        known = dict(zip(places, record, strict=True))
+        before, head, fill, latch, done = (code.label() for _ in range(5))
+        now, following = code.name(), code.name()
+        counters = code.vector(counter)
+        code.lines += [f"br label %{before}", f"{before}:", f"br label %{head}", f"{head}:"]
+        code.lines.append(f"{now} = phi {counters} [ {number}, %{before} ], [ {following}, %{latch} ]")
+        there = code.instruction("icmp slt", counter, now, self._length)
+        place = code.select(counter, there, now, self._last)
+        mark = self._marks.window(self._starts(place, 1), self._mark).read(0)
+        due = code.instruction("fcmp ole", kind, mark, record[0])
+        due = code.instruction("and", "i1", code.instruction("and", "i1", there, live), due)
+        code.lines += [f"br i1 {code.any(due)}, label %{fill}, label %{done}", f"{fill}:"]
+        scalars = Scalars(code, self._row, lambda argument, entry: known.get((argument, entry), mark))
+        values = scalars.compute(self._row.flat)
+        window = self._table.window(self._starts(place, self._own.size), self._own)
+        if code.lanes > 1:
+            values = [code.select(kind, due, value, window.read(j)) for j, value in enumerate(values)]
+        window.write(values)
+        code.lines.append(f"{following} = add {counters} {now}, {code.convert('zext', 'i1', counter, due)}")
+        code.lines += [f"br label %{latch}", f"{latch}:", f"br label %{head}", f"{done}:"]
+        return now
+
+    def _starts(self, place: str, size: int) -> list[str]:
+        """The first entry of the row at a place, for each lane."""
+        code, counter = self._code, self._counter
+        wide = place if counter == "i64" else code.convert("sext", counter, "i64", place)
+        start = code.instruction("mul", "i64", wide, code.constant("i64", size))
+        return [code.entry("i64", start, lane) for lane in range(code.lanes)]
+
+
+def _by_numpy_too(
+    row: ScalarProgram,
+    record: list[NDArray[Any]],
+    live: NDArray[Any],
+    marks: NDArray[Any],
+    filled: list[NDArray[Any]],
+    rounded: Rounded,
+) -> list[NDArray[Any]]:
+    """The number of the next row and the table, after an iteration."""
+    number, table = filled
+    every, last, size = np.arange(len(table)), marks.shape[1] - 1, row.outputs[0].size
+    table = table.copy()
+    while True:
+        place = np.minimum(number[:, 0], last)
+        mark = marks[every, place][:, None]
+        due = live & (number <= last) & (mark <= record[0])
+        if not due.any():
+            return [number, table]
+        (values,) = by_numpy(row, [*record, mark], rounded)
+        for body in every[due[:, 0]]:
+            table[body, place[body] * size : (place[body] + 1) * size] = values[body]
+        number = number + due
+
+
+def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
+    """Whether all values are: zero times each of them is then zero."""
+    zero = code.constant(kind, 0.0)
+    total = zero
+    for value in values:
+        total = code.multiply_add(kind, value, zero, total)
+    return code.instruction("fcmp ord", kind, total, total)

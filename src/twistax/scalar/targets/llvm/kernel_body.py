@@ -1,0 +1,290 @@
+"""A scalar program as one function that computes as many bodies at once as a vector has lanes."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping, Sequence
+from typing import Any, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...graph import Limits, TooLarge
+from ...primitives.entry import Operation, flat
+from ...primitives.table import OPERATIONS
+from ...reader import ScalarProgram, called_names, emitted_form
+from .code import NAMES, Code, Module, NotNative
+from .lanes import Array, Rows
+from .pieces import Scratch, Values, in_pieces
+from .trigonometry import sines_and_cosines
+
+#: Kernels call no library: more is unrolled than for XLA.
+NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
+
+#: The value of an entry of an argument.
+Read: TypeAlias = Callable[[int, int], str]
+
+#: Values as some other order of operations may round them.
+Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
+
+#: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
+_MANY = 1000
+
+#: Computed several at a time, by `sines_and_cosines`.
+_TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
+
+
+def native_form(program: ScalarProgram) -> ScalarProgram:
+    """The program as kernels are written from it.
+
+    Raises:
+        NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
+    """
+    try:
+        form = emitted_form(program, NATIVE_LIMITS)
+    except TooLarge as error:
+        raise NotNative(str(error).splitlines()[0]) from error
+    g = form.graph
+    if form.calls:
+        raise NotNative(f"{called_names(form.calls)} has no native form")
+    for i in form.live:
+        if g.dtypes[i] not in NAMES:
+            raise NotNative(f"{g.dtypes[i]} has no native form")
+        operation = g.operation(i)
+        if operation is not None:
+            _form_of(operation, g.dtypes[g.arguments(i)[-1]])
+    if g.dtype not in (np.float32, np.float64):
+        raise NotNative(f"{g.dtype} has no native form")
+    return form
+
+
+def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
+    """How an operation on arguments of a type is written."""
+    form: Callable[..., str] | None = operation.llvm.of(dtype)
+    if form is None:
+        raise NotNative(f"{operation.name} of {NAMES[dtype]} has no native form")
+    return form
+
+
+class Scalars:
+    """The values of a program's nodes in one function, each computed once."""
+
+    def __init__(self, code: Code, form: ScalarProgram, read: Read) -> None:
+        self._code = code
+        self._graph = form.graph
+        self._read = read
+        self._values: dict[int, str] = {}
+
+    def compute(self, nodes: Sequence[int]) -> list[str]:
+        """The values of nodes; sines and cosines that do not wait for one another together."""
+        g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
+        for angles in self._angles(live):
+            self._in_order(g.live(angles, values))
+            found = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
+            self._code.sines.update(zip((values[i] for i in angles), found, strict=True))
+        self._in_order(live)
+        return [values[i] for i in nodes]
+
+    def in_piece(self, nodes: Sequence[int], values: Values) -> Values:
+        """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
+        self._values = values
+        if any(self._graph.operation(i) in _TURNING for i in nodes):
+            self.compute(nodes)
+        self._in_order(nodes)
+        return values
+
+    def value(self, node: int) -> str:
+        """Of a node that is there, or is a number or an entry of an argument."""
+        if node not in self._values and self._graph.operation(node) is None:
+            self._in_order([node])
+        return self._values[node]
+
+    def _in_order(self, nodes: Sequence[int]) -> None:
+        g, values = self._graph, self._values
+        for i in nodes:
+            if i in values:
+                continue
+            place, operation, arguments = g.input_of(i), g.operation(i), g.arguments(i)
+            if place is not None:
+                values[i] = self._read(*place)
+            elif operation is None:
+                values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
+            else:
+                own = g.dtypes[arguments[-1]]
+                values[i] = _form_of(operation, own)(self._code, NAMES[own], *map(self.value, arguments))
+
+    def _angles(self, live: Sequence[int]) -> list[list[int]]:
+        """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
+        g = self._graph
+        depth: dict[int, int] = {}
+        found: dict[int, dict[int, None]] = {}
+        for i in live:
+            if i in self._values:
+                continue
+            arguments = g.arguments(i)
+            depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
+            if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
+                found.setdefault(depth[i], {})[arguments[0]] = None
+                depth[i] += 1
+        return [list(found[k]) for k in sorted(found)]
+
+
+# ---- tiles -----------------------------------------------------------------------------------------------------------
+
+
+class RowFunction(ABC):
+    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
+
+    Attributes:
+        lanes: rows computed side by side.
+        arguments, results: all of them, of one row.
+        read, written: the places of those that are needed and not empty.
+        chunk: rows that a thread takes at a time, a multiple of the lanes.
+        in_place: results that stand where an argument stood, and that argument: what is not written stays.
+    """
+
+    in_place: Mapping[int, int] = {}
+
+    def __init__(self, lanes: int, arguments: list[Array], results: list[Array], needed: Collection[int]) -> None:
+        self.lanes = lanes
+        self.arguments, self.results = arguments, results
+        self.read = [k for k, array in enumerate(arguments) if array.size and k in needed]
+        self.written = [k for k, array in enumerate(results) if array.size]
+        self.chunk = lanes
+
+    @property
+    def arrays(self) -> dict[str, Array]:
+        """Those that are read and written, by what kernels call them."""
+        arguments = {f"a{k}": self.arguments[k] for k in self.read}
+        return arguments | {f"r{k}": self.results[k] for k in self.written}
+
+    @abstractmethod
+    def write(self, module: Module) -> None:
+        """Adds the function, and what it calls."""
+
+    def _heads(self, pointer: str) -> str:
+        return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
+
+
+class Tile(RowFunction):
+    """The function of a scalar program.
+
+    Attributes:
+        program: from `native_form`.
+        tried: the length that long arrays have where the function is checked.
+        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
+    """
+
+    tried, packed = 0, 0
+
+    def __init__(
+        self, program: ScalarProgram, lanes: int, arguments: list[Array], results: list[Array], needed: set[int]
+    ) -> None:
+        super().__init__(lanes, arguments, results, needed)
+        self.program = program
+
+    def write(self, module: Module) -> None:
+        module.packed = self.packed if self.lanes == 1 else 0
+        code = Code(module, self.lanes)
+        self.body(code, self._moved(code))
+        module.functions["tile"] = code.function(f"internal void @tile(i64 %last{self._heads('ptr noalias')})")
+
+    def _moved(self, code: Code) -> dict[str, Rows]:
+        """The rows of all arrays, in a function that has their heads."""
+        places = ["0"]  # the row of a lane: its own, or the last one
+        for lane in range(1, self.lanes):
+            places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
+        return {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
+
+    @abstractmethod
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        """Adds the instructions.
+
+        Args:
+            rows: those of `arrays`.
+        """
+
+    @abstractmethod
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
+        """All results by NumPy, for all arguments, (rows, entries) each; `rounded` is applied to each number met."""
+
+    def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
+        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
+        return arguments
+
+
+class Straight(Tile):
+    """A program, from its arguments to its results."""
+
+    #: Operations on scalars that a thread takes at a time, some 5 us.
+    _CHUNK = 250_000
+
+    def __init__(self, program: ScalarProgram, lanes: int) -> None:
+        results = [Array(nodes.shape, dtype) for nodes, dtype in zip(program.outputs, program.types, strict=True)]
+        super().__init__(program, lanes, arguments_of(program), results, needed_by(program))
+        self.chunk = max(1, self._CHUNK // (max(program.operations, 1) * lanes)) * lanes
+
+    def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        pieces = in_pieces(self.program)
+        code.module.long = pieces or sum(array.size for array in self.results) > _MANY
+        if pieces:
+            self._in_pieces(code, rows)
+            return
+        scalars = Scalars(code, self.program, functools.partial(_entry, rows))
+        scalars.compute(self.program.live)
+        for k in self.written:
+            rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
+
+    def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
+        """One call after the other."""
+        program, module, g = self.program, code.module, self.program.graph
+        blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
+        scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
+        memory = scratch.allocated(code)
+        for number, (nodes, complete) in enumerate(scratch.pieces):
+            own = Code(module, self.lanes)
+            inner = self._moved(own)
+            scalars = Scalars(own, program, functools.partial(_entry, inner))
+            values = scalars.in_piece(nodes, Values(own, scratch))
+            for k, start in complete:
+                entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
+                inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])
+            values.keep(nodes)
+            head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
+            module.functions[f"piece.{number}"] = own.function(f"internal void @piece.{number}({head})")
+            code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
+        scratch.freed(code, memory)
+
+    def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
+        return by_numpy(self.program, arguments, rounded)
+
+
+def _entry(rows: Mapping[str, Rows], argument: int, entry: int) -> str:
+    return rows[f"a{argument}"].read(entry)
+
+
+def arguments_of(program: ScalarProgram) -> list[Array]:
+    return [Array(a.shape, program.graph.dtype_of(a)) for a in program.inputs]
+
+
+def needed_by(program: ScalarProgram) -> set[int]:
+    """The arguments that a program reads."""
+    return {place[0] for i in program.live if (place := program.graph.input_of(i)) is not None}
+
+
+def by_numpy(
+    program: ScalarProgram, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray
+) -> list[NDArray[Any]]:
+    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
+    count = len(arguments[0]) if arguments else 1
+    with np.errstate(all="ignore"):
+        values = program.computed(
+            lambda argument, place: arguments[argument][:, place],
+            lambda value, dtype: rounded(np.full(count, value, dtype)),
+            lambda operation, i, *a: rounded(np.asarray(operation.number(*a)).astype(program.graph.dtypes[i])),
+        )
+    return [
+        np.stack([values[i] for i in flat(nodes)], 1) if nodes.size else np.zeros((count, 0), dtype)
+        for nodes, dtype in zip(program.outputs, program.types, strict=True)
+    ]

@@ -1,0 +1,219 @@
+"""A processor, and intermediate language to functions in memory for it."""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import ctypes.util
+import dataclasses
+import threading
+from collections.abc import Collection, Iterator, Mapping
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from ....errors import ModelError
+
+#: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
+#: is one instruction: SSE2, and AVX2.
+_LEVELS = {128: ("x86-64", False), 256: ("x86-64-v3", True)}
+
+
+@dataclasses.dataclass(frozen=True)
+class Processor:
+    """A processor as LLVM names it, and what its vectors can do."""
+
+    name: str
+    features: str  # as "+avx2,-avx512f"; empty where the name says all
+    bits: int  # of a vector
+    fma: bool  # whether a b + c is one instruction with one rounding
+    masks: bool  # whether parts of vectors are read and written at no cost
+
+    def lanes(self, dtype: np.dtype[Any]) -> int:
+        """How many numbers of a floating-point type go into a vector."""
+        return self.bits // (8 * dtype.itemsize)
+
+    @classmethod
+    def host(cls, bits: int | None = None) -> Processor:
+        """The one that runs this, or one with narrower vectors, whose code this one runs too.
+
+        Args:
+            bits: of a vector: 128 is SSE2 on x86-64 and NEON on ARM, 256 is AVX2, 512 is AVX-512. The widest if None.
+        Raises:
+            ImportError: llvmlite is not installed.
+            ModelError: this processor has no such vectors.
+        """
+        import llvmlite.binding as llvm
+
+        features = llvm.get_host_cpu_features()
+        widest = 512 if features.get("avx512f") else 256 if features.get("avx2") else 128
+        if bits is None or bits == widest:
+            fma = bool(features.get("fma")) or llvm.get_default_triple().startswith(("aarch64", "arm64"))
+            return cls(llvm.get_host_cpu_name(), features.flatten(), widest, fma, widest == 512)
+        if bits not in _LEVELS or bits > widest:
+            raise ModelError(f"Processor.host expects bits of at most {widest}, and 128, 256 or 512, got {bits}")
+        name, fma = _LEVELS[bits]
+        return cls(name, "", bits, fma, False)
+
+    @classmethod
+    def widths(cls) -> list[int]:
+        """The bits of all vectors that this processor has, narrow ones first."""
+        return [bits for bits in (128, 256, 512) if bits <= cls.host().bits]
+
+
+#: How much LLVM does to instructions, 0 to 3: at 0 it takes a fifth of the time, and code runs for two to four times as
+#: long.
+LEVEL = 2
+
+_LOCK = threading.Lock()
+
+
+class BuildError(Exception):
+    """No machine code came of it; the message says why."""
+
+
+class MachineCode:
+    """Functions in memory, for as long as this object lives.
+
+    Attributes:
+        addresses: of functions and variables, by name.
+    """
+
+    def __init__(self, engine: Any, names: Collection[str]) -> None:
+        self._engine = engine
+        self.addresses: dict[str, int] = {
+            name: engine.get_function_address(name) or engine.get_global_value_address(name) for name in names
+        }
+
+
+#: In the code model of LLVM's JIT code and constants may lie anywhere. The small one wants them within 2 GB of each
+#: other, and LLVM ends the process where they are not: in one that has run for long free memory is farther apart.
+_OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": True}
+
+
+def written_by(processor: Processor) -> str:
+    """All that machine code depends on, but for what it is compiled from."""
+    import llvmlite
+    import llvmlite.binding as llvm
+
+    own = (
+        llvmlite.__version__,
+        llvm.get_default_triple(),
+        processor.name,
+        processor.features,
+        sorted(_OPTIONS.items()),
+        LEVEL,
+    )
+    return repr(own)
+
+
+def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
+    """The machine code of intermediate language, as the content of an object file.
+
+    Args:
+        long: the functions are long and straight: LLVM optimises less, and leaves instructions in their order.
+        packed: have it put like operations on scalars into vectors (S. Larsen and S. Amarasinghe 2000): as long again.
+    Raises:
+        ImportError: llvmlite is not installed.
+        BuildError: LLVM refuses the text.
+    """
+    import llvmlite.binding as llvm
+
+    with _LOCK, _in_order() if long else contextlib.nullcontext():
+        machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
+        try:
+            # A context of its own: what it keeps, each number of a text, goes with it.
+            parsed = llvm.parse_assembly(text, llvm.create_context())
+            parsed.verify()
+            if packed:
+                tuning = llvm.create_pipeline_tuning_options(speed_level=2)
+                tuning.slp_vectorization = True
+                passes = llvm.create_pass_builder(machine, tuning)
+                passes.getModulePassManager().run(parsed, passes)
+            found: bytes = machine.emit_object(parsed)
+        except RuntimeError as error:
+            raise BuildError(f"LLVM refuses it: {error}") from error
+        return found
+
+
+#: The versions of LLVM with the option below. One that does not know it would end the process.
+_ORDERED = range(20, 23)
+
+
+@contextlib.contextmanager
+def _in_order() -> Iterator[None]:
+    """Instructions stay in their order, in which few numbers wait for their use.
+
+    LLVM's scheduler of instructions lets more wait, which takes registers, and half of the time of a long function. The
+    option is that of the process: what others compile with llvmlite meanwhile stays in its order too.
+    """
+    import llvmlite.binding as llvm
+
+    known = llvm.llvm_version_info[0] in _ORDERED
+    if known:
+        llvm.set_option("twistax", "-enable-misched=false")
+    try:
+        yield
+    finally:
+        if known:
+            llvm.set_option("twistax", "-enable-misched=true")
+
+
+def load(
+    code: bytes,
+    library: Collection[str],
+    processor: Processor,
+    names: Collection[str],
+    addresses: Mapping[str, int] = MappingProxyType({}),
+) -> MachineCode:
+    """The functions and variables of these names.
+
+    Args:
+        library: the functions of the C library that are called.
+        addresses: of functions of other code that are called.
+
+    Raises:
+        ImportError: llvmlite is not installed.
+        BuildError: a function of the C library is missing, or LLVM refuses the code.
+    """
+    import llvmlite.binding as llvm
+
+    with _LOCK:
+        machine = _target_machine(processor, LEVEL)
+        for symbol in sorted(library):
+            llvm.add_symbol(symbol, _address(symbol))
+        for symbol, address in addresses.items():
+            llvm.add_symbol(symbol, address)
+        try:
+            engine = llvm.create_mcjit_compiler(llvm.parse_assembly(""), machine)
+            engine.add_object_file(llvm.ObjectFileRef.from_data(code))
+            engine.finalize_object()
+        except RuntimeError as error:
+            raise BuildError(f"LLVM refuses it: {error}") from error
+        return MachineCode(engine, names)
+
+
+def _target_machine(processor: Processor, level: int) -> Any:
+    """What LLVM writes for."""
+    import llvmlite.binding as llvm
+
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=processor.name, features=processor.features, opt=level, **_OPTIONS
+    )
+
+
+def _address(symbol: str) -> int:
+    """Of a function of the C library. LLVM ends the process where it finds none, so it is looked up before."""
+    # Names of files are looked for, which takes time, only where the process itself has no such function.
+    for name in (None, "m", "c"):
+        try:
+            function = getattr(ctypes.CDLL(name and ctypes.util.find_library(name)), symbol)
+        except (AttributeError, OSError, TypeError):
+            continue
+        found = ctypes.cast(function, ctypes.c_void_p).value
+        if found:
+            return found
+    raise BuildError(f"the C library has no {symbol}")

@@ -1,0 +1,5 @@
+"""Systems, and what `tx.compile` makes of them: calls, Jacobians, Hessians, explanations, files, other languages."""
+
+from .system import System, entry_names, free_name, name_of, need_finite
+
+__all__ = ["System", "entry_names", "free_name", "name_of", "need_finite"]

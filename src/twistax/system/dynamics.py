@@ -1,0 +1,334 @@
+"""A compiled system: what an integrator, a filter, an optimiser or a user calls."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import Any, Literal, overload
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import real_array
+from ..errors import ModelError
+from ..scalar.backends import Backend, chosen
+from ..scalar.targets.llvm.backend import Auto
+from ..scalar.walk import uncollected
+from .explain import Dependence, Explanation, explain, explain_one
+from .export import CFiles
+from .functions import Arrays, Functions
+from .hessian import hessian, hessian_pattern
+from .inputs import Values
+from .projection import project
+from .system import System
+
+
+class Dynamics:
+    """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
+
+    x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
+    The result has the precision of x. Made by `compile`. The layers above this one work with `_functions`, the same
+    functions on prepared arguments.
+
+    Attributes:
+        system: the system as written.
+        states, controls, parameters: its leaves in order; baked parameters are gone.
+        group: the product group of the state; its `slices` say where each state sits in a tangent vector.
+        dimension: length of a tangent vector.
+        backend: what runs its functions.
+        baked: the values of parameters folded into the code, by name.
+    """
+
+    def __init__(self, functions: Functions) -> None:
+        self._functions = functions
+        self.system = functions.system
+        self.states, self.controls, self.parameters = functions.states, functions.controls, functions.parameters
+        self.group = functions.group
+        self.dimension = functions.group.dimension
+        self.backend = functions.backend
+        self.baked = functions.baked
+
+    def __reduce__(self) -> Any:
+        return Dynamics, (self._functions,)
+
+    def __repr__(self) -> str:
+        kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
+        groups = {name: group.name for name, group in self.group.factors.items() if not group.flat}
+        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in own] for kind, own in kinds.items()}
+        shown = [f"{kind}: {', '.join(own)}" for kind, own in named.items() if own]
+        return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"
+
+    def __call__(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """Rates by state name: a body velocity for a group-valued state.
+
+        Raises:
+            InputError: an unknown key, a wrong shape, or a value that is read and not given.
+        """
+        return self._functions.call("rates", t, x, u, params)
+
+    def outputs(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """The outputs by name. Raises as a call of the dynamics does."""
+        return self._functions.call("outputs", t, x, u, params)
+
+    def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises as a call does."""
+        return self._functions.call("constraints", t, x, u, params)
+
+    def jacobian(
+        self,
+        t: Any,
+        x: Values,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        wrt: str | Sequence[str] = ("x", "u"),
+    ) -> Arrays:
+        """The derivatives of the rates: {"x": (n, n), "u": (n, m)}, what is structurally zero never computed.
+
+        Rows are the rates as one tangent vector, states in the order of declaration. Columns of "x" are right
+        perturbations x (+) d, of "u" and "params" the entries of what is given, read row by row in the order of
+        declaration. Units are those of the rates over those of the columns. Traceable and differentiable.
+
+        Args:
+            wrt: which of "x", "u", "params", a tuple or one name.
+        Raises:
+            InputError: as a call of the dynamics; an unknown entry in wrt.
+        """
+        names = tuple(wrt) if isinstance(wrt, (tuple, list)) else (wrt,)
+        return self._functions.jacobian(self._functions.prepare(t, x, u, params), names)
+
+    def hessian(
+        self,
+        t: Any,
+        x: Values,
+        u: Values | None,
+        params: Values | None,
+        weights: Values,
+        *,
+        wrt: str | Sequence[str] = ("x", "u"),
+    ) -> jax.Array:
+        """The second derivatives of sum_i w_i . f_i, f_i rates, outputs or constraints: a symmetric matrix (N, N).
+
+        Rows and columns follow `wrt`: right perturbations x (+) d of the states, entries of controls and parameters, as
+        the columns of `jacobian`. Entry (j, k) is the derivative of sum_i w_i . f_i(x (+) d, u + du, p + dp) by the
+        tangents j and k at zero, in exponential coordinates. With E_j the derivative along x Exp(s e_j) it is
+
+            $H_jk = (E_j E_k + E_k E_j) / 2 = E_k E_j - [E_k, E_j] / 2$,
+
+        so symmetric: both entries are one number. It computes one of them, and nothing that is structurally zero. Other
+        values of the weights compile nothing. Traceable, batched by vmap and differentiable. Functions that the graph
+        of scalars does not hold are differentiated by JAX. Units are those of w . f over those of both tangents.
+
+        Args:
+            weights: by name of a state for its rate, of an output or of a constraint; or "inequality" and "equality"
+                for all constraints of a kind. Each has the shape of what it weighs; what is left out weighs zero.
+            wrt: which of "x", "u", "params", a tuple or one name.
+        Raises:
+            InputError: as a call of the dynamics; an unknown entry in wrt; a weight of nothing that the system has, of
+                two things at once, or of another shape.
+
+        Source: the Taylor series $f(x Exp(d)) = sum_n (sum_j d_j E_j)^n f / n!$; Helgason, Differential Geometry, Lie
+        Groups, and Symmetric Spaces (1978), ch. II.
+        """
+        names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
+        return hessian(self._functions, t, x, u, params, weights, names)
+
+    def hessian_pattern(
+        self, weights: str | Iterable[str], *, wrt: str | Sequence[str] = ("x", "u")
+    ) -> NDArray[np.bool_]:
+        """Where `hessian` may differ from zero, (N, N), if all controls and parameters that are read are given.
+
+        Args:
+            weights: the names that have weights, as in `hessian`.
+        Raises:
+            InputError: as `hessian`.
+            ModelError: it takes too many scalars, or calls what only JAX can differentiate.
+        """
+        return hessian_pattern(self._functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
+
+    def project(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
+        """The state near x that the system's corrections leave where it is: on its manifold, with closed loops.
+
+        Newton's method, in steps x (+) correction. Not traceable.
+
+        Raises:
+            InputError: what a call raises; no such state is found from here.
+            ModelError: the system has no corrections.
+        """
+        if not self.system.corrections:
+            raise ModelError("project expects a system with corrections, such as that of a mechanism with loops")
+        return project(self._functions, t, x, u, params)
+
+    def retract(self, x: Values, d: Any) -> Arrays:
+        """$x (+) d = x Exp(d)$, state by state; d is a tangent vector (n,) in the order of declaration."""
+        inputs = self._functions.prepare(0.0, x, reads=())
+        return self.group.retract(inputs.x, jnp.asarray(real_array("retract: d", d), inputs.dtype))
+
+    def difference(self, x: Values, y: Values) -> jax.Array:
+        """The tangent vector d with retract(x, d) = y, shape (n,): $Log(x^-1 y)$."""
+        inputs = self._functions.prepare(0.0, x, reads=())
+        other = {
+            name: value.astype(inputs.dtype) for name, value in self._functions.prepare(0.0, y, reads=()).x.items()
+        }
+        return self.group.difference(inputs.x, other)
+
+    @overload
+    def explain(self) -> Explanation: ...
+
+    @overload
+    def explain(self, of: str) -> Dependence: ...
+
+    def explain(self, of: str | None = None) -> Explanation | Dependence:
+        """What is computed, what was left out, and the counts before and after. Compiles the rates once to time it.
+
+        Args:
+            of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
+        Raises:
+            InputError: no rate and no output of that name, or no such entry.
+            ModelError: the rates, or what was asked for, take too many scalars to count.
+        """
+        return explain(self._functions) if of is None else explain_one(self._functions, of)
+
+    # ---- in other forms --------------------------------------------------------------------------------------------
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "dynamics",
+        dtype: Any = np.float64,
+        jacobian: Sequence[str] = ("x", "u"),
+        checked: bool = False,
+        points: Sequence[Sequence[Any]] | None = None,
+        tolerance: float | None = None,
+    ) -> CFiles:
+        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+
+        The rates, and the outputs and constraints where there are any, are functions `name_rates`, `name_outputs`,
+        `name_constraints`; `name_jacobian` gives the derivatives of the rates as `jacobian` does. They allocate nothing
+        and need libm only. Files of those names that an earlier call wrote are replaced.
+
+        Args:
+            directory: where to; made if it is not there.
+            name: of the files, and what the names of all functions begin with.
+            dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
+            jacobian: which of "x", "u", "params" to differentiate by; () for no derivatives.
+            checked: keep 0 x, 0 / x and x - x in the values, as `tx.XLA(checked=True)` does.
+            points: where the test main compares: (t, x, u, params) each; drawn at random if left out.
+            tolerance: of that comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
+        Returns:
+            The paths: `header`, `source`, `test`.
+        Raises:
+            ModelError: a part has no form in scalars, or two names become one in C.
+            InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
+                those names.
+        """
+        from .export.c99 import write_c
+
+        return write_c(
+            self._functions,
+            directory,
+            name=name,
+            dtype=dtype,
+            jacobian=jacobian,
+            checked=checked,
+            points=points,
+            tolerance=tolerance,
+        )
+
+    def to_casadi(
+        self, families: str | Sequence[str] = "rates", *, name: str = "dynamics", checked: bool = False
+    ) -> Any:
+        """A `casadi.Function` in SX: t, then states, controls and parameters by name -> `rate_` and the state's name.
+
+        Vectors are columns, matrices stay matrices, arrays of more axes are a column of their entries row by row; what
+        is structurally zero is so for CasADi too. Arguments that a call leaves out are NaN, except a scalar
+        parameter with a value of its own; bake the others to have them inside. The same holds for `jacobian()` of the
+        function; others that CasADi derives, by `factory` or twice, take zero. CasADi differentiates by entries: of a
+        pose by its 16, not by tangents. Its max and min do not pass NaN on.
+
+        Args:
+            families: one or more of "rates", "outputs", "constraints"; results of the latter two are called as in
+                the system, and "inequality" and "equality".
+            name: of the function.
+            checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
+        Raises:
+            ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no form in scalars; two arrays of
+                one name.
+            InputError: a name that CasADi does not allow.
+        """
+        from .export.casadi_function import to_casadi
+
+        return to_casadi(self._functions, families, name, checked)
+
+    def save(self, path: str | Path) -> None:
+        """Write the system to a file, from which `tx.load` gives it back, compiled as it was.
+
+        Saved are the expressions, the leaves with their bounds, guesses and values, and the options of `tx.compile`.
+
+        Raises:
+            ModelError: a node has a field that is no number, text, array or value of twistax.
+            InputError: the file cannot be written.
+        """
+        from .export.saved import save
+
+        save(self._functions, path)
+
+
+def compile(
+    system: System,
+    *,
+    outputs: Iterable[str] | None = None,
+    bake: Mapping[str, Any] | None = None,
+    backend: Backend | Literal["auto"] = "auto",
+) -> Dynamics:
+    """Compile a system to jitted, differentiable functions.
+
+    Only what is asked for is lowered: rates, outputs and constraints are separate functions, traced when first called.
+
+    Args:
+        outputs: names of the outputs to keep; all if left out.
+        bake: parameters to fold into the code, name -> value; they are no inputs any more.
+        backend: what runs the functions. `tx.XLA()` makes scalars of large ones; `tx.Native()` compiles kernels by
+            llvmlite; `tx.JAX()` runs everything as written, in small arrays. "auto" is `tx.XLA()`, and where llvmlite
+            is installed native kernels for the large functions and the steps of explicit methods.
+    Raises:
+        ModelError: an unknown output or parameter; another backend.
+        ShapeError: a baked value of the wrong shape.
+    """
+    if not isinstance(system, System):
+        raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
+    if bake is not None and not isinstance(bake, Mapping):
+        raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
+    with uncollected():
+        return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
+
+
+def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) -> Dynamics:
+    """A compiled system from a file that `Dynamics.save` wrote.
+
+    Its expressions have the keys they had, and its functions give the same numbers on the same machine, to the last
+    bit. Nothing in a file is run. Nodes, groups and backends of your own are found by the names of their module and
+    class: import what defines them first.
+
+    Args:
+        backend: another one than it was compiled with.
+    Raises:
+        InputError: no such file, no file of this kind, a damaged one, or one of another format; it names the path and
+            the versions.
+        ModelError: a class that is not known here, or that has changed since.
+    """
+    from .export.saved import read
+
+    system, options = read(path)
+    return compile(system, **(options if backend is None else {**options, "backend": backend}))
+
+
+def need_compiled(owner: str, dynamics: object) -> None:
+    """Raise ModelError where `owner` was called with anything but a compiled system."""
+    if not isinstance(dynamics, Dynamics):
+        raise ModelError(
+            f"{owner} expects a compiled system, got {type(dynamics).__name__}.\n  fix: dynamics = tx.compile(system)"
+        )

@@ -1,0 +1,239 @@
+"""What a compiled system computes and what was left out."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import time
+from collections.abc import Sequence
+from decimal import Decimal
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..checks import listed
+from ..errors import InputError, ModelError
+from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
+from ..jax_inside import all_equations, inner_jaxprs
+from ..scalar.backends import array_operations
+from ..scalar.graph import TooLarge
+from ..scalar.reader import scalarize
+from .functions import Functions
+
+_LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
+
+
+@dataclasses.dataclass(frozen=True)
+class Explanation:
+    """What was left out of a compiled system, with counts before and after. Print it.
+
+    Attributes:
+        leaves: kind -> names, in order.
+        unused: one line per control or parameter that no rate needs.
+        baked: names of parameters folded into the code.
+        nodes: (tree nodes as written, distinct nodes after canonicalize).
+        equations: (jaxpr equations as written, after).
+        operations: operations on scalars of the rates by kind: (in arrays as written, as a scalar program).
+        constants: entry of a rate -> its value, where it depends on nothing.
+        patterns: "x", "u" and "params" -> where the Jacobian of the rates is not structurally zero, (n, columns). Empty
+            where the Jacobian takes too many scalars.
+        backend: how the rates run, and why.
+        compile_seconds: how long XLA took for one call of the rates.
+    """
+
+    leaves: dict[str, list[str]]
+    unused: list[str]
+    baked: list[str]
+    nodes: tuple[int, int]
+    equations: tuple[int, int]
+    operations: tuple[dict[str, int], dict[str, int]]
+    constants: dict[str, float]
+    patterns: dict[str, NDArray[Any]]
+    backend: str
+    compile_seconds: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain data; patterns as nested lists of truth values."""
+        patterns = {kind: pattern.tolist() for kind, pattern in self.patterns.items()}
+        return {**dataclasses.asdict(self), "patterns": patterns}
+
+    def picture(self) -> str:
+        """The pattern of the Jacobian by states and controls in characters: a row is a rate, # may differ from zero."""
+        if not self.patterns:
+            return _LEFT_OUT
+        shown = [np.where(self.patterns[kind], "#", ".") for kind in ("x", "u") if self.patterns[kind].size]
+        return "\n".join("|" + "|".join("".join(row) for row in rows) + "|" for rows in zip(*shown, strict=True))
+
+    def plot(self, axes: Any) -> None:
+        """The pattern by states, then controls, on Matplotlib axes.
+
+        Raises:
+            ModelError: there is none.
+        """
+        if not self.patterns:
+            raise ModelError(f"there is no pattern to plot: {_LEFT_OUT}")
+        blocks = [self.patterns["x"], self.patterns["u"]]
+        axes.spy(np.concatenate(blocks, axis=1), markersize=4)
+        axes.axvline(blocks[0].shape[1] - 0.5, color="0.6", linewidth=0.8)
+        axes.set_xlabel("tangents of the states, then controls")
+        axes.set_ylabel("rates")
+
+    def __str__(self) -> str:
+        before, after = (sum(counts.values()) for counts in self.operations)
+        lines = [f"{kind}: {', '.join(names) or 'none'}" for kind, names in self.leaves.items()]
+        # A tree that shares its parts may stand for more nodes than there are atoms.
+        written = str(self.nodes[0]) if self.nodes[0] < 10**9 else f"{Decimal(self.nodes[0]):.1e}"
+        lines.append(f"nodes of the rates: {written} as written, {self.nodes[1]} distinct after simplification")
+        lines.append(
+            f"equations of the rates: {self.equations[0]} as written, {self.equations[1]} after simplification"
+        )
+        kinds = ", ".join(f"{count} {kind}" for kind, count in self.operations[1].items())
+        lines.append(f"operations of the rates: {before} in arrays, {after} as scalars ({kinds or 'none'})")
+        if self.constants:
+            lines.append("constant rates: " + ", ".join(f"{k} = {v:g}" for k, v in self.constants.items()))
+        for kind, pattern in self.patterns.items():
+            if pattern.size:
+                lines.append(f"Jacobian by {kind}: {int(pattern.sum())} of {pattern.size} entries are not zero")
+        if not self.patterns:
+            lines.append(_LEFT_OUT)
+        lines.append(f"runs as {self.backend}; compiled in {self.compile_seconds:.2f} s")
+        if self.baked:
+            lines.append(f"baked in: {', '.join(self.baked)}")
+        return "\n".join(lines + self.unused)
+
+
+@dataclasses.dataclass(frozen=True)
+class Dependence:
+    """What one rate or output, or one entry of it, depends on. Print it.
+
+    Attributes:
+        name: of what was asked for.
+        reads: the entries of t, states, controls and parameters that it depends on.
+        operations: on scalars by kind that it takes.
+        value: its value where it depends on nothing and is one number, else None.
+    """
+
+    name: str
+    reads: list[str]
+    operations: dict[str, int]
+    value: float | None
+
+    def __str__(self) -> str:
+        if self.value is not None:
+            return f"{self.name} is {self.value:g} always"
+        kinds = ", ".join(f"{count} {kind}" for kind, count in self.operations.items())
+        lines = [f"{self.name} depends on: {', '.join(self.reads) or 'nothing'}"]
+        return "\n".join([*lines, f"operations: {sum(self.operations.values())} ({kinds or 'none'})"])
+
+
+def explain(functions: Functions) -> Explanation:
+    """What `Dynamics.explain()` tells. JAX's default precision stands for that of the arguments."""
+    inputs = functions.zeros()
+    places, arrays = functions.flat(inputs)
+    try:
+        jacobian, _ = functions.rate_jacobian(inputs, ("x", "u", "params"))
+        rates, patterns = jacobian.rates, jacobian.pattern
+    except TooLarge:
+        rates, patterns = scalarize(functools.partial(functions.flat_rates, places), *arrays), {}
+    kinds = {"states": functions.states, "controls": functions.controls, "parameters": functions.parameters}
+    written = list(functions.system.rates.values())
+    simplified = [expr for (expr,) in functions.families["rates"].values()]
+    entries = [entry for name, (rate,) in functions.families["rates"].items() for entry in _entries(name, rate.shape)]
+    numbers = [rates.graph.numbers[i] for i in rates.flat]
+    before, after = (_jaxpr(roots, inputs.dtype) for roots in (written, simplified))
+    distinct = len({node.key() for node in postorder(*simplified)})
+    start = time.perf_counter()
+    given = (inputs.t, inputs.x, inputs.u, inputs.params)
+    jax.jit(functools.partial(functions.evaluate, "rates", in_loop=False)).lower(*given).compile()
+    seconds = time.perf_counter() - start
+    leaves, structure = jax.tree.flatten(given)
+    emission, _ = functions.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
+    return Explanation(
+        leaves={kind: [leaf.name for leaf in own] for kind, own in kinds.items()},
+        unused=_unused(functions),
+        baked=list(functions.baked),
+        nodes=(_written_nodes(written), distinct),
+        equations=(count_equations(before), count_equations(after)),
+        operations=(dict(sorted(array_operations(before).items())), rates.counts()),
+        constants={name: n for name, n in zip(entries, numbers, strict=True) if n is not None},
+        patterns=patterns,
+        backend=emission.reason,
+        compile_seconds=seconds,
+    )
+
+
+def explain_one(functions: Functions, of: str) -> Dependence:
+    """What `Dynamics.explain(of)` tells: of one rate or output, or an entry of it.
+
+    Raises:
+        InputError: no rate and no output of that name, or no such entry.
+    """
+    name, _, rest = str(of).partition("[")
+    families = {own: family for family in ("outputs", "rates") for own in functions.families[family]}
+    if name not in families:
+        known = [*functions.families["rates"], *functions.families["outputs"]]
+        raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed(known, of)}")
+    places, arrays = functions.flat(functions.zeros())
+
+    def function(*values: jax.Array) -> list[jax.Array]:
+        return [functions.as_written(families[name], *functions.by_kind(places, values))[name]]
+
+    program = scalarize(function, *arrays)
+    if rest:
+        (nodes,) = program.outputs
+        entries, wanted = _entries(name, nodes.shape), of.replace(" ", "").replace(",", ", ")
+        if wanted not in entries:
+            raise InputError(f"explain: {name} has no entry {of!r}; it has: {entries[0]} to {entries[-1]}")
+        program = program.restricted([nodes.reshape(-1)[[entries.index(wanted)]]])
+    inputs = {
+        node: entry
+        for (_, argument), nodes in zip(places, program.inputs, strict=True)
+        for node, entry in zip(nodes.reshape(-1).tolist(), _entries(argument, nodes.shape), strict=True)
+    }
+    reads = [inputs[i] for i in program.live if i in inputs]
+    value = program.graph.numbers[program.flat[0]] if len(program.flat) == 1 else None
+    return Dependence(of, reads, program.counts(), value)
+
+
+def count_equations(jaxpr: Any) -> int:
+    """Equations of a jaxpr, inner ones included and calls themselves not."""
+    return sum(not inner_jaxprs(equation) for equation in all_equations(jaxpr))
+
+
+def _unused(functions: Functions) -> list[str]:
+    """A line for each control or parameter that no rate needs."""
+    by_rates, by_any = functions.reads["rates"], set().union(*functions.reads.values())
+    unused = [leaf for leaf in (*functions.controls, *functions.parameters) if leaf.name not in by_rates]
+    return [
+        f"{type(leaf).__name__} {leaf.name!r} is not used"
+        + (" by any rate" if leaf.name in by_any else ": nothing depends on it")
+        for leaf in unused
+    ]
+
+
+def _entries(name: str, shape: tuple[int, ...]) -> list[str]:
+    """The names of all entries of an array: V[0], g[0, 3]; the name alone where there is one entry."""
+    return [f"{name}[{', '.join(map(str, index))}]" for index in np.ndindex(*shape)] if shape else [name]
+
+
+def _written_nodes(roots: Sequence[Expr]) -> int:
+    """Nodes of the trees as one would write them out: shared parts counted each time."""
+    sizes: dict[int, int] = {}
+    for node in postorder(*roots):
+        sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
+    return sum(sizes[id(root)] for root in roots)
+
+
+def _jaxpr(roots: Sequence[Expr], dtype: Any) -> Any:
+    """What the roots amount to in arrays, of all leaves that they read."""
+    leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
+    inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
+
+    def function(values: dict[str, jax.Array]) -> list[jax.Array]:
+        return evaluate_all(roots, lambda leaf: values[leaf.key()] if leaf.key() in leaves else leaf.read(inputs))
+
+    shapes = {key: jax.ShapeDtypeStruct(leaf.shape, dtype) for key, leaf in leaves.items()}
+    return jax.make_jaxpr(function)(shapes).jaxpr

@@ -1,0 +1,205 @@
+"""C99 files of a compiled system: header and source by `c_code.py`, and a test main with reference values."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ...checks import number, path_of
+from ...errors import InputError, ModelError
+from ...scalar.targets.c import CType, c_type
+from ..functions import Functions
+from . import CFiles
+from .c_code import MARK, Code, filled, identifiers, mark, numbers
+from .programs import ExportedFunction, Exporter
+
+#: One array for each argument.
+Point = list[NDArray[Any]]
+
+#: Of references at which the test main gives up, relative to the largest one of a function.
+_TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
+
+#: Headers of C99, which a header of that name would hide.
+_STANDARD = (
+    "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
+    "stdint stdio stdlib string tgmath time wchar wctype"
+)
+
+
+def write_c(
+    dynamics: Functions,
+    directory: str | Path,
+    *,
+    name: str,
+    dtype: Any,
+    jacobian: Sequence[str],
+    checked: bool,
+    points: Sequence[Sequence[Any]] | None,
+    tolerance: float | None,
+) -> CFiles:
+    """What `Dynamics.to_c` does; it says what the arguments are."""
+    _check_name(name)
+    real = _real(dtype)
+    exporter = Exporter(dynamics, real.dtype, checked)
+    functions = _functions(exporter, jacobian)
+    names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
+    given = _drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
+    if not given:
+        raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
+    allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
+    number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
+    folder, code = path_of("directory", directory), Code(name, exporter, functions, names, real)
+    files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
+    texts = {files.header: code.header(), files.source: code.source(), files.test: _test_main(code, given, allowed)}
+    _write(folder, texts)
+    return files
+
+
+def _check_name(name: str) -> None:
+    if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
+        raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
+    if name.lower() in _STANDARD.split():
+        raise InputError(f"name expects another one than {name!r}: {name.lower()}.h is a header of C itself")
+
+
+def _real(dtype: Any) -> CType:
+    try:
+        found = np.dtype(dtype)
+    except TypeError:
+        raise InputError(f"dtype expects float64 or float32, got {dtype!r}") from None
+    if found.name not in _TOLERANCES:
+        raise InputError(f"dtype expects float64 or float32, got {found.name}")
+    return c_type(found)
+
+
+def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
+    found = [exporter.family(family) for family, own in exporter.dynamics.families.items() if any(own.values())]
+    if jacobian:
+        if isinstance(jacobian, str):
+            raise InputError(f"jacobian expects a sequence like ('x', 'u'), got {jacobian!r}")
+        found.append(exporter.jacobian(jacobian))
+    found = [function for function in found if function.results]
+    if not found:
+        raise ModelError("there is nothing to write: no result has an entry")
+    return found
+
+
+def _write(folder: Path, texts: dict[Path, str]) -> None:
+    """Files of an earlier call are replaced; others are left alone, and told."""
+    try:
+        for path in texts:
+            if path.exists() and not path.read_text(errors="replace").startswith(MARK):
+                raise InputError(
+                    f"{str(path)!r} exists and was not written by twistax.\n  fix: move it, or give another name="
+                )
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, text in texts.items():
+            path.write_text(text, encoding="ascii")
+    except OSError as error:
+        raise InputError(
+            f"cannot write C code to {str(folder)!r}: {error}.\n  fix: give a folder to write to"
+        ) from None
+
+
+# ---- the test main ---------------------------------------------------------------------------------------------------
+
+
+def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
+    """(t, x, u, params) as arrays in the order of the arguments; parameters may be left out."""
+    if not isinstance(point, Sequence) or not 2 <= len(point) <= 4:
+        raise InputError(f"points expects (t, x, u, params) each, the last two may be left out, got {point!r}")
+    t, x, u, params = [*point, None, None][:4]
+    inputs = exporter.dynamics.prepare(t, x, u, params, reads=("rates", "outputs", "constraints"))
+    # As they were given where they were: prepared ones may be of single precision.
+    values = {"x": {**inputs.x, **x}, "u": {**inputs.u, **(u or {})}, "params": {**inputs.params, **(params or {})}}
+    return [
+        np.asarray(t, np.float64),
+        *(
+            np.asarray(values[port.kind].get(port.name, np.zeros(port.shape)), np.float64).reshape(port.shape)
+            for port in exporter.arguments[1:]
+        ),
+    ]
+
+
+def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
+    """Arguments drawn at random: Exp of a normal tangent, normal entries, of parameters their own values."""
+    rng = np.random.default_rng(0)
+    groups = {state.name: state.group for state in exporter.dynamics.states}
+    own = {p.name: p.value for p in exporter.dynamics.parameters}
+    points = []
+    with jax.enable_x64(True):
+        for _ in range(count):
+            point: Point = []
+            for port in exporter.arguments:
+                drawn = rng.normal(size=port.shape)
+                group = groups.get(port.name) if port.kind == "x" else None
+                if port.kind == "params" and own[port.name] is not None:
+                    drawn = np.asarray(own[port.name], np.float64)
+                elif group is not None and not group.flat:
+                    drawn = np.asarray(group.exp(jnp.asarray(0.5 * rng.normal(size=group.dimension))))
+                point.append(drawn)
+            points.append(point)
+    return points
+
+
+def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
+    """The text of a program that ends with 0 where all functions agree with their references."""
+    real, names = code.real, code.names
+    points = [[_cast(v, real) for v in point] for point in points]
+    data: list[str] = []
+    steps: list[str] = []
+    given = []
+    for k, point in enumerate(points):
+        arrays = {f"point_{k}_{names[port]}": v for port, v in zip(code.exporter.arguments[1:], point[1:], strict=True)}
+        data += [numbers(name, values, real) for name, values in arrays.items()]
+        given.append([real.literal(point[0][()]), *arrays])
+    for function in code.functions:
+        # Brought to the code's numbers first: what is beyond their range is infinite there, and no measure.
+        references = [[_cast(r, real) for r in result] for result in _references(function, points)]
+        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for result in references for r in result])
+        allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
+        found = [f"found[{j}]" for j in range(len(function.results))]
+        for k, arguments in enumerate(given):
+            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *found])});")
+            for own, port, result in zip(found, function.results, references[k], strict=True):
+                array = f"expected_{k}_{function.name}_{names[port]}"
+                data.append(numbers(array, result, real))
+                label = f"{function.name} {names[port]}, point {k + 1}"
+                steps.append(f'failed += compare("{label}", {own}, {array}, {port.size}, {allowed});')
+    widest = max(len(function.results) for function in code.functions)
+    longest = max(port.size for function in code.functions for port in function.results)
+    return filled(
+        "test_main.c.in",
+        mark=mark(),
+        tolerance=f"{tolerance:.0e}",
+        name=code.name,
+        real=real.name,
+        data="".join(data),
+        widest=widest,
+        longest=longest,
+        zero=real.literal(0.0),
+        fabs=f"fabs{real.suffix}",
+        steps="\n    ".join(steps),
+    )
+
+
+def _references(function: ExportedFunction, points: Sequence[Point]) -> list[list[NDArray[Any]]]:
+    """The results at every point, in double precision."""
+    with jax.enable_x64(True):
+        stacked = [jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)]
+        # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
+        run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
+        found = [np.asarray(r) for r in run(*stacked)]
+    return [[np.asarray(result[k]) for result in found] for k in range(len(points))]
+
+
+def _cast(values: Any, real: CType) -> NDArray[Any]:
+    with np.errstate(over="ignore"):
+        return np.asarray(values).astype(real.dtype)

@@ -1,0 +1,201 @@
+"""C99 code of a compiled system: names, header and source."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ...errors import ModelError
+from ...scalar.kernel_cache import version
+from ...scalar.primitives.entry import Operation
+from ...scalar.primitives.table_load import Table
+from ...scalar.primitives.table_loads import loaded_tables
+from ...scalar.targets.c import CType, c_type, expression
+from .programs import ExportedFunction, Exporter, Port
+
+#: How every file begins, by which files that may be replaced are known.
+MARK = "/* Written by twistax"
+
+_MEANINGS = {
+    "t": "time",
+    "x": "state {}",
+    "u": "control {}",
+    "params": "parameter {}",
+    "rate": "rate of {}",
+    "output": "output {}",
+    "inequality": "what must be <= 0",
+    "equality": "what must be = 0",
+    "by x": "by right perturbations of the states, x (+) d = x Exp(d)",
+    "by u": "by entries of the controls",
+    "by params": "by entries of the parameters",
+}
+
+
+def mark() -> str:
+    """The first words of a file that is written now."""
+    return f"{MARK} {version()}"
+
+
+def filled(template: str, **parts: Any) -> str:
+    """The text of a file of this folder, its parts in place."""
+    return Template(Path(__file__).with_name(template).read_text()).substitute(parts)
+
+
+def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
+    """What each array is called: a prefix of its kind, and its name, in which what C does not allow is an underscore.
+
+    Letters beyond ASCII become their numbers: u03c9.
+
+    Raises:
+        ModelError: two arrays get one name.
+    """
+    found: dict[str, Port] = {}
+    for port in ports:
+        plain = re.sub(r"[^\x00-\x7f]", lambda letter: f"u{ord(letter[0]):04x}", port.name)
+        # Its kind keeps a name apart from C's words and from libm's.
+        kind = {"jacobian": "by", "params": "p"}.get(port.kind, port.kind)
+        name = kind if kind == "t" else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
+        if name in found:
+            raise ModelError(
+                f"{found[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
+            )
+        found[name] = port
+    return {port: name for name, port in found.items()}
+
+
+@dataclasses.dataclass(frozen=True)
+class Code:
+    """What is written."""
+
+    name: str  # of the files, and what the names of all functions begin with
+    exporter: Exporter
+    functions: Sequence[ExportedFunction]
+    names: Mapping[Port, str]  # of all arrays
+    real: CType  # of all numbers
+
+    def header(self) -> str:
+        """The call convention, and what is declared."""
+        constants = "".join(f"extern {head};\n" for head in self._defaults())
+        if constants:
+            constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
+        prototypes = "\n".join(f"{self._head(function)};\n" for function in self.functions)
+        return filled(
+            "header.h.in",
+            mark=mark(),
+            real=self.real.name,
+            arguments=self._listed(self.exporter.arguments),
+            results="".join(map(self._results, self.functions)),
+            guard=f"{self.name}_H",  # as written: in C, names that differ in case differ
+            constants=constants,
+            prototypes=prototypes,
+        )
+
+    def source(self) -> str:
+        """What the functions do."""
+        bodies = [
+            f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names)}}}\n"
+            for function in self.functions
+        ]
+        parts = [
+            f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
+            "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
+            "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
+            *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in self._tables()),
+            *bodies,
+        ]
+        return "\n".join(part for part in parts if part)
+
+    def _tables(self) -> list[Table]:
+        """What the functions load from."""
+        return list(dict.fromkeys(table for function in self.functions for table in loaded_tables(function.program)))
+
+    def _head(self, function: ExportedFunction) -> str:
+        """The head of a function, without what follows it."""
+        real, names = self.real.name, self.names
+        listed = [f"{real} t", *(f"const {real} *{names[port]}" for port in self.exporter.arguments[1:])]
+        listed += [f"{real} *{names[port]}" for port in function.results]
+        return f"void {self.name}_{function.name}(\n    " + ",\n    ".join(listed) + ")"
+
+    def _defaults(self) -> dict[str, str]:
+        """The parameters that have values of their own: head -> these, row by row."""
+        own = {p.name: p.value for p in self.exporter.dynamics.parameters if p.value is not None}
+        return {
+            f"const {self.real.name} {self.name}_default_{self.names[port]}[{port.size}]": ", ".join(
+                self.real.literal(self.real.dtype.type(v)) for v in own[port.name].reshape(-1)
+            )
+            for port in self.exporter.arguments
+            if port.kind == "params" and port.name in own and port.size
+        }
+
+    def _listed(self, ports: Sequence[Port]) -> str:
+        rows = [(self.names[p], " x ".join(map(str, p.shape)) or "1", self._meaning(p)) for p in ports]
+        width, room = (max(len(row[k]) for row in rows) for k in (0, 1))
+        return "".join(f" *   {a:<{width}}  {b:<{room}}  {c}".rstrip() + "\n" for a, b, c in rows)
+
+    def _meaning(self, port: Port) -> str:
+        kind = {"constraint": port.name, "jacobian": f"by {port.name}"}.get(port.kind, port.kind)
+        text = _MEANINGS[kind].format(_comment(port.name))
+        groups = {state.name: state.group for state in self.exporter.dynamics.states}
+        if kind not in ("x", "rate") or groups[port.name].flat:
+            return text
+        return text + (f", an element of {_comment(groups[port.name].name)}" if kind == "x" else ", a body velocity")
+
+    def _results(self, function: ExportedFunction) -> str:
+        text = f" *\n * Results of {function.name}, in this order\n{self._listed(function.results)}"
+        if function.name == "jacobian":
+            rows = ", ".join(_comment(state.name) for state in self.exporter.dynamics.states)
+            places = sum(port.size for port in function.results)
+            written = sum(int((nodes != function.program.graph.zero).sum()) for nodes in function.program.outputs)
+            text += (
+                f" *   Rows: the rates of {rows}, one after the other, entries row by row; columns likewise, in the\n"
+                f" *   order of the arguments. {written} of {places} entries may differ from zero.\n"
+            )
+        return text
+
+
+def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
+    """The lines of a function.
+
+    Raises:
+        ModelError: a type that C has not, or has no such operation of.
+    """
+    program, g = function.program, function.program.graph
+    lines: list[str] = []
+    used: set[int] = set()
+
+    def entry(argument: int, place: int) -> str:
+        used.add(argument)
+        port = arguments[argument]
+        return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
+
+    def computed(operation: Operation, node: int, *values: str) -> str:
+        own, argument = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
+        lines.append(f"const {own.name} v{len(lines)} = {expression(operation, argument, own, values)};")
+        return f"v{len(lines) - 1}"
+
+    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
+    unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
+    results = []
+    for port, nodes in zip(function.results, program.outputs, strict=True):
+        for k, i in enumerate(nodes.reshape(-1).tolist()):
+            cast = "" if g.dtypes[i] == g.dtype else f"({c_type(g.dtype).name})"
+            results.append(f"{names[port]}[{k}] = {cast}{values[i]};")
+    return "".join(f"    {line}\n" for line in (*unused, *lines, *results))
+
+
+def numbers(name: str, values: NDArray[Any], real: CType) -> str:
+    """An array of constants."""
+    entries = [real.literal(v) for v in values.astype(real.dtype).reshape(-1)]
+    lines = [", ".join(entries[k : k + 6]) for k in range(0, len(entries), 6)]
+    return f"static const {real.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"
+
+
+def _comment(text: str) -> str:
+    """Text that may stand in a comment, whatever a user named things."""
+    return re.sub(r"[^ -~]|[*/\\?]", "_", text)

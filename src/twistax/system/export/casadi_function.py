@@ -1,0 +1,102 @@
+"""A compiled system as a CasADi function."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from ...errors import InputError, ModelError
+from ...scalar.primitives.entry import Operation
+from ...scalar.primitives.table_loads import loaded_tables
+from ..functions import Functions
+from .programs import ExportedFunction, Exporter, Port
+
+
+def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
+    """What `Dynamics.to_casadi` does; it says what the arguments are."""
+    try:
+        import casadi
+    except ImportError as error:
+        raise ModelError(f"to_casadi needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'") from None
+    exporter = Exporter(dynamics, np.float64, checked)
+    if not casadi.Function.check_name(name):
+        raise InputError(f"name expects what CasADi allows, letters, digits and single underscores, got {name!r}")
+    named: list[Any] = list(families) if isinstance(families, (tuple, list)) else [families]
+    for family in named:
+        if family not in dynamics.families:
+            raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
+    names = [_name(port) for port in exporter.arguments]
+    functions = [exporter.family(family) for family in named]
+    # Scalar expressions are the faster ones, but know no tables.
+    kind: Any = casadi.MX if any(loaded_tables(function.program) for function in functions) else casadi.SX
+    ports = zip(names, exporter.arguments, strict=True)
+    symbols: list[Any] = [kind.sym(name, *_matrix(port.shape)) for name, port in ports]
+    results, result_names = [], []
+    for function in functions:
+        results += _results(casadi, kind, function, exporter.arguments, symbols)
+        result_names += [_name(port) for port in function.results]
+    everything = [*names, *result_names]
+    twice = sorted({name for name in everything if everything.count(name) > 1})
+    if twice:
+        raise ModelError(
+            f"a CasADi function names each of its arguments and results differently; {twice[0]!r} stands for two.\n"
+            "  fix: rename one, or ask for fewer families"
+        )
+    # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
+    own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
+    defaults = [own.get(port.name, np.nan) if port.kind == "params" else np.nan for port in exporter.arguments]
+    # A function that CasADi derives has zeros again, unless it is told; the results, which `jacobian` takes too, are
+    # not read.
+    derived = {"default_in": [*defaults, *(0.0 for _ in results)]}
+    options: Any = {"default_in": defaults, "jacobian_options": derived}
+    return casadi.Function(name, symbols, results, names, result_names, options)
+
+
+def _name(port: Port) -> str:
+    """As the leaf or the result is called; of a rate, with that word before."""
+    return "t" if port.kind == "t" else f"rate_{port.name}" if port.kind == "rate" else port.name
+
+
+def _matrix(shape: tuple[int, ...]) -> tuple[int, int]:
+    """The rows and columns of CasADi's matrix: vectors are columns, arrays of more axes a column row by row."""
+    return (shape[0], shape[1]) if len(shape) == 2 else (math.prod(shape), 1)
+
+
+def _place(shape: tuple[int, ...], place: int) -> tuple[int, int]:
+    """Where the entry number `place`, counted row by row, stands in that matrix."""
+    return divmod(place, shape[1]) if len(shape) == 2 else (place, 0)
+
+
+def _results(
+    casadi: Any, kind: Any, function: ExportedFunction, arguments: Sequence[Port], symbols: Sequence[Any]
+) -> list[Any]:
+    """The results as matrices of expressions in the symbols."""
+    g = function.program.graph
+    values = function.program.computed(
+        lambda argument, place: symbols[argument][_place(arguments[argument].shape, place)],
+        lambda value, dtype: kind(float(value)),
+        lambda operation, i, *a: expression(casadi, operation, g.dtypes[g.arguments(i)[-1]], *a),
+    )
+    found = []
+    for port, nodes in zip(function.results, function.program.outputs, strict=True):
+        result = kind(*_matrix(port.shape))  # what is structurally zero stays so
+        for entry, i in enumerate(nodes.reshape(-1).tolist()):
+            if i != g.zero:
+                result[_place(port.shape, entry)] = values[i]
+        found.append(result)
+    return found
+
+
+def expression(casadi: Any, operation: Operation, dtype: np.dtype[Any], *arguments: Any) -> Any:
+    """An operation on arguments of a type in CasADi.
+
+    Raises:
+        ModelError: CasADi has no such operation.
+    """
+    form = operation.casadi.of(dtype)
+    if form is None:
+        raise ModelError(f"CasADi has no {operation.name} of {dtype.name}")
+    return form(casadi, *arguments)

@@ -1,0 +1,119 @@
+"""The functions of a compiled system as scalar programs that call nothing, for writers of other languages."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import ModelError
+from ...expr import Inputs
+from ...scalar.graph import Limits
+from ...scalar.reader import ScalarProgram, called_names, emitted_form, scalarize
+from ..functions import Functions
+from ..jacobian import blocks_in_arrays
+
+#: LU with pivots is unrolled up to the size that Cholesky is.
+_LIMITS = Limits(pivoted=12, table=256, equations=100_000)
+
+
+@dataclasses.dataclass(frozen=True)
+class Port:
+    """An array that goes into a function or comes out of it."""
+
+    kind: str  # "t", "x", "u" or "params" of arguments; "rate", "output", "constraint" or "jacobian" of results
+    name: str  # of the leaf or the result; empty for the time
+    shape: tuple[int, ...]
+
+    @property
+    def size(self) -> int:
+        return math.prod(self.shape)
+
+
+@dataclasses.dataclass(frozen=True)
+class ExportedFunction:
+    """One function."""
+
+    name: str  # "rates", "outputs", "constraints" or "jacobian"
+    results: tuple[Port, ...]  # what it gives, in order; empty arrays are left out
+    program: ScalarProgram  # from all arguments, in order, to the results; without calls
+    arrays: Callable[..., list[jax.Array]]  # the same in JAX arrays: what references are computed with
+
+
+class Exporter:
+    """The functions of a compiled system in one precision, whatever JAX's x64 switch says.
+
+    Arguments of all of them are the time, the states, the controls and the parameters, in the order of declaration.
+    `checked` is as of `tx.XLA`: keep 0 x, 0 / x and x - x, which differ from zero where x is not finite.
+    """
+
+    def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
+        self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
+        leaves = {"x": dynamics.states, "u": dynamics.controls, "params": dynamics.parameters}
+        ports = [Port(kind, leaf.name, leaf.shape) for kind, own in leaves.items() for leaf in own]
+        self.arguments = (Port("t", "", ()), *ports)
+        self._places = tuple((port.kind, port.name) for port in self.arguments)
+
+    def family(self, name: str) -> ExportedFunction:
+        """Rates, outputs or constraints.
+
+        Raises:
+            ModelError: a part has no form in scalars, or the program is too large.
+        """
+
+        def arrays(*values: jax.Array) -> list[jax.Array]:
+            return list(self.dynamics.as_written(name, *self.dynamics.by_kind(self._places, values)).values())
+
+        with jax.enable_x64(self.dtype == np.float64):
+            closed = jax.make_jaxpr(arrays)(*(jax.ShapeDtypeStruct(p.shape, self.dtype) for p in self.arguments))
+            program = scalarize(closed, checked=self.checked)
+            return self._exported(name, name.removesuffix("s"), list(self.dynamics.families[name]), program, arrays)
+
+    def jacobian(self, wrt: Sequence[str]) -> ExportedFunction:
+        """The derivatives of the rates in the tangent space, a matrix (n, m) for each of "x", "u", "params" in wrt.
+
+        Raises:
+            ModelError: a part has no form in scalars, or the program is too large.
+            InputError: another entry in wrt.
+        """
+        with jax.enable_x64(self.dtype == np.float64):
+            zeros = [jnp.zeros(p.shape, self.dtype) for p in self.arguments]
+            inputs = Inputs(*self.dynamics.by_kind(self._places, zeros), self.dtype)
+            found, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
+            rates = lambda *values: self.dynamics.flat_rates(self._places, *values)[0]  # noqa: E731
+
+            def arrays(*values: jax.Array) -> list[jax.Array]:
+                return list(blocks_in_arrays(rates, self.dynamics.group, self._places, wrt, values).values())
+
+            return self._exported("jacobian", "jacobian", list(found.blocks), found.program, arrays)
+
+    def _exported(
+        self,
+        name: str,
+        kind: str,
+        results: Sequence[str],
+        program: ScalarProgram,
+        arrays: Callable[..., list[jax.Array]],
+    ) -> ExportedFunction:
+        """A function with every call unrolled, without results that have no entry."""
+        form = emitted_form(program, limits=_LIMITS)
+        if form.calls:
+            raise ModelError(
+                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: bake the parameters "
+                "it works on, write it with other nodes, or leave this function out; solves are unrolled up to "
+                f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
+            )
+        kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]
+        ports = tuple(Port(kind, results[k], form.outputs[k].shape) for k in kept)
+        restricted = form.restricted([form.outputs[k] for k in kept])
+
+        def present(*values: jax.Array) -> list[jax.Array]:
+            found = arrays(*values)
+            return [found[k] for k in kept]
+
+        return ExportedFunction(name, ports, restricted, present)

@@ -1,0 +1,415 @@
+"""The functions of a system on prepared arguments, each made when it is first asked for, and kept."""
+
+from __future__ import annotations
+
+import contextlib
+import functools
+import threading
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed
+from ..errors import InputError, ModelError
+from ..expr import (
+    Constant,
+    Control,
+    Equality,
+    Expr,
+    Inputs,
+    Parameter,
+    State,
+    canonicalize_all,
+    evaluate_all,
+    leaves_of,
+    substitute,
+)
+from ..jax_inside import is_traced
+from ..scalar.backends import Backend, Emission
+from ..scalar.graph import TooLarge
+from ..scalar.jax_primitive import Derived, call_program
+from ..scalar.small_call import no_small_call
+from ..scalar.walk import uncollected
+from .inputs import Values, prepare
+from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
+from .system import System, entry_names
+
+Arrays = dict[str, jax.Array]
+Made = TypeVar("Made")
+#: What the numbers of a trace depend on beyond its arguments.
+_SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
+
+
+class Kept:
+    """What was made by key, and by the settings of JAX that its numbers depend on.
+
+    Beyond `most` entries that which was used longest ago is dropped.
+    """
+
+    def __init__(self, most: int) -> None:
+        self._most = most
+        self._found: dict[Any, Any] = {}
+        self._lock = threading.Lock()
+
+    def get(self, key: Any, make: Callable[[], Made]) -> Made:
+        """What was made for the key, or is now."""
+        key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
+        found = self._found.get(key, self)
+        if found is self:
+            with uncollected():
+                made: Any = make()
+        else:
+            made = found
+        with self._lock:
+            self._found.pop(key, None)
+            self._found[key] = made
+            while len(self._found) > self._most:
+                del self._found[next(iter(self._found))]
+        return made
+
+    def values(self) -> list[Any]:
+        """All that is kept, what was used last at the end."""
+        return list(self._found.values())
+
+
+class Functions:
+    """The functions of a system on prepared arguments: traceable, unchecked.
+
+    `Dynamics` shows them to users; `prepare` makes the arguments. The layers above reach them as `dynamics._functions`.
+
+    Attributes:
+        system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
+        families: the simplified expressions of "rates", "outputs", "constraints" and "corrections", by name.
+        constraints: the simplified residuals of "inequality" and "equality", by name.
+        steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
+        hessians: likewise the programs of Hessians.
+        loops: likewise functions of integrators, jitted, that take a `twin` of this.
+    """
+
+    def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
+        constants = _constants(system.parameters, bake)
+        self.system, self.backend = system, backend
+        self.baked = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
+        self.states, self.controls, self.group = system.states, system.controls, system.group
+        self.parameters = tuple(p for p in system.parameters if p.name not in bake)
+        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
+        equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
+        self.constraints: dict[str, dict[str, Expr]] = {
+            kind: {name: own for name, own in residuals.items() if (name in equalities) == (kind == "equality")}
+            for kind in ("inequality", "equality")
+        }
+        chosen = _narrow(system.outputs, outputs)
+        self.families: dict[str, dict[str, list[Expr]]] = {
+            "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
+            "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
+            "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
+            "corrections": {name: [expr] for name, expr in _canonical(system.corrections, constants).items()},
+        }
+        self._constants = constants
+        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
+        self._made, self._beside = Kept(64), False
+        self._jit()
+
+    # ---- the same functions otherwise --------------------------------------------------------------------------------
+
+    def run_by(self, backend: Backend) -> Functions:
+        """The same, run by another backend."""
+        return self._changed(backend=backend)
+
+    def beside_loops(self) -> Functions:
+        """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
+        return self._changed(_beside=True)
+
+    def with_outputs(self, names: Iterable[str]) -> Functions:
+        """A twin with some of the outputs alone."""
+        known, wanted = self.families["outputs"], set(names)
+        outputs = {name: own for name, own in known.items() if name in wanted}
+        found = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
+        found.__dict__.pop("reads", None)
+        return found
+
+    def twin(self) -> Functions:
+        """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
+        return self._changed(loops=Kept(32))
+
+    def _changed(self, **own: Any) -> Functions:
+        found = object.__new__(Functions)
+        found.__dict__.update(self.__dict__, **own)
+        found._jit()
+        return found
+
+    def __reduce__(self) -> Any:
+        return Functions, (self.system, list(self.families["outputs"]), self.baked, self.backend)
+
+    def _jit(self) -> None:
+        self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
+
+    # ---- arguments ---------------------------------------------------------------------------------------------------
+
+    def prepare(
+        self,
+        t: Any,
+        x: Values | None,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        reads: Iterable[str] = ("rates",),
+        names: Sequence[str] = ("t", "x", "u", "params"),
+        on_host: bool = False,
+    ) -> Inputs:
+        """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
+
+        Args:
+            reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
+            names: what messages call the arguments.
+            on_host: leave arrays of NumPy what they are, for a jitted function.
+        Raises:
+            InputError: as a call of the dynamics.
+        """
+        required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
+        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names, on_host)
+
+    def zeros(self) -> Inputs:
+        """Zeros for all leaves that anything reads, in JAX's default precision."""
+        read = set().union(*self.reads.values())
+        x = {leaf.name: np.zeros(leaf.shape) for leaf in self.states}
+        u, params = (
+            {leaf.name: np.zeros(leaf.shape) for leaf in own if leaf.name in read}
+            for own in (self.controls, self.parameters)
+        )
+        return self.prepare(0.0, x, u, params, reads=())
+
+    @functools.cached_property
+    def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
+        """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
+        known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
+        flat = {f"{k} {part}": each for k, (_, pair) in enumerate(known) for part, each in enumerate(pair)}
+        simple, found = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
+        for k, (name, _) in enumerate(known):
+            found.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
+        return found
+
+    @functools.cached_property
+    def reads(self) -> dict[str, set[str]]:
+        """The names of the leaves that each family reads."""
+        return {family: _names(*own.values()) for family, own in self.families.items()}
+
+    def rate_reads(self, name: str) -> set[str]:
+        """The names of the states, controls and parameters that the rate of a state reads."""
+        return _names(self.families["rates"][name])
+
+    @functools.cached_property
+    def constraint_names(self) -> dict[str, list[str]]:
+        """The name of every entry of the constraints, for messages."""
+        return {
+            kind: [entry for name, e in own.items() for entry in entry_names(name, e.shape)]
+            for kind, own in self.constraints.items()
+        }
+
+    # ---- values ------------------------------------------------------------------------------------------------------
+
+    def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
+        """Rates, outputs or constraints from arguments as users give them, jitted."""
+        inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
+        return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+
+    def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """The rates; what an integrator puts into its loop, or beside it."""
+        return self.evaluate("rates", t, x, u, params, in_loop=not self._beside)
+
+    def evaluate(
+        self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
+    ) -> Arrays:
+        """Rates, outputs or constraints, not jitted.
+
+        Args:
+            in_loop: in the form that suits an integrator's loop; else in the one for calls and batches.
+        """
+        leaves, structure = jax.tree.flatten((t, x, u, params))
+        types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
+        emission, shape = self.emission(family, structure, types, in_loop=in_loop)
+        with no_small_call() if self._apart(emission) else contextlib.nullcontext():
+            return jax.tree.unflatten(shape, emission.function(*leaves))
+
+    def _apart(self, emission: Emission) -> bool:
+        least, program = self.backend.least if self._beside else None, emission.program
+        return least is not None and program is not None and program.operations >= least
+
+    def emission(
+        self, family: str, structure: Any, types: tuple[tuple[tuple[int, ...], Any], ...], *, in_loop: bool = False
+    ) -> tuple[Emission, Any]:
+        """How a family of functions runs on arguments of these (shape, type), and the structure of its results."""
+        backend = self.backend.in_loops() if in_loop else self.backend
+
+        def make() -> tuple[Emission, Any]:
+            written = jax.make_jaxpr(lambda *given: self.as_written(family, *given), return_shape=True)
+            closed, shape = written(*jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*each) for each in types]))
+            places = jax.tree.unflatten(structure, range(len(types)))
+            return backend.emit(closed, jax.tree.leaves(places[3])), jax.tree.structure(shape)
+
+        return self._made.get((backend, family, structure, types), make)
+
+    def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
+        """Rates, outputs or constraints in arrays, node by node."""
+        return self.values(self.families[family], family == "constraints", t, x, u, params)
+
+    def values(
+        self, roots: Mapping[str, list[Expr]], joined: bool, t: jax.Array, x: Arrays, u: Arrays, params: Arrays
+    ) -> Arrays:
+        """Expressions by name, in arrays, node by node.
+
+        Args:
+            joined: give the entries of all expressions of a name as one vector; else there is one for each.
+        """
+        dtype = x[self.states[0].name].dtype
+        inputs = Inputs(t, x, u, params, dtype)
+        values = iter(evaluate_all([e for own in roots.values() for e in own], lambda leaf: leaf.read(inputs)))
+        result = {}
+        for name, exprs in roots.items():
+            parts = [next(values) for _ in exprs]
+            if joined:
+                parts = [jnp.concatenate([jnp.zeros(0, dtype), *(part.reshape(-1) for part in parts)])]
+            result[name] = parts[0]
+        return result
+
+    # ---- derivatives -------------------------------------------------------------------------------------------------
+
+    def jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> Arrays:
+        """The blocks of `Dynamics.jacobian`."""
+        check_kinds(wrt)
+        places, arrays = self.flat(inputs)
+
+        def make() -> tuple[Callable[..., dict[str, jax.Array]], Any]:
+            try:
+                found, _ = self.rate_jacobian(inputs, wrt)
+            except TooLarge:
+                run = functools.partial(self._columns, places, wrt)
+            else:
+                run = functools.partial(_by_program, list(found.blocks), self.backend.derived(found.program))
+            return run, jax.jit(run)
+
+        traceable, jitted = self._made.get((self.backend, "jacobian", wrt, places, inputs.dtype), make)
+        return (traceable if is_traced(arrays) else jitted)(*arrays)
+
+    def _columns(self, places: Places, wrt: tuple[str, ...], *arrays: jax.Array) -> Arrays:
+        def rates(*arrays: jax.Array) -> jax.Array:
+            found = self.evaluate("rates", *self.by_kind(places, arrays), in_loop=False)
+            return jnp.concatenate([found[state.name].reshape(-1) for state in self.states])
+
+        return blocks_in_arrays(rates, self.group, places, wrt, arrays)
+
+    def rate_jacobian(self, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[RateJacobian, list[jax.Array]]:
+        """The program of the Jacobian for arguments of these types, and the arguments.
+
+        Raises:
+            InputError: an entry of wrt that is none of "x", "u", "params", or that stands there twice.
+            TooLarge: too many scalars.
+        """
+        check_kinds(wrt)
+        places, arrays = self.flat(inputs)
+
+        def make() -> RateJacobian:
+            def traced(function: Callable[..., list[jax.Array]]) -> Differentiated:
+                closed = jax.make_jaxpr(functools.partial(function, places))(*arrays)
+                return Differentiated(closed, places, self.group, wrt)
+
+            if not self.slopes:
+                return RateJacobian(traced(self.flat_rates))
+            known = {
+                name: [by.name if isinstance(by, State) else by.shape[0] for by, _ in pairs]
+                for name, pairs in self.slopes.items()
+            }
+            return fewer(lambda: traced(self.flat_rates), RateJacobian(traced(self._flat_slopes), known))
+
+        return self._made.get((wrt, places, inputs.dtype), make), arrays
+
+    def flat(self, inputs: Inputs) -> tuple[Places, list[jax.Array]]:
+        """The arguments in the order of declaration: what each is, ("t", "t") or its kind and name; and the arrays."""
+        leaves, given = (self.states, self.controls, self.parameters), (inputs.x, inputs.u, inputs.params)
+        named = {
+            (kind, leaf.name): values[leaf.name]
+            for kind, own, values in zip(("x", "u", "params"), leaves, given, strict=True)
+            for leaf in own
+            if leaf.name in values
+        }
+        return (("t", "t"), *named), [inputs.t, *named.values()]
+
+    def flat_rates(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
+        """All rates as one vector, in arrays, of arguments as `flat` gives them."""
+        rates = self.as_written("rates", *self.by_kind(places, arrays))
+        return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
+
+    def _flat_slopes(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
+        """The rates as one vector; then, of what is known of their derivatives, what they are by, and the matrices."""
+        pairs = [pair for own in self.slopes.values() for pair in own]
+        roots = {name: [rate] for name, (rate,) in self.families["rates"].items()}
+        vectors = [by for by, _ in pairs if not isinstance(by, State)]
+        roots |= {f"slopes {k}": [each] for k, each in enumerate([*vectors, *(matrix for _, matrix in pairs)])}
+        found = self.values(roots, False, *self.by_kind(places, arrays))
+        rates = jnp.concatenate([found.pop(state.name).reshape(-1) for state in self.states])
+        return [rates, *found.values()]
+
+    def by_kind(self, places: Places, arrays: Sequence[jax.Array]) -> tuple[jax.Array, Arrays, Arrays, Arrays]:
+        """t, x, u and params again, of arguments as `flat` gives them."""
+        values: dict[str, Arrays] = {"x": {}, "u": {}, "params": {}}
+        for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
+            values[kind][name] = array
+        return arrays[0], values["x"], values["u"], values["params"]
+
+
+def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
+    """The blocks of a Jacobian that is one program."""
+    return dict(zip(kinds, call_program(program, *arrays), strict=True))
+
+
+def check_kinds(wrt: tuple[str, ...]) -> None:
+    """Raise InputError unless all are "x", "u" or "params", each at most once."""
+    for kind in wrt:
+        if kind not in ("x", "u", "params"):
+            raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
+    if len(set(wrt)) < len(wrt):
+        raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
+
+
+def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
+    """The outputs of these names; all if None."""
+    if names is None:
+        return dict(outputs)
+    names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
+    for name in names:
+        if name not in outputs:
+            raise ModelError(f"outputs names {name!r}, which is no output; the system has: {listed(outputs, name)}")
+    return {name: outputs[name] for name in names}
+
+
+def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
+    """The baked parameters: key of the leaf -> constant."""
+    known = {p.name: p for p in parameters}
+    constants: dict[str, Constant] = {}
+    for name, value in bake.items():
+        if name not in known:
+            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {listed(known, name)}")
+        if value is None:
+            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
+        if is_traced(value):
+            raise ModelError(
+                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its number is not known.\n"
+                f"  fix: do not bake it, and pass params={{{name!r}: ...}}"
+            )
+        constants[known[name].key()] = Constant(known[name].replace(value=value).value)
+    return constants
+
+
+def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
+    """The expressions with constants in place of what is baked, simplified together."""
+    roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
+    return dict(zip(exprs, canonicalize_all(roots), strict=True))
+
+
+def _names(*roots: list[Expr]) -> set[str]:
+    """The names of the states, controls and parameters that the roots read."""
+    leaves = leaves_of(*(expr for own in roots for expr in own))
+    return {leaf.name for leaf in leaves if isinstance(leaf, (State, Control, Parameter))}

@@ -1,0 +1,199 @@
+"""The Jacobian of the rates on the graph of scalars, with its pattern."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy.typing import NDArray
+
+from ..groups import Product
+from ..jax_inside import ClosedJaxpr
+from ..scalar.derivatives import columns_of
+from ..scalar.graph import Graph, TooLarge
+from ..scalar.primitives.entry import Nodes, flat
+from ..scalar.reader import Reader, ScalarProgram, one_by_one, scalarize
+
+#: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
+_SMALL = 1000
+
+
+#: What arguments are: ("t", "t"), then "x", "u" or "params" with a name.
+Places: TypeAlias = Sequence[tuple[str, str]]
+
+
+class Differentiated(NamedTuple):
+    """Functions of flat arguments, and what their derivatives are by."""
+
+    closed: ClosedJaxpr  # each result a flat vector
+    places: Places
+    group: Product  # of the states, in the order of declaration
+    wrt: Sequence[str]  # the kinds of arguments
+
+
+#: Input node -> (tangent -> its entry there), zeros left out.
+Seeds: TypeAlias = dict[int, dict[int, int]]
+
+#: Derivatives that are known, by state: what each is by, a state by name or a vector of so many entries.
+Known: TypeAlias = Mapping[str, Sequence[str | int]]
+
+
+class RateJacobian:
+    """d rates / d (states, controls, parameters) as a scalar program; the rates are one flat vector.
+
+    Args:
+        given: the rates. Where derivatives are known, what they are by and the derivatives come after the rates, in the
+            order of `known`: first all vectors, then all matrices.
+        largest: the most scalars there may be.
+    Raises:
+        TooLarge: there are more.
+    """
+
+    def __init__(self, given: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
+        whole = scalarize(given.closed, largest=largest)
+        rates, *others = whole.outputs
+        #: The rates alone.
+        self.rates = whole.restricted([rates])
+        g = whole.graph
+        seeds, widths = tangents_of(whole, given)
+        ends = dict(zip(widths, np.cumsum(list(widths.values())).tolist(), strict=True))
+        dense = np.full((rates.size, sum(widths.values())), g.zero)
+        learnt = np.zeros(rates.size, bool)
+        for name in known or {}:
+            learnt[given.group.slices[name]] = True
+        fixed = range(ends["params"] - widths["params"], ends["params"]) if "params" in widths else range(0)
+        self._differentiate(dense, ~learnt, seeds)
+        self._differentiate(dense, learnt, _along(seeds, lambda column: column in fixed))
+        if known:
+            moving = _along(seeds, lambda column: column not in fixed)
+            states = ends["x"] - widths["x"] if "x" in widths else None
+            vectors = iter(others)
+            pairs = [(name, next(vectors) if isinstance(by, int) else by) for name, own in known.items() for by in own]
+            for (name, by), matrix in zip(pairs, vectors, strict=True):
+                rows = dense[given.group.slices[name]]
+                if not isinstance(by, str):
+                    _add(g, rows, _product(g, matrix, columns_of(whole.restricted([by]), moving), rows.shape[1]))
+                elif states is not None:
+                    at = given.group.slices[by]
+                    _add(g, rows[:, states + at.start : states + at.stop], matrix)
+        blocks = {kind: dense[:, ends[kind] - width : ends[kind]] for kind, width in widths.items()}
+        self.program = one_by_one(whole.restricted(list(blocks.values())))
+        self.blocks: dict[str, Nodes] = dict(zip(blocks, self.program.outputs, strict=True))
+        self.pattern = {kind: block != g.zero for kind, block in blocks.items()}
+
+    def _differentiate(self, dense: Nodes, rows: NDArray[np.bool_], seeds: Seeds) -> None:
+        """The derivatives of some of the rates, on the graph."""
+        places = np.flatnonzero(rows)
+        if len(places) and seeds:
+            own = self.rates.restricted([self.rates.outputs[0][places]])
+            for (row, column), node in columns_of(own, seeds).items():
+                dense[places[row], column] = node
+
+
+def fewer(plain: Callable[[], Differentiated], own: RateJacobian) -> RateJacobian:
+    """Of the derivatives on the graph and those that are known the ones that take fewer operations.
+
+    Args:
+        plain: gives the rates alone, where their derivatives are tried.
+    """
+    if own.rates.operations > _SMALL:
+        return own
+    try:
+        other = RateJacobian(plain(), largest=2 * len(own.program.graph.nodes) + len(own.rates.graph.nodes))
+    except TooLarge:
+        return own
+    return other if other.program.operations < own.program.operations else own
+
+
+def along(
+    group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
+) -> tuple[dict[str, int], Callable[[jax.Array], list[jax.Array]]]:
+    """How many tangents arguments have, by kind; and the function that moves arguments by a vector of them."""
+    own = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
+    sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in own.items()}
+    if "x" in own:
+        sizes["x"] = group.dimension
+
+    def moved(d: jax.Array) -> list[jax.Array]:
+        found, at = list(arrays), 0
+        for kind, numbers in own.items():
+            if kind == "x":
+                x = group.retract({places[k][1]: arrays[k] for k in numbers}, d[at : at + group.dimension])
+                for k in numbers:
+                    found[k] = x[places[k][1]]
+                at += group.dimension
+                continue
+            for k in numbers:
+                found[k] = arrays[k] + d[at : at + arrays[k].size].reshape(arrays[k].shape)
+                at += arrays[k].size
+        return found
+
+    return sizes, moved
+
+
+def blocks_in_arrays(
+    rates: Callable[..., jax.Array], group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
+) -> dict[str, jax.Array]:
+    """The blocks of a Jacobian by JAX: the derivatives along all tangents, as a batch of bodies.
+
+    Args:
+        rates: of the arrays, one vector.
+    """
+    sizes, moved = along(group, places, wrt, arrays)
+    slopes = jax.jacfwd(lambda d: rates(*moved(d)))(jnp.zeros(sum(sizes.values()), arrays[0].dtype))
+    ends = list(itertools.accumulate(sizes.values()))
+    return dict(zip(sizes, jnp.split(slopes, ends[:-1], axis=1), strict=True))
+
+
+def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:
+    """Some of the tangents alone."""
+    found = {i: {column: node for column, node in row.items() if wanted(column)} for i, row in seeds.items()}
+    return {i: row for i, row in found.items() if row}
+
+
+def _add(g: Graph, onto: Nodes, more: Nodes) -> None:
+    for place in np.ndindex(*onto.shape):
+        onto[place] = g.add(int(onto[place]), int(more[place]))
+
+
+def _product(g: Graph, matrix: Nodes, columns: Mapping[tuple[int, int], int], width: int) -> Nodes:
+    """A matrix times another one, given by its entries that are not zero."""
+    found = np.full((len(matrix), width), g.zero)
+    for (k, j), node in columns.items():
+        for i, entry in enumerate(matrix[:, k].tolist()):
+            found[i, j] = g.add(int(found[i, j]), g.mul(entry, node))
+    return found
+
+
+def tangents_of(program: ScalarProgram, given: Differentiated) -> tuple[Seeds, dict[str, int]]:
+    """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
+    g = program.graph
+    widths: dict[str, int] = {}
+    seeds: Seeds = {}
+    offset = 0
+    for kind in given.wrt:
+        own = {name: program.inputs[k] for k, (of, name) in enumerate(given.places) if of == kind}
+        entries = flat(*own.values())
+        moved = _moved(program, own, given.group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
+        for entry, row in zip(entries, moved.tolist(), strict=True):
+            seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
+        widths[kind] = moved.shape[1]
+        offset += moved.shape[1]
+    return seeds, widths
+
+
+def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> Nodes:
+    """d (x (+) d) / dd at d = 0, entries of x by tangents, as nodes."""
+    g = program.graph
+
+    def function(*arrays: jax.Array) -> list[jax.Array]:
+        x = dict(zip(values, arrays, strict=True))
+        found = jax.jacfwd(lambda d: group.retract(x, d))(jnp.zeros(group.dimension, g.dtype))
+        return [found[name].reshape(-1, group.dimension) for name in values]
+
+    shapes = [jax.ShapeDtypeStruct(nodes.shape, g.dtype) for nodes in values.values()]
+    return np.concatenate(Reader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())))

@@ -1,0 +1,88 @@
+"""Any expression alone as a JAX function."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import jax
+
+from ..errors import ModelError
+from ..expr import Constant, Constraint, Expr, Inputs, Leaf, Time, evaluate_all, leaves_of, postorder, to_expr
+from ..expr.fields import freeze
+from ..expr.transformations.vmap import no_elements
+from ..jax_inside import is_traced
+from ..scalar.backends import as_arrays
+from .inputs import Values, prepare
+from .system import System
+
+Lowered = Callable[..., Any]
+
+#: More nodes may be a chain that XLA ends the process on.
+_LARGE = 1000
+
+
+def lower(expr: Any) -> Lowered:
+    """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
+
+    The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. x, u and params
+    are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have states
+    that the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once. Precision
+    is that of x.
+
+    Returns:
+        f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.
+
+    Raises:
+        ShapeError: at once, if a shape does not fit.
+        ModelError: at once, if there is nothing to lower, or two leaves of one name differ.
+        InputError: at call time, for an unknown control or parameter, a wrong shape or a missing value.
+        ModelError: when it is traced, for a chain of more than 30,000 array operations, on which XLA ends the process.
+    """
+    wanted = "lower expects an expression, or a tuple, list or dict of them"
+    if isinstance(expr, System):
+        raise ModelError(f"{wanted}, got {expr!r}.\n  fix: tx.compile takes a System")
+    roots, treedef = jax.tree_util.tree_flatten(expr, is_leaf=lambda node: isinstance(node, Expr))
+    if not roots:
+        raise ModelError(f"{wanted}; there is nothing to lower in {expr!r}")
+    try:
+        nodes = [to_expr(root) for root in roots]
+    except ModelError as error:
+        raise ModelError(f"{wanted}: {error}") from None
+    for node in nodes:
+        node.check_shape()
+    no_elements(leaves_of(*nodes))
+    leaves = _distinct(leaves_of(*nodes))
+    required = {leaf.name for leaf in leaves}
+    large = len(postorder(*nodes)) > _LARGE
+
+    def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
+        inputs = prepare(leaves, required, t, x, u, params, spare=True)
+
+        def values(*arguments: Any) -> list[jax.Array]:
+            t, x, u, params = jax.tree.unflatten(structure, arguments)
+            own = Inputs(t, x, u, params, inputs.dtype)
+            return evaluate_all(nodes, lambda leaf: leaf.read(own))
+
+        given, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
+        found = (as_arrays(jax.make_jaxpr(values)(*given)) if large and is_traced(given) else values)(*given)
+        return jax.tree_util.tree_unflatten(treedef, found)
+
+    function.__name__ = "lowered"
+    function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."
+    return function
+
+
+def _distinct(leaves: Iterable[Leaf]) -> list[Leaf]:
+    """The named leaves, each once: x, u and params are read by name, so leaves of one name must be one."""
+    found: dict[tuple[type[Leaf], str], Leaf] = {}
+    for leaf in leaves:
+        if isinstance(leaf, (Constant, Time)):
+            continue
+        other = found.setdefault((type(leaf), leaf.name), leaf)
+        if other.key() != leaf.key() or freeze(getattr(other, "value", None)) != freeze(getattr(leaf, "value", None)):
+            raise ModelError(
+                f"two {type(leaf).__name__}s are named {leaf.name!r} and differ: shapes {other.shape} and {leaf.shape}"
+                f"{'' if other.shape != leaf.shape else ', different groups or values'}.\n  fix: rename one"
+            )
+    return list(found.values())

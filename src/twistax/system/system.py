@@ -1,0 +1,398 @@
+"""A system: states with their rates, outputs and constraints, checked as a whole when it is built."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Container, Iterable, Mapping, Sequence
+from html import escape
+from typing import Any, TypeAlias, TypeVar
+
+import numpy as np
+
+from ..checks import listed, short
+from ..errors import ModelError, ShapeError
+from ..expr import (
+    Add,
+    Block,
+    Concat,
+    Constant,
+    Constraint,
+    Control,
+    Div,
+    Expr,
+    Hstack,
+    Leaf,
+    Mul,
+    Neg,
+    Parameter,
+    Stack,
+    State,
+    Sub,
+    Vstack,
+    check_orders,
+    find_path,
+    leaves_of,
+    refuse_conditions,
+    to_expr,
+)
+from ..expr.fields import ExprLike, freeze
+from ..expr.operations.soft import Asked, Soft, hard
+from ..expr.packing import pack, unpack
+from ..expr.printing.mathml import mathml
+from ..expr.printing.picture import Picture, svg
+from ..expr.printing.text import name_latex
+from ..expr.transformations.vmap import no_elements
+from ..groups import Product
+
+L = TypeVar("L", bound=Leaf)
+#: Of a state: pairs of what its rate depends on and the derivative by it.
+Slopes: TypeAlias = Mapping[State | str, Iterable[tuple[ExprLike, ExprLike]]]
+#: Nodes whose value is NaN where an entry of an operand is.
+_PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
+
+
+class System:
+    """Dynamics $x' = f(t, x, u, p)$ on a product of Lie groups, with outputs and constraints.
+
+    Args:
+        rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
+            The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
+        outputs: named expressions to be computed on demand.
+        constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
+        corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
+            bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
+            step, `Dynamics.project` until they vanish.
+        controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
+        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs of what its rate depends
+            on and the derivative by it. The former is a state, whose derivative is by right perturbations, or any
+            vector; what depends on states and controls in no other way is not differentiated again.
+
+    Attributes:
+        states, controls, parameters: tuples of leaves in order.
+        rates: mapping from state name to expression.
+        outputs, constraints, corrections: mappings from name to expression.
+        soft: mapping from the names of soft constraints to their `Soft`.
+        slopes: mapping from state name to pairs of expressions.
+        group: the product group the state lives on.
+
+    Raises:
+        ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
+        ShapeError: a rate of the wrong shape, or a shape that does not fit inside an expression.
+        OrderError: a [v; w] quantity meets a [w; v] one.
+    """
+
+    def __init__(
+        self,
+        rates: Mapping[State | str, ExprLike],
+        outputs: Mapping[str, ExprLike] | None = None,
+        constraints: Asked | Iterable[Asked] | Mapping[str, Asked] = (),
+        *,
+        corrections: Mapping[State | str, ExprLike] | None = None,
+        controls: Iterable[Control] | None = None,
+        parameters: Iterable[Parameter] | None = None,
+        slopes: Slopes | None = None,
+    ) -> None:
+        if not isinstance(rates, Mapping) or not rates:
+            got = short(rates) if isinstance(rates, Mapping) else type(rates).__name__
+            raise ModelError(f"a System needs at least one state with a rate: rates={{x: expression}}, got {got}")
+        if outputs is not None and not isinstance(outputs, Mapping):
+            raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
+        for name in outputs or ():
+            if not isinstance(name, str):
+                raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
+        expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
+        self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
+        named = _named_constraints(constraints)
+        self.soft = {name: own for name, own in named.items() if isinstance(own, Soft)}
+        self.constraints: dict[str, Constraint] = {name: hard(own) for name, own in named.items()}
+        if corrections is not None and not isinstance(corrections, Mapping):
+            raise ModelError(f"corrections must be a dict from states to expressions, got {short(corrections)}")
+        self.corrections: dict[str, Expr] = {
+            name_of(key): _expression(f"corrections[{name_of(key)!r}]", e) for key, e in (corrections or {}).items()
+        }
+        self._roots: dict[str, Expr] = {
+            **{f"corrections[{name!r}]": expr for name, expr in self.corrections.items()},
+            **{f"rates[{name_of(key)!r}]": rate for key, rate in expressions.items()},
+            **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
+            **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
+        }
+        leaves = list(leaves_of(*self._roots.values()))
+        no_elements(leaves)
+        for leaf in leaves:
+            leaf.check_in_system()
+        used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter))]
+        self.states: tuple[State, ...] = _states(rates, used)
+        self.rates: dict[str, Expr] = dict(zip((s.name for s in self.states), expressions.values(), strict=True))
+        self.controls: tuple[Control, ...] = self._declared(Control, controls, used)
+        self.parameters: tuple[Parameter, ...] = self._declared(Parameter, parameters, used)
+        self._check_names([*self.states, *self.controls, *self.parameters], used)
+        self.group = Product({state.name: state.group for state in self.states})
+        self._check_shapes()
+        self._check_corrections()
+        self.slopes = self._known_slopes(slopes or {})
+        check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
+
+    def __repr__(self) -> str:
+        kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
+        return f"System({', '.join(f'{kind}={[leaf.name for leaf in leaves]}' for kind, leaves in kinds)})"
+
+    def latex(self) -> str:
+        """The equations in LaTeX, without dollar signs: the rate of a pose or rotation is its body velocity."""
+        lines = []
+        for state in self.states:
+            left, rate = rf"\dot{{{state.latex()}}} &= ", self.rates[state.name].latex()
+            flat = state.group.flat
+            lines.append(left + (rate if flat else rf"{state.latex()} \left({rate}\right)^{{\wedge}}"))
+        lines += [rf"{name_latex(name)} &= {expr.latex()}" for name, expr in self.outputs.items()]
+        lines += [rf"& {constraint.latex()}" for constraint in self.constraints.values()]
+        return r"\begin{aligned} " + r" \\ ".join(lines) + r" \end{aligned}"
+
+    def svg(self) -> Picture:
+        """The graphs of rates and outputs as one picture, the text of an SVG file, which notebooks show.
+
+        Raises: ModelError for more than 300 nodes.
+        """
+        return svg({**{f"{name}'": rate for name, rate in self.rates.items()}, **self.outputs})
+
+    def _repr_latex_(self) -> str:
+        return f"${self.latex()}$"
+
+    def _repr_html_(self) -> str:
+        kinds = (("state", self.states), ("control", self.controls), ("parameter", self.parameters))
+        rows = [("name", "kind", "shape", "group")]
+        for kind, leaves in kinds:
+            for leaf in leaves:
+                group = getattr(leaf, "group", None)
+                flat = group is None or group.flat
+                rows.append((leaf.name, kind, str(leaf.shape), "" if flat else type(group).__name__))
+        lines = "".join(f"<tr>{''.join(f'<td>{escape(cell)}</td>' for cell in row)}</tr>" for row in rows)
+        return f"<table>{lines}</table>{mathml(self.latex())}"
+
+    def __getstate__(self) -> Any:
+        return pack(self.__dict__)
+
+    def __setstate__(self, state: Any) -> None:
+        self.__dict__.update(unpack(*state))
+
+    def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
+        """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
+        if not isinstance(slopes, Mapping):
+            raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
+        groups, found = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
+        known = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
+        for key, pairs in slopes.items():
+            name = name_of(key)
+            place = f"slopes[{name!r}]"
+            if name not in groups:
+                raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
+            own = list(pairs) if isinstance(pairs, Iterable) else [pairs]
+            if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in own):
+                raise ModelError(
+                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(own)}"
+                )
+            found[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in own)
+            for by, slope in found[name]:
+                if not isinstance(by, State) and by.ndim != 1:
+                    raise ShapeError(f"{place} expects derivatives by a state or a vector, got one by shape {by.shape}")
+                for leaf in leaves_of(by, slope):
+                    if isinstance(leaf, (State, Control, Parameter)) and leaf.name not in known:
+                        raise ModelError(f"{place} reads {leaf.name!r}, which the system does not have")
+                wanted = (groups[name].dimension, groups[by.name].dimension if isinstance(by, State) else by.shape[0])
+                if slope.shape != wanted:
+                    raise ShapeError(f"{place} expects shape {wanted} by {short(by)}, got {slope.shape}")
+        return found
+
+    def _place(self, leaf: Leaf) -> str:
+        """Where a leaf is first used."""
+        for name, root in self._roots.items():
+            if any(found is leaf for found in leaves_of(root)):
+                return f"{name}: {find_path(root, leaf)}"
+        return "a key of rates" if isinstance(leaf, State) else "declared, not used"
+
+    def _declared(self, kind: type[L], declared: Iterable[L] | None, used: Sequence[Leaf]) -> tuple[L, ...]:
+        """The leaves of one kind in order: as declared, else as found."""
+        found = {leaf.name: leaf for leaf in reversed(used) if isinstance(leaf, kind)}
+        if declared is None:
+            return tuple(reversed(found.values()))
+        argument = f"{kind.__name__.lower()}s"
+        given: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
+        if not isinstance(given, Iterable):
+            raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {given!r}")
+        leaves = {id(leaf): leaf for leaf in given}
+        for leaf in leaves.values():
+            if not isinstance(leaf, kind):
+                raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {leaf!r}")
+        names = {leaf.name for leaf in leaves.values()}
+        for name, leaf in found.items():
+            if name not in names:
+                raise ModelError(
+                    f"{kind.__name__} {name!r} is used but not declared.\n  at: {self._place(leaf)}\n"
+                    f"  fix: add it to {argument}=, or leave {argument}= out"
+                )
+        return tuple(leaves.values())
+
+    def _check_names(self, declared: Sequence[Leaf], used: Sequence[Leaf]) -> None:
+        known: dict[str, Leaf] = {}
+        for leaf in declared:
+            if known.setdefault(leaf.name, leaf) is not leaf:
+                raise self._two_leaves(known[leaf.name], leaf)
+        for leaf in used:
+            if leaf.name not in known:
+                raise ModelError(
+                    f"State {leaf.name!r} has no rate.\n  at: {self._place(leaf)}\n"
+                    f"  fix: add {leaf.name!r} to rates, or make it a Control or a Parameter"
+                )
+            if known[leaf.name] is not leaf and _differences(known[leaf.name], leaf):
+                raise self._two_leaves(known[leaf.name], leaf)
+
+    def _two_leaves(self, one: Leaf, other: Leaf) -> ModelError:
+        found = ", ".join(_differences(one, other)) if type(one) is type(other) else ""
+        differ = f", which differ in {found}" if found else ""
+        return ModelError(
+            f"two leaves are named {one.name!r}: {_kind(one)} and {_kind(other)}{differ}.\n"
+            f"  at: {self._place(one)}\n  and: {self._place(other)}\n"
+            "  fix: names are unique within a system; rename one, or use one object in both places"
+        )
+
+    def _check_shapes(self) -> None:
+        for name, root in self._roots.items():
+            try:
+                root.check_shape()
+            except ShapeError as error:
+                raise error.located(f"{name}: {error.at}") from None
+        for name, root in self._roots.items():
+            need_finite(name, root)
+        for state in self.states:
+            rate = self.rates[state.name]
+            _check_rate("rate", "rates", state, rate)
+
+    def _check_corrections(self) -> None:
+        known = {state.name: state for state in self.states}
+        for name, expr in self.corrections.items():
+            if name not in known:
+                raise ModelError(f"corrections names {name!r}, which has no rate; known are {listed(known, name)}")
+            _check_rate("correction", "corrections", known[name], expr)
+
+
+def _check_rate(what: str, argument: str, state: State, rate: Expr) -> None:
+    """Raise ModelError or ShapeError for a rate or correction that is no tangent of the state."""
+    wanted = state.group.tangent_shape
+    if rate.boolean:
+        raise ModelError(
+            f"the {what} of {state.name!r} is true or false, not a number.\n"
+            f"  at: {argument}[{state.name!r}] = {rate!r}\n  fix: choose between numbers with tx.Where"
+        )
+    if rate.shape != wanted:
+        kind = "of the state's shape" if state.group.flat else f"a body velocity on {state.group.name}"
+        raise ShapeError(
+            f"the {what} of {state.name!r} expects shape {wanted}, got {rate.shape}",
+            at=f"{argument}[{state.name!r}] = {rate!r}",
+            hint=f"a {what} here is {kind}",
+        )
+
+
+def _kind(leaf: Leaf) -> str:
+    return f"{type(leaf).__name__} of shape {leaf.shape}"
+
+
+def name_of(key: Any) -> str:
+    """The name of a leaf, or the name itself."""
+    return key if isinstance(key, str) else getattr(key, "name", repr(key))
+
+
+def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
+    """The name of every entry, row by row: "h" of a scalar, "V[0]" and on of a vector, "J[0, 1]" of a matrix."""
+    return [f"{name}{list(at) if at else ''}" for at in np.ndindex(*shape)]
+
+
+def need_finite(place: str, root: Expr) -> None:
+    """Raise ModelError if it is not finite whatever the states are; of a constraint its residual."""
+    root = root.residual() if isinstance(root, Constraint) else root
+    if (found := _not_finite(root)) is not None:
+        raise ModelError(
+            f"{place} is never finite: it expects finite numbers, got {found!r}.\n"
+            f"  at: {find_path(root, found)}\n  fix: what is not known yet is a tx.Parameter"
+        )
+
+
+def _not_finite(root: Expr) -> Constant | None:
+    """A constant that makes the value NaN whatever the states are, or that is the value and infinite; None if none."""
+    if isinstance(root, Constant) and not np.isfinite(root.value).all():
+        return root
+    waiting, seen = [root], set[int]()
+    while waiting:
+        node = waiting.pop()
+        if isinstance(node, Constant) and np.isnan(node.value).any():
+            return node
+        # Others may leave an entry out, or choose another branch.
+        if isinstance(node, _PASSING) and id(node) not in seen:
+            seen.add(id(node))
+            waiting.extend(node.children())
+    return None
+
+
+def _expression(place: str, value: ExprLike) -> Expr:
+    try:
+        return to_expr(value)
+    except ModelError as error:
+        raise ModelError(f"{place}: {error}") from None
+
+
+def free_name(text: str, taken: Container[str]) -> str:
+    """The text, or the first of `text (2)`, `text (3)`, ... that is not taken."""
+    numbered = itertools.chain([text], (f"{text} ({number})" for number in itertools.count(2)))
+    return next(name for name in numbered if name not in taken)
+
+
+def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+    if isinstance(constraints, Mapping):
+        named = dict(constraints)
+    elif not isinstance(constraints, (Iterable, Soft)):
+        raise ModelError(f"constraints must be a constraint, a list or a dict of them, got {constraints!r}")
+    else:
+        named = {}
+        for constraint in [constraints] if isinstance(constraints, (Expr, Soft)) else constraints:
+            named[free_name(repr(hard(constraint)), named)] = constraint
+    for name, constraint in named.items():
+        refuse_conditions("a system", constraint)
+        if not isinstance(constraint, (Constraint, Soft)):
+            raise ModelError(
+                f"constraint {name!r} is not a constraint but {type(constraint).__name__}.\n"
+                "  fix: compare expressions, e.g. tx.linalg.Norm(F) <= 10.0"
+            )
+    return named
+
+
+def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tuple[State, ...]:
+    """The states in the order of the keys."""
+    found = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
+    states: dict[str, State] = {}
+    for key in rates:
+        if not isinstance(key, (State, str)):
+            raise ModelError(f"a key of rates must be a State or its name, got {key!r}")
+        name = name_of(key)
+        if name not in found:
+            raise ModelError(
+                f"rates names {name!r}, but no State of that name is used.\n"
+                f"  fix: give the State itself as the key; known are {listed(sorted(found), name)}"
+            )
+        if name in states:
+            first = next(other for other in rates if name_of(other) == name)
+            if isinstance(first, State) and isinstance(key, State):
+                raise ModelError(
+                    f"two States named {name!r} have rates.\n  fix: names are unique within a system; rename one "
+                    "(the states of a joint are named after the joint)"
+                )
+            raise ModelError(f"the rate of {name!r} is given twice.\n  fix: one key a state: the State or its name")
+        states[name] = found[name]
+    return tuple(states.values())
+
+
+def _differences(one: Leaf, other: Leaf) -> list[str]:
+    """What distinguishes two leaves of one name."""
+    if type(one) is not type(other):
+        return ["kind"]
+    if one.shape != other.shape:
+        return ["shape"]
+    fields = [name for name in one.__dict__ if not name.startswith("_")]
+    return [name for name in fields if freeze(getattr(one, name)) != freeze(getattr(other, name))]

@@ -1,0 +1,59 @@
+"""Long programs in several functions give what they give as one, but for products and sums that are rounded once."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+import pytest
+
+pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
+
+from native_programs import at_every_width
+
+from twistax.scalar.reader import scalarize
+from twistax.scalar.targets.llvm import machine_code, pieces
+from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
+from twistax.scalar.targets.llvm.machine_code import Processor, compiled
+
+
+def mixed(x: jax.Array, n: jax.Array) -> list[jax.Array]:
+    """Sines of what others give, numbers of all types that pass on, results that are whole blocks and parts of them."""
+    turned, large = jnp.sin(x) + jnp.cos(jnp.sin(x[::-1]) * x), x > 0.3
+    for k in range(4):
+        turned = jnp.where(large, turned * x[k] + turned[::-1], jnp.tanh(turned)) - 0.1 * n.astype(x.dtype)
+    return [jnp.outer(turned, x)[:3], large, n * 3 + n[::-1], turned[:2], x, jnp.ones(3, x.dtype)]
+
+
+@at_every_width
+@pytest.mark.parametrize("dtype", [np.float64, np.float32])
+def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    shapes = [jax.ShapeDtypeStruct((7,), dtype), jax.ShapeDtypeStruct((7,), np.int32)]
+    form, rng = native_form(scalarize(mixed, *shapes)), np.random.default_rng(0)
+    rows = [rng.normal(size=(11, 7)).astype(dtype), rng.integers(-5, 5, (11, 7)).astype(np.int32)]
+    found, lanes = [], processor.lanes(form.graph.dtype)
+    for length, stack in ((10**9, 0), (9, 10**9), (40, 0)):  # what passes on stands on the stack, or elsewhere
+        monkeypatch.setattr(pieces, "STACK", stack)
+        monkeypatch.setattr(pieces, "_LONG", length)
+        monkeypatch.setattr(pieces, "_LENGTH", length)
+        kernel = Kernel(Straight(form, lanes), processor)
+        found.append(kernel.run([rows[k] for k in kernel.tile.read]))
+    for other in found[1:]:
+        for whole, own in zip(found[0], other, strict=True):
+            near = 50 * np.finfo(dtype).eps if whole.dtype.kind == "f" else 0.0
+            np.testing.assert_allclose(own, whole, rtol=0.0, atol=near)
+
+
+def test_other_functions_are_scheduled_after_a_long_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    import llvmlite.binding as llvm
+
+    given, text = [], "define double @f(double %x) {\nret double %x\n}"
+    monkeypatch.setattr(llvm, "set_option", lambda name, option: given.append(option))
+    compiled(text, Processor.host())
+    assert given == []
+    compiled(text, Processor.host(), long=True)
+    known = llvm.llvm_version_info[0] in machine_code._ORDERED
+    assert given == ["-enable-misched=false", "-enable-misched=true"] * known
