@@ -12,6 +12,9 @@ from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
 _TURNED = 0.5
+#: Durations are fitted where limited controls move every state of known size by more than so many of its sizes, until
+#: they move one by no more than so many: in least time a double integrator is moved by 8, a single one by 2.
+_RESERVE, _FITTING = 100.0, 16.0
 
 
 class StartUnits:
@@ -19,17 +22,19 @@ class StartUnits:
 
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
+        durations: shared unknowns of the start, its durations fitted to what controls can do.
         v: of all variables.
         rows, equalities, cost: of the rows and the objective.
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point) -> None:
+    def __init__(self, staged: Staged, point: Point, limits: Array) -> None:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
         self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
+        self.durations = self._fit_durations(staged, point, limits)
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
@@ -51,6 +56,30 @@ class StartUnits:
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
             moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+
+    def _fit_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
+        """Durations in which limited controls move states as far as they have to go, and sizes there.
+
+        A guess of a duration may be thousands of times too long. What controls do to states over such a time says
+        nothing of the states of a trajectory. Free durations that leave more than `_RESERVE` are halved to `_FITTING`.
+
+        Args:
+            limits: (g, 2) of the shared unknowns.
+        """
+        border, (low, high), durations = staged.border, np.array(limits).T, np.asarray(point.border)
+        free = border.free & (np.arange(border.size) < border.phases) & (low < high)
+        reserve, most = min(sizes.reserve for sizes in self.parts), _RESERVE
+        while np.isfinite(reserve) and reserve > most:
+            shorter = np.where(free, np.maximum(0.5 * durations, low), durations)
+            if (shorter == durations).all():
+                break
+            durations, most = shorter, _FITTING
+            there = point._replace(border=durations)
+            at = Evaluated(staged.transcription, staged.flat(there))
+            if at.differentiate():  # long steps of an unstable system may overflow
+                self.parts = self._measured(staged, there, at.blocks(at.F, at.stages.after), at.c)
+                reserve = min(sizes.reserve for sizes in self.parts)
+        return durations
 
     def distance(self, other: StartUnits) -> float:
         """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""

@@ -89,7 +89,7 @@ class CoreSolver:
     def units(self, point: Point, instance: Given) -> StartUnits:
         """Units at a start."""
         self.staged.set_given(instance)
-        return StartUnits(self.staged, point)
+        return StartUnits(self.staged, point, instance.limits)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
@@ -167,7 +167,7 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                units = StartUnits(self.staged, point)
+                units = StartUnits(self.staged, point, used.instance.limits)
                 if units.distance(used.units) > np.log(_MISFIT):
                     fresh = _Start(point, used.instance, units)
                 return fresh is not None

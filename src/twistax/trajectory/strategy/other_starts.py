@@ -1,13 +1,10 @@
-"""Other starts for a search: perturbed guesses, random steps from a point where it stalled, fixed durations."""
+"""Other starts for a search: perturbed guesses, random steps from a point where it stalled."""
 
 from __future__ import annotations
-
-from collections.abc import Iterator
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ..transcription.border import Border
 from ..transcription.evaluation import Evaluated, moved
 from ..transcription.points import Given, Point, Step
 from .core_solver import CoreSolver
@@ -16,10 +13,6 @@ from .outcome import Scales
 #: Moves of states and controls in their sizes; how much larger than sizes, or than those of the guess, gaps may be, and
 #: shares of a move to them.
 _MOVES, _LARGEST_GAP, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(11))
-#: How many times as long as at the start, and how near to these durations a trajectory is to stay.
-_FACTORS, _NEAR = (3.0, 9.0, 1.0), 0.01
-#: Of the way up to its limit a duration goes no further than this.
-_MOST = 0.9
 
 
 def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.Generator) -> Point:
@@ -59,23 +52,3 @@ def beside(
     if controls_alone and problem.free.u.any():
         d = np.zeros_like(d)
     return solver.moved(point, Step(d, u, np.zeros(problem.border.size)))
-
-
-def with_fixed_durations(border: Border, start: Point, instance: Given) -> Iterator[tuple[Point, Given]]:
-    """Starts with other durations, and the problem with these as limits; nothing where no duration is free.
-
-    While durations are free a step may shorten what it should steer: a mass that moves away from where it is to stop
-    comes nearest at once. At a fixed duration that is long enough there is no such point of rest.
-    """
-    limits, begun = np.array(instance.limits), np.asarray(start.border)
-    low, high = limits.T
-    free = border.free & (np.arange(border.size) < border.phases) & (low < high)
-    before = [begun]
-    for factor in _FACTORS if free.any() else ():
-        with np.errstate(invalid="ignore"):  # parameters may have no limits
-            times = np.where(free, np.clip(factor * begun, low, low + _MOST * (high - low)), begun)
-        if factor != 1.0 and any(np.allclose(times[free], earlier[free], rtol=0.1, atol=0.0) for earlier in before):
-            continue
-        before.append(times)
-        near = np.stack([np.maximum(low, (1.0 - _NEAR) * times), np.minimum(high, (1.0 + _NEAR) * times)], axis=1)
-        yield start._replace(border=times), instance._replace(limits=np.where(free[:, None], near, limits))

@@ -36,7 +36,7 @@ _MOST = 500
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
-_AT_REST = (Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS)
+_AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
 
@@ -47,7 +47,9 @@ class Strategy(enum.Enum):
     RESCALING = "scales are measured anew within a run, and the run is repeated where they do not fit its result"
     STATED_SCALES = "a run that fails is repeated in the units of the statement"
     PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
-    FIXED_DURATIONS = "where nothing else helps, free durations are fixed first"
+    FITTED_DURATIONS = (
+        "a run that fails is repeated from durations in which controls do what is needed, if its were longer"
+    )
     LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
     IMPLICIT_STEPS = (
         "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
@@ -83,6 +85,8 @@ class _Search:
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
         if at_once or isinstance(start, WarmStart):
             return dataclasses.replace(result, iterations=self._budget.used)
+        if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
+            result = self._at_fitted_durations(result, start, instance)
         if self._may_repeat(result, Strategy.STATED_SCALES):
             again = self._once(start, instance, as_stated=True)  # the units of a statement are often well chosen
             if again.status in AT_OPTIMUM:
@@ -93,12 +97,10 @@ class _Search:
             other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), instance)
             if other.status in AT_OPTIMUM:
                 result = other
-        if self._may_repeat(result, Strategy.FIXED_DURATIONS):
-            result = self._with_fixed_durations(result, start, instance)
         return dataclasses.replace(result, iterations=self._budget.used)
 
-    def _may_repeat(self, result: Outcome, strategy: Strategy) -> bool:
-        return result.status in _AT_REST and not self._budget.is_spent and strategy in self._strategies
+    def _may_repeat(self, result: Outcome, strategy: Strategy, ends: Collection[Status] = _AT_REST) -> bool:
+        return result.status in ends and not self._budget.is_spent and strategy in self._strategies
 
     def _once(self, start: Any, instance: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
         budget = self._budget
@@ -124,21 +126,13 @@ class _Search:
     def _near(self, start: Any, instance: Given) -> Outcome:
         return self._at_minimum(self._fitting(start, instance), instance)
 
-    def _with_fixed_durations(self, rested: Outcome, start: Point, instance: Given) -> Outcome:
-        """The outcome of runs that begin with fixed durations; the earlier one if no such run succeeds.
-
-        Where free durations lead a run astray, what is found with fixed ones still meets every constraint.
-        """
-        for point, fixed in other_starts.with_fixed_durations(self._solver.staged.border, start, instance):
-            if self._budget.is_spent:
-                break
-            result = self._near(point, fixed)
-            if result.status is not Status.SOLVED or self._budget.is_spent:
-                continue
-            freed = self._near(result.point, instance)
-            if freed.status is Status.SOLVED:
-                return freed
-        return rested
+    def _at_fitted_durations(self, result: Outcome, start: Point, instance: Given) -> Outcome:
+        """The optimum from durations that controls need, the result where there is none."""
+        durations = self._solver.units(start, instance).durations
+        if (durations == np.asarray(start.border)).all():
+            return result
+        other = self._near(start._replace(border=durations), instance)
+        return other if other.status in AT_OPTIMUM else result
 
 
 def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
