@@ -52,7 +52,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     most, steering = np.full(n, np.inf), np.zeros(n, bool)
     for name, part in shooting.dynamics.group.slices.items():
         leaf = cast(State, shooting.leaves[name])
-        d[part], most[part] = _of_state(leaf, point.xs[name]), _half_range(leaf)
+        d[part], most[part] = _of_state(leaf, point.xs[name]), _most(leaf)
         if isinstance(
             shooting.leaves.get(rate_name(name)), Control
         ):  # a continuous control: its limits say how far it goes
@@ -77,7 +77,8 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
             d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
         )  # at first others may be noise
         needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
-        usual = np.where(np.isnan(box), np.where(np.isfinite(needed), needed, box), np.minimum(box, _WIDE * needed))
+        is_bounded = ~np.isnan(box) & ~((box >= _WIDE * needed) & np.isfinite(needed))
+        usual = np.where(is_bounded | ~np.isfinite(needed), box, needed)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
         pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
@@ -118,11 +119,18 @@ def usable(sizes: Array) -> Array:
     return np.where((sizes > 0.0) & np.isfinite(sizes), sizes, 1.0)
 
 
-def _half_range(leaf: State) -> Array:
-    """Half the distance between two limits of a flat state; infinite where there are none, or one."""
-    if not leaf.group.flat or leaf.min is None or leaf.max is None:
-        return np.full(leaf.group.dimension, np.inf)
-    half = 0.5 * np.broadcast_to(np.ravel(np.asarray(leaf.max) - np.asarray(leaf.min)), (leaf.group.dimension,))
+def _most(leaf: State) -> Array:
+    """What a size is at most: half the distance between limits of a flat state, a turn; infinite where neither is."""
+    group = leaf.group
+    if not group.flat:
+        most = np.full(group.dimension, _TURN)
+        for piece in group.parts:
+            if piece.sized:
+                most[np.array(piece.entries)] = np.inf
+        return most
+    if leaf.min is None or leaf.max is None:
+        return np.full(group.dimension, np.inf)
+    half = 0.5 * np.broadcast_to(np.ravel(np.asarray(leaf.max) - np.asarray(leaf.min)), (group.dimension,))
     return np.where(half > 0.0, half, np.inf)
 
 

@@ -154,7 +154,7 @@ def hypersensitive(**options: Any) -> Problem:
     optimum is the integral of sqrt(x^6 + x^2) - x^3 up to 1.5 and of sqrt(x^6 + x^2) + x^3 up to 1.
     """
     x, u = tx.State("x"), tx.Control("u")
-    options |= {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}}
+    options = {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}} | options
     return stated({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
 
 

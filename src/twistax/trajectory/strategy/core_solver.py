@@ -86,10 +86,10 @@ class CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
-    def units(self, point: Point, instance: Given) -> StartUnits:
-        """Units at a start."""
+    def units(self, point: Point, instance: Given, *, is_guess: bool = False) -> StartUnits:
+        """Units at a start; durations of a guess may be far too long."""
         self.staged.set_given(instance)
-        return StartUnits(self.staged, point, instance.limits)
+        return StartUnits(self.staged, point, instance.limits if is_guess else None)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
@@ -109,6 +109,7 @@ class CoreSolver:
         cost_floor: float = 0.0,
         as_stated: bool = False,
         rescaling: bool = True,
+        is_guess: bool = True,
     ) -> Outcome:
         """Solve from a start, in the units that it has.
 
@@ -116,13 +117,14 @@ class CoreSolver:
             cost_floor: the least unit of the objective.
             as_stated: whether everything counts in the units of the statement.
             rescaling: whether units are measured anew within a run.
+            is_guess: whether a point may be far from a trajectory.
         """
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         if isinstance(start, WarmStart) and start.units is not None and not as_stated:
             self.staged.set_given(instance)
             units = copy.copy(start.units)
         else:
-            units = self.units(point, instance)
+            units = self.units(point, instance, is_guess=is_guess and not isinstance(start, WarmStart))
         units.cost = max(units.cost, cost_floor)
         if as_stated:
             units.become_one()

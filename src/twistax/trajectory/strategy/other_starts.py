@@ -21,7 +21,7 @@ def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.
     The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
     is exponential in a state, as air is in a height, else makes starts that mean nothing.
     """
-    staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance)
+    staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance, is_guess=True)
     z, scales = staged.flat(point), solver.measure.scales(units)
     d = np.where(solver.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
     u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)

@@ -33,8 +33,6 @@ _USELESS = 1e3
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
 _MOST = 500
-#: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
-_ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
 _AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
@@ -44,12 +42,11 @@ _AWAY = (0.1, 0.3, 1.0)
 class Strategy(enum.Enum):
     """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
 
-    RESCALING = "scales are measured anew within a run, and the run is repeated where they do not fit its result"
-    STATED_SCALES = "a run that fails is repeated in the units of the statement"
-    PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
-    FITTED_DURATIONS = (
-        "a run that fails is repeated from durations in which controls do what is needed, if its were longer"
+    RESCALING = (
+        "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"
     )
+    STATED_SCALES = "a run that fails is repeated in the units of the statement"
+    FITTED_DURATIONS = "a run that fails is repeated from the durations that limited controls need"
     LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
     IMPLICIT_STEPS = (
         "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
@@ -87,28 +84,26 @@ class _Search:
             return dataclasses.replace(result, iterations=self._budget.used)
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
-        if self._may_repeat(result, Strategy.STATED_SCALES):
-            again = self._once(start, instance, as_stated=True)  # the units of a statement are often well chosen
-            if again.status in AT_OPTIMUM:
-                result = self._at_minimum(again, instance)
-        for seed in range(_ASIDE_TIMES):  # where no step helps, and nothing says that there is no trajectory
-            if not self._may_repeat(result, Strategy.PERTURBED_STARTS):
-                break
-            other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), instance)
-            if other.status in AT_OPTIMUM:
-                result = other
+        others: dict[Strategy, dict[str, bool]] = {
+            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
+            Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
+        }
+        for strategy, options in others.items():
+            if self._may_repeat(result, strategy):
+                again = self._once(start, instance, **options)
+                result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result
         return dataclasses.replace(result, iterations=self._budget.used)
 
     def _may_repeat(self, result: Outcome, strategy: Strategy, ends: Collection[Status] = _AT_REST) -> bool:
         return result.status in ends and not self._budget.is_spent and strategy in self._strategies
 
-    def _once(self, start: Any, instance: Given, floor: float = 0.0, as_stated: bool = False) -> Outcome:
+    def _once(
+        self, start: Any, instance: Given, floor: float = 0.0, rescaling: bool = True, **options: bool
+    ) -> Outcome:
         budget = self._budget
         most = min(_MOST, budget.left) if self._limited else budget.left
-        rescaling = Strategy.RESCALING in self._strategies
-        result = self._solver.run_once(
-            start, instance, most, budget, cost_floor=floor, as_stated=as_stated, rescaling=rescaling
-        )
+        rescaling = rescaling and Strategy.RESCALING in self._strategies
+        result = self._solver.run_once(start, instance, most, budget, cost_floor=floor, rescaling=rescaling, **options)
         budget.used += min(result.iterations, most)
         is_stopped = result.status is Status.STOPPED
         return dataclasses.replace(result, status=budget.ended or result.status) if is_stopped else result
@@ -128,7 +123,8 @@ class _Search:
 
     def _at_fitted_durations(self, result: Outcome, start: Point, instance: Given) -> Outcome:
         """The optimum from durations that controls need, the result where there is none."""
-        durations = self._solver.units(start, instance).durations
+        units = self._solver.units(start, instance, is_guess=True)
+        durations = units.fitted_durations(self._solver.staged, start, instance.limits)
         if (durations == np.asarray(start.border)).all():
             return result
         other = self._near(start._replace(border=durations), instance)
@@ -162,7 +158,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
                 break
         # Multipliers are worth something where the units were.
         near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(warm_at(result, instance) if near else result.point, instance, floor)
+        again = solve(warm_at(result, instance) if near else result.point, instance, floor, is_guess=False)
         if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
             break
         settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
