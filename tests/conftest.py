@@ -120,17 +120,7 @@ jaxtyping.jaxtyped = checked
 install_import_hook(checked_modules(), "beartype.beartype")
 
 
-from twistax.scalar.targets.llvm import machine_code  # noqa: E402
-
-#: LLVM's work on kernels took a third of what compiling a problem takes. Tests of kernels and the smoke tier have all.
-USERS = machine_code.LEVEL
-machine_code.LEVEL = 0 if os.environ["XLA_FLAGS"] else USERS
-
-
-@pytest.fixture
-def optimised(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels as users have them."""
-    monkeypatch.setattr(machine_code, "LEVEL", USERS)
+from kernel_level import optimised  # noqa: E402, F401  imports the package, so it comes last
 
 
 @pytest.fixture

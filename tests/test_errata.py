@@ -19,21 +19,13 @@ from scipy.integrate import solve_ivp
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import hat, skew
 from twistax.mechanics import SpatialInertia
 from twistax.tableaus import RK4
 
 Array = np.ndarray
 rng = np.random.default_rng(11)
 O, I = np.zeros((3, 3)), np.eye(3)
-
-
-def skew(w: Array) -> Array:
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def hat(xi: Array) -> Array:
-    return np.block([[skew(xi[3:]), xi[:3, None]], [np.zeros((1, 4))]])
 
 
 def vee(X: Array) -> Array:

@@ -2,7 +2,6 @@
 
 import ast
 import re
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,8 +12,6 @@ import pytest
 
 import twistax as tx
 from twistax import jax_inside
-from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.xla import as_function
 
 SOURCE = Path(tx.__file__).parent
 
@@ -98,44 +95,11 @@ def test_parameters_must_be_all_known() -> None:
             jax_inside.parameters(reduce, other)
 
 
-@pytest.mark.parametrize("params", [{"later": 1}, {"ft_in": "?", "ft_out": "?", "num_consts": None, "num_carry": None}])
-def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jax_inside, "_SAID", set())
-    closed = jax.make_jaxpr(recursion)(*ARGUMENTS)
-    kept = jax_inside.parameters
-
-    def other(eqn: Any, *known: Any) -> Any:
-        if eqn.primitive.name != "scan":
-            return kept(eqn, *known)
-        changed = {**eqn.params, **params}
-        changed = {name: value for name, value in changed.items() if value is not None}
-        return kept(eqn.replace(params=changed), *known)
-
-    monkeypatch.setattr(jax_inside, "parameters", other)
-    with pytest.warns(RuntimeWarning, match="scan.*which this twistax does not know: that operation runs as JAX has"):
-        program = scalarize(closed)
-    assert [call.jaxpr.jaxpr.eqns[0].primitive.name for call in program.calls] == ["scan"]
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")  # said once
-        again = scalarize(closed)
-    for expected, found in zip(recursion(*ARGUMENTS), as_function(again)(*map(jnp.asarray, ARGUMENTS)), strict=True):
-        np.testing.assert_array_equal(found, expected)
-
-
 def test_one_equation_alone() -> None:
     jaxpr = jax.make_jaxpr(lambda x, y: jnp.sin(x) * y)(1.0, 2.0).jaxpr
     product = jaxpr.eqns[-1]
     one = jax_inside.alone(jaxpr, product, product.invars)
     assert jax_inside.jaxpr_as_fun(one)(jnp.asarray(3.0), jnp.asarray(4.0)) == [12.0]
-
-
-def test_without_metadata_functions_run_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
-    from twistax.scalar.small_call import small_call
-
-    monkeypatch.setattr(jax_inside, "_set_xla_metadata", None)
-    assert not jax_inside.small_calls_exist()
-    x = jnp.arange(3.0)
-    np.testing.assert_array_equal(small_call(lambda a: a * a, x), x * x)
 
 
 def test_any_of_a_batch() -> None:

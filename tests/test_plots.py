@@ -7,13 +7,12 @@ from html import escape
 from xml.etree import ElementTree
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.solution import Stats
-from twistax.trajectory.result import Trajectory
+from solutions import solution_of
+from twistax.trajectory.result.result import Trajectory
 
 TIMES = np.linspace(0.0, 4.0, 9)
 
@@ -26,10 +25,7 @@ def turning() -> dict[str, np.ndarray]:
 
 
 def solution(**fields) -> tx.Solution:
-    fields = {"ts": TIMES, "xs": dict(turning()), "stats": Stats(1, 1, 0, 4), "code": 0} | fields
-    return tx.Solution(
-        **fields | {"ts": jnp.asarray(fields["ts"]), "xs": {k: jnp.asarray(v) for k, v in fields["xs"].items()}}
-    )
+    return solution_of(**{"ts": TIMES, "xs": turning(), "code": 0} | fields)
 
 
 def panels(figure) -> dict:
@@ -92,7 +88,7 @@ def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
 
 
 def test_phases_are_drawn_with_a_gap_between_them_and_multipliers_as_bars() -> None:
-    from twistax.trajectory.pictures import drawn
+    from twistax.trajectory.result.pictures import drawn
 
     figure = drawn([trajectory(), trajectory(2.0)], ["u"], None, "two", {"u <= 1": np.array([0.1, -3.0])})
     found = panels(figure)

@@ -5,14 +5,10 @@ import numpy as np
 import pytest
 
 import twistax as tx
+from oracles import skew
 
 rng = np.random.default_rng(5)
 O = np.zeros((3, 3))
-
-
-def skew(w: np.ndarray) -> np.ndarray:
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def hat(v: np.ndarray, w: np.ndarray) -> np.ndarray:

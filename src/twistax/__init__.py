@@ -39,22 +39,40 @@ from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
-    from .integrators import RKMK, AtStart, CommutatorFree, Event, Magnus, StepControl, integrate
-    from .integrators.controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-    from .integrators.implicit_rkmk import ImplicitRKMK
-    from .integrators.interpolant import Between
-    from .integrators.phased_solution import PhasedSolution
-    from .integrators.phases import Phase, integrate_phases
-    from .integrators.simulator import Simulator, simulator
-    from .integrators.solution import Crossings, Result, Solution
-    from .integrators.splitting import FreeBody, FreeParticle, Splitting
+    from .integrators import (
+        RKMK,
+        AtStart,
+        Between,
+        CommutatorFree,
+        Crossings,
+        Event,
+        FirstOrderHold,
+        FreeBody,
+        FreeParticle,
+        ImplicitRKMK,
+        Magnus,
+        Phase,
+        PhasedSolution,
+        PiecewisePolynomial,
+        Result,
+        Simulator,
+        Solution,
+        Splitting,
+        StepControl,
+        ZeroOrderHold,
+        integrate,
+        integrate_phases,
+        simulator,
+    )
+    from .linear import Mode
     from .monte_carlo import Statistics, Sweep, sweep
     from .scalar.backends import JAX, XLA
     from .scalar.fast import fast
     from .scalar.targets.llvm.backend import Native
     from .system.dynamics import Dynamics, compile, load
     from .system.lower import lower
-    from .trajectory import Maximize, Minimize, Mode, Trim, trim
+    from .trajectory import Maximize, Minimize
+    from .trimming import Trim, trim
 
 __version__ = "0.2.0.dev0"
 
@@ -81,22 +99,21 @@ _LATER = {
         "charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "testing", "trajectory", "units",
         "view",
     ),
-    ".integrators": ("RKMK", "AtStart", "CommutatorFree", "Event", "Magnus", "StepControl", "integrate"),
-    ".integrators.controls": ("FirstOrderHold", "PiecewisePolynomial", "ZeroOrderHold"),
-    ".integrators.interpolant": ("Between",),
-    ".integrators.phased_solution": ("PhasedSolution",),
-    ".integrators.phases": ("Phase", "integrate_phases"),
-    ".integrators.simulator": ("Simulator", "simulator"),
-    ".integrators.implicit_rkmk": ("ImplicitRKMK",),
-    ".integrators.solution": ("Crossings", "Result", "Solution"),
-    ".integrators.splitting": ("FreeBody", "FreeParticle", "Splitting"),
+    ".integrators": (
+        "RKMK", "AtStart", "Between", "CommutatorFree", "Crossings", "Event", "FirstOrderHold", "FreeBody",
+        "FreeParticle", "ImplicitRKMK", "Magnus", "Phase", "PhasedSolution", "PiecewisePolynomial", "Result",
+        "Simulator", "Solution", "Splitting", "StepControl", "ZeroOrderHold", "integrate", "integrate_phases",
+        "simulator",
+    ),
     ".scalar.backends": ("JAX", "XLA"),
     ".scalar.fast": ("fast",),
     ".scalar.targets.llvm.backend": ("Native",),
     ".system.dynamics": ("Dynamics", "compile", "load"),
     ".system.lower": ("lower",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
-    ".trajectory": ("Maximize", "Minimize", "Mode", "Trim", "trim"),
+    ".linear": ("Mode",),
+    ".trajectory": ("Maximize", "Minimize"),
+    ".trimming": ("Trim", "trim"),
 }
 # fmt: on
 

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+import argparse
 import importlib
 import platform
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from typing import NoReturn
 
-from .demo import arguments as demo_arguments
-from .demo.arguments import OneLineParser
-from .report import arguments as report_arguments
+from .demo import options as demo_options
+from .report import arguments as report_options
 
 #: What of the extras a report of a bug should name.
 EXTRAS = {
@@ -24,6 +25,13 @@ EXTRAS = {
     "docs": ("sphinx", "myst-parser", "furo"),
     "view": ("viser",),
 }
+
+
+class OneLineParser(argparse.ArgumentParser):
+    """A parser whose errors are one line and exit status 2."""
+
+    def error(self, message: str) -> NoReturn:
+        self.exit(2, f"{self.prog}: {message} (see {self.prog} --help)\n")
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -40,21 +48,21 @@ def main(arguments: Sequence[str] | None = None) -> int:
         help="land a rocket: compile, check, solve, simulate, draw",
         description="A 6-DoF powered descent, found by the embedded optimiser, simulated again by two integrators.",
     )
-    demo_arguments.add_options(demo)
-    demo.set_defaults(rerun="")
+    demo_options.add_options(demo)
+    demo.set_defaults(module=".demo.landing", rerun="")
     report = commands.add_parser(
         "report",
         help="what is measured: error against run time, the edges, speed, every other figure",
         description="Error against run time: scenes with known answers, by our methods and by diffrax. With "
         "--stability, --speed, --optimal or --figures something else. Writes a page, figures and tables.",
     )
-    report_arguments.add_options(report)
-    report.set_defaults(rerun="; the same command goes on where it stopped")
-    given = parser.parse_args(arguments)
-    if given.version:
+    report_options.add_options(report)
+    report.set_defaults(module=".report.command", rerun="; the same command goes on where it stopped")
+    options = parser.parse_args(arguments)
+    if options.version:
         print(versions())
         return 0
-    if given.command is None:
+    if options.command is None:
         parser.print_help()
         return 0
 
@@ -63,9 +71,9 @@ def main(arguments: Sequence[str] | None = None) -> int:
     jax.config.update("jax_enable_x64", True)
     try:
         # Loaded when it is run: both import diffrax.
-        return int(importlib.import_module(f".{given.command}.command", __package__).run(given))
+        return int(importlib.import_module(options.module, __package__).run(options))
     except KeyboardInterrupt:
-        print(f"\ntwistax {given.command}: interrupted{given.rerun}", file=sys.stderr)
+        print(f"\ntwistax {options.command}: interrupted{options.rerun}", file=sys.stderr)
         return 130
 
 

@@ -6,12 +6,13 @@ Every value that is declared, baked, guessed, or given to a call passes here.
 from __future__ import annotations
 
 import difflib
+import functools
 import inspect
 import numbers
 import os
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, ParamSpec, TypeVar
 
 import jax
 import jax.numpy as jnp
@@ -150,6 +151,8 @@ def callable_with(place: str, function: Any, arguments: Sequence[str], error: ty
     wanted = f"{place} expects a function of ({', '.join(arguments)})"
     if not callable(function):
         raise error(f"{wanted}, got {short(function)}")
+    if isinstance(function, type):
+        raise error(f"{wanted}, got the class {function.__name__}.\n  fix: {function.__name__}(...), an object of it")
     try:
         signature = inspect.signature(function)
     except (TypeError, ValueError):  # some of what is compiled has none
@@ -158,6 +161,38 @@ def callable_with(place: str, function: Any, arguments: Sequence[str], error: ty
         signature.bind(*arguments)
     except TypeError:
         raise error(f"{wanted}, got one of {signature}") from None
+
+
+P = ParamSpec("P")
+R = TypeVar("R")
+
+
+def known_arguments(
+    place: str, error: type[Exception], elsewhere: Mapping[str, Callable[[], Callable[..., Any]]]
+) -> Callable[[Callable[P, R]], Callable[P, R]]:
+    """A decorator that raises the error, in place of a TypeError, where an argument has an unknown name.
+
+    Args:
+        elsewhere: what else may have an argument of that name, such as "tx.trajectory.Problem", and a function that
+            gives it.
+    """
+
+    def decorated(function: Callable[P, R]) -> Callable[P, R]:
+        known = [name for name in inspect.signature(function).parameters if not name.startswith(("self", "_"))]
+
+        @functools.wraps(function)
+        def checked(*args: P.args, **kwargs: P.kwargs) -> R:
+            for name in kwargs:
+                if name not in known and not name.startswith("_"):
+                    homes = [at for at, of in elsewhere.items() if name in inspect.signature(of()).parameters]
+                    fix = f".\n  fix: {homes[0]}(..., {name}=...)" if homes else ""
+                    expected = ", ".join(known) if fix else listed(known, name)
+                    raise error(f"{place} has no argument {name!r}; it takes: {expected}{fix}")
+            return function(*args, **kwargs)
+
+        return checked
+
+    return decorated
 
 
 def path_of(place: str, value: Any) -> Path:

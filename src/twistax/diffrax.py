@@ -12,7 +12,7 @@ from typing import Any
 import diffrax
 import equinox as eqx
 
-from .integrators.ambient import Ambient
+from .integrators.ambient import AmbientSystem
 from .integrators.diffrax_bridge import LieController, LieSolver, LieTerm, controller, lie_term
 from .system.dynamics import Arrays, Dynamics
 
@@ -22,9 +22,9 @@ __all__ = ["AmbientTerm", "LieController", "LieSolver", "LieTerm", "ambient_term
 class AmbientTerm(diffrax.ODETerm):
     """A `diffrax.ODETerm` that knows how to write a state in its numbers and read it back."""
 
-    ambient: Ambient = eqx.field(static=True)
+    ambient: AmbientSystem = eqx.field(static=True)
 
-    def __init__(self, ambient: Ambient) -> None:
+    def __init__(self, ambient: AmbientSystem) -> None:
         self.ambient = ambient
         self.vector_field = ambient.vector_field
 
@@ -50,4 +50,4 @@ def ambient_term(dynamics: Dynamics, quaternion: bool = True) -> AmbientTerm:
     Raises:
         ModelError: a state on a group without such numbers.
     """
-    return AmbientTerm(Ambient(dynamics, quaternion))
+    return AmbientTerm(AmbientSystem(dynamics, quaternion))

@@ -14,14 +14,15 @@ PAGES = {
     "twistax.view": "docs/howto/show.md",
     "twistax.plots": "docs/integrating.md#results",
     "twistax.monte_carlo": "docs/monte_carlo.md",
-    "twistax.trajectory.trim": "docs/trim.md",
+    "twistax.trimming": "docs/trim.md",
     "twistax.trajectory": "docs/trajectory.md",
+    "twistax.linear": "docs/trajectory.md",
     "twistax.mechanics.models.daveml": "docs/daveml.md",
     "twistax.mechanics.models": "docs/howto/mechanism_from_a_file.md",
     "twistax.mechanics.flight": "docs/flight.md",
     "twistax.mechanics": "docs/mechanics.md",
     "twistax.integrators.diffrax_bridge": "docs/for_diffrax_users.md",
-    "twistax.integrators.columns": "docs/integrating.md#results",
+    "twistax.integrators.results.table_export": "docs/integrating.md#results",
     "twistax.integrators": "docs/integrating.md",
     "twistax.groups": "docs/conventions.md",
     "twistax.scenes": "docs/scenes.md",
@@ -34,7 +35,7 @@ _EVERYWHERE = (
     "twistax.checks",
     "twistax.units",
     "twistax.mechanics.arguments",
-    "twistax.expr.fields",
+    "twistax.expr.declaring",
 )
 
 

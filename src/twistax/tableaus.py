@@ -4,7 +4,7 @@
 `CF4` is the commutator-free one, for `tx.CommutatorFree`; make your own with `CommutatorFreeTableau`.
 """
 
-from .integrators.commutator_free import CF4, CommutatorFreeTableau
+from .integrators.methods.commutator_free import CF4, CommutatorFreeTableau
 from .integrators.tableaus import *  # noqa: F403
 from .integrators.tableaus import __all__ as _tableaus
 

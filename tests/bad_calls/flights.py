@@ -7,9 +7,9 @@ from table import bad
 
 import twistax as tx
 from twistax import units
-from twistax.mechanics import SpatialInertia, flight, load_daveml
-from twistax.mechanics.environment import gravity
-from twistax.mechanics.environment.harmonics import EGM2008, Harmonics
+from twistax.mechanics import SpatialInertia, environment, flight, load_daveml
+
+EGM2008, Harmonics = environment.harmonics.EGM2008, environment.harmonics.Harmonics
 
 craft, wing = flight.Vehicle(), flight.Aerodynamics(1.0, 1.0, 1.0)
 ball = SpatialInertia(mass=1.0, inertia=np.eye(3))
@@ -108,7 +108,7 @@ ROWS = [
     bad("feet to the a", lambda: tx.units.feet ** "a", "'a'"),
     bad("columns in some units", lambda: flight.NasaColumns(si="metric"), "si", "'metric'"),
     bad("an inertia in feet", lambda: SpatialInertia(mass=1.0, inertia=[[units.feet] * 3] * 3), "inertia", "kg m2"),
-    bad("a planet of 3", lambda: flight.Planet(3, gravity.EARTH_J2), "figure", "3"),
+    bad("a planet of 3", lambda: flight.Planet(3, environment.gravity.EARTH_J2), "figure", "3"),
     bad("a push", lambda: craft.system(ball, "push"), "wrench", "'push'"),
     bad("a reading of 3", lambda: flight.Imu().read(3, np.ones(6), np.ones(3)), "V"),
     bad("a gradient on 3", lambda: craft.gradient_torque(3), "body", "3"),

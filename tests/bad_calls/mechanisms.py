@@ -6,8 +6,9 @@ import numpy as np
 from table import bad
 
 import twistax as tx
-from twistax.mechanics import Chain, Drive, Link, Mechanism, Mimic, SpatialInertia, chain_models, joints
-from twistax.mechanics.environment import atmosphere, earth, gravity
+from twistax.mechanics import Chain, Drive, Link, Mechanism, Mimic, SpatialInertia, chain_models, environment, joints
+
+atmosphere, earth, gravity = environment.atmosphere, environment.earth, environment.gravity
 
 q = tx.State("q", 2)
 UNIT, ORIGIN = np.eye(3), np.eye(4)

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from twistax.__main__ import EXTRAS, main
-from twistax.demo.arguments import parse_start
+from twistax.demo.options import parse_start
 from twistax.scenes.powered_descent import Start
 
 

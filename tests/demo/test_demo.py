@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from twistax.__main__ import main
-from twistax.demo import command
+from twistax.demo import landing
 from twistax.demo.derivatives import DerivativeCheck
 
 
@@ -30,7 +30,7 @@ def test_a_landing_from_start_to_files(tmp_path: Path, capsys: pytest.CaptureFix
 def test_a_start_without_a_landing_is_said_and_saved(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(command, "_check", lambda *_: DerivativeCheck(1, 0.0, 0.0))
+    monkeypatch.setattr(landing, "check_derivatives", lambda *_, **__: DerivativeCheck(1, 0.0, 0.0))
     # As if it were not installed.
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     start = "height=40,velocity=0:0:-150"

@@ -9,8 +9,8 @@ import pytest
 
 import twistax as tx
 from twistax.demo import derivatives
-from twistax.demo.command import describe_failure, describe_limits
 from twistax.demo.figure import save_figure, save_table
+from twistax.demo.landing import describe_failure, describe_limits
 from twistax.scenes import powered_descent as scene
 from twistax.scenes.touchdown import Descent, Miss, reaches
 

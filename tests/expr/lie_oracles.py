@@ -11,13 +11,9 @@ from expr_cases import function_of
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import skew
 
 CASES = 48
-
-
-def skew(w: np.ndarray) -> np.ndarray:
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def split(six: np.ndarray, order: tx.Order) -> tuple[np.ndarray, np.ndarray]:

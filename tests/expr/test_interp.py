@@ -11,16 +11,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from jax.experimental.jet import jet
 from scipy import interpolate
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.expr.tables import BSpline, Clamped, Extrapolated, Linear, MonotoneCubic, Refused
-from twistax.expr.tables.kinds import Axis
-from twistax.scalar.primitives.table_load import Table, load
-from twistax.scalar.reader import scalarize
-from twistax.scalar.rewriting import emitted_form
+
+BSpline, Linear, MonotoneCubic = tx.tables.BSpline, tx.tables.Linear, tx.tables.MonotoneCubic
+Clamped, Extrapolated, Refused = tx.tables.Clamped, tx.tables.Extrapolated, tx.tables.Refused
 
 RNG = np.random.default_rng(3)
 x = tx.State("x", (3,))
@@ -89,23 +86,6 @@ def test_a_spline_of_several_axes_is_exact_for_cubics() -> None:
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
 
 
-@pytest.mark.parametrize("dtype", [np.float32, np.float64])
-@pytest.mark.parametrize("count", [2, 3, 4, 5, 16, 1000])
-def test_intervals_are_found_exactly(count: int, dtype: Any) -> None:
-    """At breakpoints too: even ones, ones off by almost a quarter of a step, and any."""
-    step = 2.0 / (count - 1)
-    even = np.linspace(-1.0, 1.0, count) + 0.03  # none is zero: numbers beside it are dropped by XLA
-    shifted = even + np.concatenate([[0.0], RNG.uniform(-0.24, 0.24, count - 2) * step, [0.0]])
-    for points in (even, shifted, np.sort(RNG.uniform(-1.0, 1.0, count))):
-        own = points.astype(dtype)
-        at = np.concatenate([own, np.nextafter(own, dtype(9)), np.nextafter(own, dtype(-9)), RNG.uniform(-2, 2, 99)])
-        at = np.concatenate([at.astype(dtype), np.array([np.inf, -np.inf, np.nan], dtype)])
-        expected = np.clip(np.searchsorted(own, at[:-1], side="right") - 1, 0, count - 2)
-        found = jax.jit(Axis(points).interval)(at)
-        np.testing.assert_array_equal(found[:-1], expected)
-        assert found[-1] == 0
-
-
 def test_kinks_and_edges_have_the_slopes_that_are_said() -> None:
     s = tx.State("s")
 
@@ -118,22 +98,6 @@ def test_kinks_and_edges_have_the_slopes_that_are_said() -> None:
     assert np.isnan([slope(at, outside=Refused()) for at in (-0.1, 2.1, np.nan)]).all()
     assert [slope(at, outside=Extrapolated()) for at in (-0.1, 0.0, 1.0, 2.1)] == [1.0, 1.0, 4.0, 4.0]
     assert np.isnan(tx.lower(tx.Interp(s, axes=[0.0, 1.0], values=[0.0, 1.0], outside=Refused()))(0.0, {"s": 1.1}))
-
-
-def operations(kind: Any, points: np.ndarray, axes: int) -> int:
-    expr = tx.Interp([x[k] for k in range(axes)], axes=[points] * axes, values=values(*[len(points)] * axes), kind=kind)
-    value = tx.lower(expr)
-    program = emitted_form(scalarize(lambda x: [value(0.0, {"x": x})], jax.ShapeDtypeStruct((3,), float)))
-    assert not program.calls
-    return program.operations
-
-
-@pytest.mark.parametrize("kind", [Linear(), BSpline()], ids=repr)
-def test_the_cost_grows_with_the_axes_and_not_with_the_points(kind: Any) -> None:
-    few, many = (operations(kind, np.linspace(0.0, 1.0, n), 2) for n in (8, 200))
-    assert abs(many - few) <= 2
-    uneven = [operations(kind, np.linspace(0.0, 1.0, n) ** 2, 1) for n in (6, 2002)]
-    assert uneven[1] - uneven[0] <= 4 * 9  # a load, a comparison, a sum and a choice for each halving
 
 
 def test_tables_that_are_parameters_give_what_tables_of_numbers_give() -> None:
@@ -168,21 +132,6 @@ def test_equal_tables_are_one() -> None:
     others = [node(kind=BSpline()), node(outside=Refused()), tx.Interp(x[0], axes=EVEN, values=2.0 * values(7))]
     assert len({node().key(), *(other.key() for other in others)}) == 4
     assert repr(node(kind=BSpline())) == "Interp(x[0], 7 points, kind=BSpline())"
-
-
-def test_a_load_under_every_transformation() -> None:
-    """It has no slope: what has one is how its results are weighted."""
-    table = Table([4.0, 5.0, 7.0, -1.0])
-
-    def square(t: jax.Array) -> jax.Array:
-        return t * load(table, t.astype(jnp.int32), t.dtype, 1)
-
-    ts = jnp.array([0.5, 1.5, 2.0])
-    np.testing.assert_array_equal(jax.vmap(square)(ts), [2.5, 10.5, -2.0])
-    for slope in (jax.grad(square), jax.jacfwd(square), lambda t: jet(square, (t,), ((1.0, 0.0),))[1][0]):
-        np.testing.assert_array_equal([slope(t) for t in ts], [5.0, 7.0, -1.0])
-    assert Table([4.0, 5.0, 7.0, -1.0]) == table != Table([4.0, 5.0, 7.0, 1.0])
-    assert load(table, jnp.int32(1), np.float32).dtype == np.float32
 
 
 @pytest.mark.parametrize("far", [[0.0, 1e308, -1e308, 0.0], [0.0, 1.7e308, 1.7e308, 0.0]])

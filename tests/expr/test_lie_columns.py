@@ -10,9 +10,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from expr_cases import function_of
-from lie_oracles import CASES, agree, batched, each, join, poses, skew, split
+from lie_oracles import CASES, agree, batched, each, join, poses, split
 
 import twistax as tx
+from oracles import skew
 from twistax import lie
 from twistax.expr import Expr, leaves_of
 

@@ -13,7 +13,6 @@ from lie_oracles import sides
 import twistax as tx
 from twistax import lie
 from twistax.expr import Expr
-from twistax.expr.lie.base import JoinedParts
 
 L, A = tx.LINEAR_FIRST, tx.ANGULAR_FIRST
 g, h = tx.State("g", group=tx.SE3), tx.State("h", group=tx.SE3)
@@ -44,7 +43,7 @@ inverse, compose, act, cross = lie.Inverse, lie.Compose, lie.Act, tx.linalg.Cros
 
 
 def joined(linear: Any, angular: Any, order: tx.Order = L) -> Expr:
-    return JoinedParts(linear, angular, order=order)
+    return lie.twist(linear=linear, angular=angular, order=order)
 
 
 REWRITES: dict[str, tuple[Expr, Expr]] = {

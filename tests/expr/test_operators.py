@@ -10,7 +10,6 @@ import pytest
 
 from twistax import expr as tx
 from twistax.errors import ShapeError
-from twistax.expr.node import Operand
 
 s = tx.State("s")
 x, q, f6 = tx.State("x", shape=(3,)), tx.State("q", shape=(4,)), tx.State("f", shape=(6,))
@@ -185,7 +184,7 @@ def test_a_mask_of_the_wrong_length() -> None:
         short.check_shape()
 
 
-@pytest.mark.parametrize("kind", [Operand, "Operand", "fields.Operand"])
+@pytest.mark.parametrize("kind", [tx.fields.Operand, "Operand", "fields.Operand"])
 def test_operands_are_told_by_class_and_by_name(kind: Any) -> None:
     """Annotations are classes, or text where a module says `from __future__ import annotations`."""
     own = type("Own", (tx.Expr,), {"__annotations__": {"x": kind, "k": int}, "abstract": True})

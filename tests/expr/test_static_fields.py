@@ -14,7 +14,6 @@ from expr_cases import NODES
 import twistax as tx
 from twistax.errors import ModelError
 from twistax.expr import Expr
-from twistax.expr.leaves import Leaf
 
 #: Another value of a field: by its name, or by that of its class before it. A new field needs a row.
 OTHER: dict[str, Callable[[Any], Any]] = {
@@ -74,7 +73,7 @@ def changed(node: Expr, name: str, value: Any) -> Expr:
 def test_a_static_field_enters_the_key(node: type[Expr], name: str) -> None:
     own = f"{node.__name__}.{name}"
     if {name, own} & LEAVES_SAY:
-        assert issubclass(node, Leaf)
+        assert issubclass(node, tx.Leaf)
         return
     examples = [example.expr for example in node.example() if isinstance(example.expr, node)]
     for expr in examples:

@@ -3,6 +3,7 @@
 import numpy as np
 from scipy.linalg import block_diag, expm
 
+from oracles import skew
 from registered import concrete_classes
 from twistax.groups import ANGULAR_FIRST, SE3, SO3, Euclidean, Group, Product, SpecialEuclidean, SpecialOrthogonal
 
@@ -13,11 +14,6 @@ GROUPS = [
     Product({"z": SE3, "mass": Euclidean(), "a": SO3, "grid": Euclidean((2, 2))}),
     Product({"pair": Product({"y": SO3, "x": SE3.with_order(ANGULAR_FIRST)}), "b": Euclidean((2,))}),
 ]
-
-
-def skew(w):
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
 
 
 def translation(a):

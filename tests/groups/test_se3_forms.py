@@ -3,9 +3,9 @@
 import jax
 import numpy as np
 import pytest
-from group_oracles import skew
 from scipy.linalg import expm
 
+from oracles import skew
 from twistax.groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, se3, so3
 
 rng = np.random.default_rng(5)

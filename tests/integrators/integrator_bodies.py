@@ -6,15 +6,12 @@ import numpy as np
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from oracles import skew
 
 MASS = 2.0
 CENTRE = np.array([0.1, -0.2, 0.3])
 INERTIA = np.array([[1.0, 0.1, 0.0], [0.1, 2.0, -0.2], [0.0, -0.2, 3.0]])
 GRAVITY = np.array([0.3, -0.2, -9.81])
-
-
-def skew(w: np.ndarray) -> np.ndarray:
-    return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 
 def spatial_inertia(mass: float = MASS, centre: np.ndarray = CENTRE, inertia: np.ndarray = INERTIA) -> np.ndarray:

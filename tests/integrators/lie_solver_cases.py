@@ -7,10 +7,10 @@ import diffrax
 import jax
 import jax.numpy as jnp
 import numpy as np
-from integrator_bodies import skew
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from oracles import skew
 
 INERTIA = np.array([1.0, 2.0, 3.0])
 ARM = np.array([0.3, -0.2, 0.5])

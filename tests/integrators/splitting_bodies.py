@@ -3,10 +3,11 @@
 import functools
 
 import numpy as np
-from integrator_bodies import CENTRE, INERTIA, MASS, skew, spatial_inertia
+from integrator_bodies import CENTRE, INERTIA, MASS, spatial_inertia
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from oracles import skew
 
 #: An asymmetric heavy top: its tensor about the fixed point, weight and centre of mass; a magnet that swings.
 TENSOR = np.array([[1.0, 0.1, 0.0], [0.1, 1.4, -0.2], [0.0, -0.2, 0.6]])

@@ -11,7 +11,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
-from twistax.integrators.method import Method
+from twistax.integrators import Method
 
 MILLION = 1_000_000
 F32 = np.float32

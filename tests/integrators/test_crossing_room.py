@@ -145,7 +145,7 @@ def test_the_error_names_room_and_time_and_evaluates_no_rates(monkeypatch: pytes
     def unwanted(*_: Any) -> None:
         raise AssertionError("the error needs no rates")
 
-    monkeypatch.setattr("twistax.integrators.failures.on_host", unwanted)
+    monkeypatch.setattr("twistax.integrators.loop.failures.on_host", unwanted)
     with pytest.raises(tx.IntegrationError, match=r"more than 2 crossings .* at t = 0.53 s\.\n.*\n.*\n.*max_crossings"):
         tx.integrate(clock(), {"x": 0.0}, t1=1.0, rtol=1e-9, dt=1.0, event=events(), max_crossings=2)
 

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.events import _of_expression
 
 WEIGHT = 9.81
 SPIN = np.array([0.0, 0.0, 1.2])
@@ -253,20 +252,6 @@ def test_refusals(unchecked: None) -> None:
         solve([GROUND, tx.Event(lambda t, x, u, params: x["V"])], **FIXED)
     with pytest.raises(tx.ModelError, match="reads Parameter 'other'"):
         solve(tx.Event(g[2, 3] - tx.Parameter("other", value=1.0)), **FIXED)
-
-
-def test_all_numbers_that_a_condition_is_compared_with_are_data() -> None:
-    """Conditions that differ in them alone are one function; its value is negative where they hold."""
-    height, fall = g[2, 3], V[2]
-    t, x, params = jnp.zeros(()), start(3.0, -2.0), {"pull": jnp.asarray(WEIGHT)}
-
-    def condition(a: float, b: float) -> tx.Expr:
-        return tx.Event(~tx.Any(height >= a, ~(b > fall))).condition
-
-    found = [_of_expression(falling(), condition(a, b)) for a, b in ((4.0, -1.0), (0.0, 5.0), (2.0, -3.0))]
-    assert len({function for function, _ in found}) == 1
-    values = [float(function(t, x, {}, params, *levels)) for function, levels in found]
-    np.testing.assert_allclose(values, [-1.0, 3.0, 1.0])  # of h < a and v < b: the largest of h - a and v - b
 
 
 @pytest.mark.parametrize("how", [{"dt": 0.1}, {"rtol": 1e-5}], ids=["fixed", "adaptive"])

@@ -4,10 +4,11 @@ import functools
 
 import numpy as np
 import pytest
-from integrator_bodies import skew, start
+from integrator_bodies import start
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from oracles import skew
 from twistax.scenes import stiff_attitude
 from twistax.tableaus import (
     GAUSS_LEGENDRE4,

@@ -3,13 +3,11 @@
 import dataclasses
 from typing import Any
 
-import jax.numpy as jnp
 import mpmath
 import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.newton import inverse
 from twistax.tableaus import GAUSS_LEGENDRE4, IMPLICIT, RADAU_IIA3, RADAU_IIA5, RADAU_IIA9, CollocationTableau
 
 BY_NAME = pytest.mark.parametrize("tableau", IMPLICIT, ids=lambda tableau: tableau.name)
@@ -122,17 +120,3 @@ def test_tableaus_are_read_only_and_listed() -> None:
     assert not set(map(id, IMPLICIT)) & set(map(id, tx.tableaus.ALL))
     with pytest.raises(ValueError, match="read-only"):
         RADAU_IIA5.a[0, 0] = 1.0
-
-
-@pytest.mark.parametrize("size", [1, 6, 30], ids=["one", "a body", "by a library"])
-def test_inverses(size: int) -> None:
-    rng = np.random.default_rng(size)
-    # Rows of very different size, and pivots that vanish.
-    scale = 10.0 ** rng.uniform(-8, 8, size=(size, 1))
-    A, B = scale * rng.normal(size=(2, size, size))
-    if size > 1:
-        A[0, 0] = B[0, 0] = 0.0
-    (real,) = inverse((jnp.asarray(A),))
-    np.testing.assert_allclose(real * scale.T, np.linalg.inv(A / scale), rtol=1e-9, atol=1e-9)
-    parts = np.asarray(inverse((jnp.asarray(A), jnp.asarray(B))))
-    np.testing.assert_allclose((parts[0] + 1j * parts[1]) * scale.T, np.linalg.inv((A + 1j * B) / scale), atol=1e-9)

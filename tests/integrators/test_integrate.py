@@ -148,10 +148,10 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         ({"params": {"k": 1.0}}, "unknown key 'k' in params"),
     ],
 )
-def test_nonsense_is_named(change: dict, message: str) -> None:
+def test_nonsense_is_named(change: dict, message: str, unchecked: None) -> None:
     arguments = {"dynamics": decay(), "x0": {"x": 1.0}, "t1": 1.0, "dt": 0.1, "u": {"F": 0.0}} | change
     with pytest.raises(tx.InputError, match=message):
-        inspect.unwrap(tx.integrate)(**arguments)  # past the checks that only the tests switch on
+        tx.integrate(**arguments)
 
 
 @pytest.mark.parametrize("spoil", ["rotation", "reflection", "row"])
@@ -296,3 +296,24 @@ def test_a_traced_start_that_is_not_finite_is_told_by_the_result(how: dict[str, 
     solve = jax.jit(lambda x: tx.integrate(decay(), {"x": x}, t1=1.0, u={"F": 0.0}, **how))
     assert solve(value).result == tx.Result.NON_FINITE
     assert solve(1.0).result == tx.Result.SUCCESS
+
+
+def test_wrong_arguments_are_refused_by_the_name_of_the_function() -> None:
+    for arguments, message in [
+        ({"x0": {"x": 1.0}, "t1": 1.0, "dtt": 0.1}, r"integrate\(\) got an unexpected keyword argument 'dtt'"),
+        ({"x0": {"x": 1.0}, "dt": 0.1}, r"integrate\(\) missing a required argument: 't1'"),
+        ({"t1": 1.0, "dt": 0.1}, r"integrate\(\) missing a required argument: 'x0'"),
+    ]:
+        with pytest.raises(TypeError, match=message):
+            tx.integrate(decay(), **arguments)
+
+
+def test_one_phase_and_several_have_the_same_options() -> None:
+    one, several, phase = (
+        inspect.signature(function).parameters for function in (tx.integrate, tx.integrate_phases, tx.Phase)
+    )
+    assert set(one) - set(several) == {"dynamics", "t1", "jumps", "event", "max_crossings"}
+    assert set(several) - set(one) == {"phases", "links"}
+    assert set(phase) - set(one) == {"duration", "name"}
+    shared = set(several) & set(one) - {"x0"}
+    assert {name: one[name].default for name in shared} == {name: several[name].default for name in shared}

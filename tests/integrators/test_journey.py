@@ -21,12 +21,12 @@ SOURCE = str(Path(tx.__file__).parent)
 
 
 def entered(call: Callable[[], Any]) -> list[str]:
-    """The files in which a function is entered during the call; bodies of modules that are imported do not count."""
+    """The files in which a function is entered during the call; bodies of imported modules and finders do not count."""
     files = set()
 
     def look(frame: FrameType, event: str, argument: Any) -> None:
         code = frame.f_code
-        if event == "call" and code.co_name != "<module>" and code.co_filename.startswith(SOURCE):
+        if event == "call" and code.co_name not in ("<module>", "find_spec") and code.co_filename.startswith(SOURCE):
             files.add(code.co_filename[len(SOURCE) + 1 :])
 
     # What other tests left to be freed is freed first: its finalizers are functions too.

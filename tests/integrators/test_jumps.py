@@ -54,6 +54,13 @@ def linear_exact(ts: np.ndarray, values: np.ndarray, t: float) -> float:
 TS, VALUES = np.array([0.0, 0.313, 0.5, 1.7]), np.array([1.0, -2.0, 30.0, 0.5])
 
 
+@pytest.mark.parametrize("jumps", [[], [0.3, 0.5]], ids=["none", "two"])
+def test_a_jump_costs_one_evaluation(jumps: list[float]) -> None:
+    """A step hands its last rate on to the next one, but not across a jump; the first one and its size take two."""
+    stats = solve({"F": 0.3}, jumps=jumps).stats
+    assert stats.rhs_evaluations == 6 * stats.steps + 2 + len(jumps)
+
+
 #: What a step hands on to the next one is the same for the other pairs.
 OTHERS = [pytest.param(tableau, marks=pytest.mark.slow) for tableau in (BOGACKI_SHAMPINE3, DORMAND_PRINCE5)]
 

@@ -11,8 +11,7 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
-from twistax.system.dynamics import Dynamics
+from compiled_steps import kernels_of_equal_steps
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -23,11 +22,6 @@ METHODS = {
     "thirteen stages": tx.RKMK(tx.tableaus.DOP853),
     "commutator-free": tx.CommutatorFree(),
 }
-
-
-def _taken(dynamics: Dynamics) -> list[Any]:
-    """The kernels that solutions of a system were made with."""
-    return [made for made in dynamics._functions.steps.values() if isinstance(made, KernelSteps)]
 
 
 def _near(found: dict[str, jax.Array], expected: dict[str, jax.Array], rtol: float = 1e-13) -> None:
@@ -42,13 +36,13 @@ def test_the_solution_is_that_of_the_loop(name: str) -> None:
     found, expected = (tx.integrate(d, START, **given) for d in (dynamics, PLAIN))
     _near(found.xs, expected.xs)
     assert found.stats == expected.stats
-    assert len(_taken(dynamics)) == 1
+    assert len(kernels_of_equal_steps(dynamics)) == 1
 
 
 def test_a_batch_is_each_solution_with_a_length_and_steps_of_its_own() -> None:
     lengths, pushes = jnp.linspace(0.1, 0.9, 11), jnp.linspace(0.0, 5.0, 33).reshape(11, 3)
 
-    def end(dynamics: Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
+    def end(dynamics: tx.Dynamics, t1: jax.Array, push: jax.Array) -> dict[str, jax.Array]:
         return tx.integrate(dynamics, START, t1=t1, steps=6, u={"F": push}).xs
 
     found, expected = (
@@ -78,7 +72,7 @@ def test_a_solution_that_fails_ends_where_the_loop_does() -> None:
 
 @pytest.mark.slow
 def test_derivatives_are_those_of_the_steps() -> None:
-    def end(dynamics: Dynamics, V: jax.Array) -> jax.Array:
+    def end(dynamics: tx.Dynamics, V: jax.Array) -> jax.Array:
         return tx.integrate(dynamics, {**START, "V": V}, t1=0.5, steps=5, u=U).xs["V"].sum()
 
     V, arrays = jnp.asarray(START["V"]), tx.compile(windy_body(), backend=tx.JAX())
@@ -98,7 +92,7 @@ def test_other_numbers_do_not_compile_again() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     for steps, t1 in ((3, 0.1), (8, 0.5)):
         tx.integrate(dynamics, START, t1=t1, steps=steps, u=U)
-    assert len(_taken(dynamics)) == 1
+    assert len(kernels_of_equal_steps(dynamics)) == 1
 
 
 def test_single_precision_stays_single() -> None:
@@ -129,14 +123,14 @@ def test_wide_states_are_left_to_xla() -> None:
     dynamics = tx.compile(tx.System(rates={x: -x}), backend=tx.Native())
     found = tx.integrate(dynamics, {"x": np.ones(500)}, t1=1.0, steps=50).xs["x"]
     np.testing.assert_allclose(found, np.exp(-1.0), rtol=1e-7)
-    assert not _taken(dynamics)
+    assert not kernels_of_equal_steps(dynamics)
 
 
 @pytest.mark.parametrize("traced", [jnp.arange(3), jnp.arange(3.0)])
 def test_controls_may_close_over_traced_values(traced: jax.Array) -> None:
     pushes = jnp.arange(9.0).reshape(3, 3)
 
-    def end(dynamics: Dynamics, i: jax.Array) -> jax.Array:
+    def end(dynamics: tx.Dynamics, i: jax.Array) -> jax.Array:
         push = pushes[i] if i.dtype == int else i * pushes[1]
         return tx.integrate(dynamics, START, t1=0.5, steps=5, u=lambda t: {"F": t * push}).xs["V"]
 
@@ -163,4 +157,4 @@ def test_without_jit() -> None:
     with jax.disable_jit():
         found = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, steps=10)
     np.testing.assert_allclose(found.xs["x"], np.exp(-0.5), rtol=1e-7)
-    assert _taken(dynamics)
+    assert kernels_of_equal_steps(dynamics)

@@ -11,15 +11,8 @@ import pytest
 from windy_body import START, U, windy_body
 
 import twistax as tx
-from twistax.integrators.integrate import planned
+from compiled_steps import kernels_of_chosen_steps
 from twistax.jax_inside import all_equations
-from twistax.scalar.loops import Repeated
-from twistax.scalar.primitives.table import OPERATIONS
-from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm.iterations import Iterations
-from twistax.scalar.targets.llvm.kernel import Kernel, check_kernel
-from twistax.scalar.targets.llvm.kernel_body import native_form
-from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -29,11 +22,6 @@ METHODS = {
     "quaternion": tx.RKMK(tx.tableaus.BOGACKI_SHAMPINE3, chart=tx.charts.Ambient()),
     "two estimates": tx.RKMK(tx.tableaus.DOP853),
 }
-
-
-def kernels(dynamics: tx.Dynamics) -> list[Repeated]:
-    """The kernels that solutions of a system were made with."""
-    return [made for made in dynamics._functions.steps.values() if isinstance(made, Repeated)]
 
 
 def near(found: tx.Solution, expected: tx.Solution, rtol: float = 1e-11) -> None:
@@ -50,7 +38,7 @@ def test_the_solution_is_that_of_the_loop(name: str) -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     given: dict[str, Any] = {"t1": 0.7, "rtol": 1e-6, "u": U, "method": METHODS[name]}
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
-    assert len(kernels(dynamics)) == 1
+    assert len(kernels_of_chosen_steps(dynamics)) == 1
 
 
 def test_saved_times_limits_and_jumps() -> None:
@@ -65,17 +53,7 @@ def test_saved_times_limits_and_jumps() -> None:
     }
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     near(tx.integrate(dynamics, START, **given), tx.integrate(PLAIN, START, **given))
-    assert len(kernels(dynamics)) == 1
-
-
-def test_rows_that_fill_up_are_never_reached() -> None:
-    """There is room for 512 rows where 65 are asked for; polynomials are read for those alone."""
-    dynamics = tx.compile(windy_body())
-    at = np.linspace(0.0, 0.7, 65)
-    plan = planned(dynamics, START, t1=0.7, rtol=1e-6, u=U, save_at=at, between=tx.Between.POLYNOMIAL)
-    np.testing.assert_allclose(plan.steps.stops.ts[:65], at)
-    assert len(plan.steps.stops.ts) > 65
-    assert np.isinf(plan.steps.stops.ts[65:]).all()
+    assert len(kernels_of_chosen_steps(dynamics)) == 1
 
 
 def test_one_call_of_the_kernel_goes_on_across_jumps() -> None:
@@ -118,10 +96,10 @@ def test_rows_on_polynomials_are_filled_by_the_kernel() -> None:
     # Another number of rows needs no other kernel; without rows it leaves nothing for them.
     given.update(save_at=ts[::2])
     assert flown(2.0, 1e-11).stats.steps == found.stats.steps[-1]
-    assert len(kernels(dynamics)) == 1
+    assert len(kernels_of_chosen_steps(dynamics)) == 1
     given.update(save_at=None, between=tx.Between.STEP)
     assert flown(2.0, 1e-11).stats.steps == found.stats.steps[-1]
-    assert [each.row is None for each in kernels(dynamics)] == [False, True]
+    assert [each.row is None for each in kernels_of_chosen_steps(dynamics)] == [False, True]
 
 
 def test_rows_on_polynomials_leave_little_to_xla() -> None:
@@ -187,7 +165,7 @@ def test_single_precision_stays_single() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     control = tx.StepControl(factormax=np.float64(5.0), dtmax=np.float64(0.2))
     found, expected = (tx.integrate(d, start, t1=0.5, rtol=1e-4, u=U, control=control) for d in (dynamics, PLAIN))
-    assert len(kernels(dynamics)) == 1
+    assert len(kernels_of_chosen_steps(dynamics)) == 1
     assert {value.dtype for value in found.xs.values()} == {np.dtype(np.float32)}
     for name, value in expected.xs.items():
         np.testing.assert_allclose(found.xs[name], value, rtol=1e-4, atol=1e-4)
@@ -198,7 +176,7 @@ def test_counts_that_single_precision_cannot_hold_are_left_to_the_loop() -> None
     start = {name: np.asarray(value, np.float32) for name, value in START.items()}
     control = tx.StepControl(max_steps=2**23)
     tx.integrate(dynamics, start, t1=0.1, rtol=1e-3, u=U, control=control)
-    assert not kernels(dynamics)
+    assert not kernels_of_chosen_steps(dynamics)
 
 
 def test_steps_in_a_kernel_keep_to_their_side_of_a_jump() -> None:
@@ -211,21 +189,11 @@ def test_steps_in_a_kernel_keep_to_their_side_of_a_jump() -> None:
     found = tx.integrate(dynamics, {"x": 1.0}, t1=2.0, rtol=1e-6, jumps=[0.7, 1.3], control=control)
     end = 100.0 + (np.exp(0.7 - 0.6) - 100.0) * np.exp(-0.7)
     np.testing.assert_allclose(found.xs["x"], [end], rtol=1e-6)
-    assert kernels(dynamics)
-
-
-def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Kernels are checked in turns that they take: here products are sums."""
-    monkeypatch.setitem(vars(OPERATIONS["mul"]), "llvm", OPERATIONS["add"].llvm)
-    number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
-    step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
-    tile = Iterations(step, 1, 1)
-    with pytest.raises(BuildError, match="differ"):
-        check_kernel(Kernel(tile, Processor.host()), tile)
+    assert kernels_of_chosen_steps(dynamics)
 
 
 def test_other_numbers_do_not_compile_again() -> None:
     dynamics = tx.compile(windy_body(), backend=tx.Native())
     for rtol, t1 in ((1e-4, 0.1), (1e-7, 0.5)):
         tx.integrate(dynamics, START, t1=t1, rtol=rtol, u=U)
-    assert len(kernels(dynamics)) == 1
+    assert len(kernels_of_chosen_steps(dynamics)) == 1

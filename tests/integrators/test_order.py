@@ -41,8 +41,8 @@ def test_the_order_is_what_the_tableau_says(tableau: ButcherTableau, references:
 def test_the_fit_sees_the_inverse_left_jacobian(
     monkeypatch: pytest.MonkeyPatch, references: list[dict[str, np.ndarray]]
 ) -> None:
-    right = charts.pose_rate
-    monkeypatch.setattr(charts, "pose_rate", lambda eta, *others: right(tuple(-e for e in eta), *others))
+    right = charts.chart.pose_rate
+    monkeypatch.setattr(charts.chart, "pose_rate", lambda eta, *others: right(tuple(-e for e in eta), *others))
     assert fitted_order(tx.compile(forced_body()), tx.RKMK(RK4), references) < 2.2
 
 

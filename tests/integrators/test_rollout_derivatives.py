@@ -12,14 +12,13 @@ from integrator_bodies import start
 
 import twistax as tx
 from twistax.groups import so3
-from twistax.integrators.step_control import StepControl
 from twistax.tableaus import TSIT5
 
 Inputs = dict[str, jax.Array]
 METHOD = tx.RKMK(TSIT5)
 #: Programs that run once need not be fast: half the time of compiling.
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
-FEW = StepControl(max_steps=200)
+FEW = tx.StepControl(max_steps=200)
 
 
 @functools.cache
@@ -126,7 +125,7 @@ def test_a_function_of_time_may_close_over_what_is_differentiated() -> None:
             atol=1e-11,
             u=lambda t: {"F": z["a"] * jnp.cos(z["w"] * t)},
             method=METHOD,
-            control=StepControl(max_steps=1000),
+            control=tx.StepControl(max_steps=1000),
         )
         return sol.xs["x"][0]
 
@@ -152,7 +151,9 @@ def oscillator() -> tx.Dynamics:
 def test_second_derivatives(how: str) -> None:
     """Forward over reverse against differences of the gradient, in start, parameter, jump and end."""
     dynamics = oscillator()
-    options = {"rtol": 1e-12, "atol": 1e-12, "control": StepControl(max_steps=400)} if how == "chosen" else {"steps": 8}
+    options = (
+        {"rtol": 1e-12, "atol": 1e-12, "control": tx.StepControl(max_steps=400)} if how == "chosen" else {"steps": 8}
+    )
 
     def value(z: jax.Array) -> jax.Array:
         # Equal steps must end at the jump, whose time therefore scales with the solution.
@@ -188,7 +189,7 @@ def test_derivatives_at_no_turn_and_at_a_half_turn(chart: object) -> None:
             rtol=1e-11,
             atol=1e-11,
             method=tx.RKMK(TSIT5, chart),
-            control=StepControl(max_steps=60),
+            control=tx.StepControl(max_steps=60),
         )
         return jnp.sum(sol.xs["R"][0] * weights)
 
@@ -223,7 +224,7 @@ def test_lanes_of_a_batch_are_single_solutions_and_so_are_their_derivatives() ->
             params={"k": k},
             save_at=np.array([0.0, 0.7, 2.0]),
             method=METHOD,
-            control=StepControl(max_steps=500),
+            control=tx.StepControl(max_steps=500),
         )
 
     def value(x: jax.Array, k: jax.Array) -> jax.Array:
@@ -265,7 +266,7 @@ def test_a_traced_failure_is_not_a_number_and_says_why() -> None:
             params={"k": k},
             save_at=ts,
             method=METHOD,
-            control=StepControl(max_steps=300),
+            control=tx.StepControl(max_steps=300),
         )
 
     starts, ks = np.array([0.1, 1.0, 0.0]), np.array([1.0, 1.0, -1.0])

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.kernels import KernelSteps
+from compiled_steps import kernels_of_equal_steps
 
 TIMES, VALUES = np.array([0.0, 0.3, 0.7]), np.array([1.0, -2.0, 0.5])
 TABLE = {"F": tx.ZeroOrderHold(TIMES, VALUES)}
@@ -105,7 +105,7 @@ def test_other_jumps_compile_nothing() -> None:
     own = tx.compile(tx.System(rates={x: F - x}), backend=tx.Native())
     for times, steps in ((TIMES, 7), ([0.0, 0.1, 0.9], 12), ([-3.0, -2.0, -1.0], 40)):
         tx.integrate(own, {"x": 0.0}, t1=1.0, steps=steps, u={"F": tx.ZeroOrderHold(times, VALUES)})
-    assert len([made for made in own._functions.steps.values() if isinstance(made, KernelSteps)]) == 1
+    assert len(kernels_of_equal_steps(own)) == 1
 
 
 def test_a_long_table_of_kinks_in_single_precision() -> None:

@@ -13,18 +13,13 @@ import pytest
 from integrator_bodies import start
 
 import twistax as tx
-from twistax.scalar.jax_primitive import Derived
-from twistax.scenes.rocket import ROCKET
+from compiled_steps import programs_of_steps
+from twistax.scenes import ROCKET
 
 Cost = Callable[[jax.Array], jax.Array]
 #: Programs that run once need not be fast.
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 BACKENDS = {"XLA": tx.XLA(), "native": tx.Native()}
-
-
-def programs(dynamics: tx.Dynamics) -> list[Derived]:
-    """The programs that differentiated steps of a system were made with."""
-    return [made for made in dynamics._functions.steps.values() if isinstance(made, Derived)]
 
 
 def top() -> tx.System:
@@ -65,13 +60,13 @@ def test_derivatives_are_those_of_arrays(name: str, derivative: Callable[[Cost],
     dynamics = tx.compile(top(), backend=BACKENDS[name])
     found = run(derivative(integrated(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(derivative), rtol=1e-11, atol=1e-12)
-    assert len(programs(dynamics)) == 1
+    assert len(programs_of_steps(dynamics)) == 1
 
 
 def test_without_scalars_there_is_no_program() -> None:
     dynamics = tx.compile(top(), backend=tx.JAX())
     jax.make_jaxpr(jax.grad(integrated(dynamics, steps=3)))(jnp.zeros(3))
-    assert not programs(dynamics)
+    assert not programs_of_steps(dynamics)
 
 
 def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
@@ -84,7 +79,7 @@ def test_a_long_loop_of_stages_stays_a_loop_for_xla() -> None:
         return tx.integrate(dynamics, start, params=ROCKET.params, **options).xs[dynamics.states[0].name]
 
     jax.make_jaxpr(jax.jacfwd(end))(jnp.asarray(0.0))
-    (program,) = (found.program for found in programs(dynamics))
+    (program,) = (found.program for found in programs_of_steps(dynamics))
     assert len(program.calls) == 1
     assert program.operations < 1000
 
@@ -94,7 +89,7 @@ def test_derivatives_may_be_larger_than_a_function_is_allowed_to_be() -> None:
     dynamics = tx.compile(top(), backend=tx.Native(scalars=tx.XLA(largest=1200)))
     found = run(jax.grad(integrated(dynamics, steps=3)))
     np.testing.assert_allclose(found, in_arrays(jax.grad), rtol=1e-11, atol=1e-12)
-    (program,) = (found.program for found in programs(dynamics))
+    (program,) = (found.program for found in programs_of_steps(dynamics))
     assert len(program.graph.numbers) > 1200
 
 
@@ -105,7 +100,7 @@ def test_steps_that_solve_equations_stay_as_they_are() -> None:
     jax.make_jaxpr(jax.grad(lambda x0: tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=2, method=method).xs["x"][-1]))(
         1.0
     )
-    assert not programs(dynamics)
+    assert not programs_of_steps(dynamics)
 
 
 def test_wide_states_stay_arrays() -> None:
@@ -116,7 +111,7 @@ def test_wide_states_stay_arrays() -> None:
         return tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=50).xs["x"][-1].sum()
 
     np.testing.assert_allclose(jax.grad(cost)(jnp.ones(500)), np.exp(-1.0), rtol=1e-7)
-    assert not programs(dynamics)
+    assert not programs_of_steps(dynamics)
 
 
 def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -127,8 +122,8 @@ def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    assert [made for made in dynamics._functions.steps.values() if made is not None] == programs(dynamics)
-    assert all(found.runner is None for found in programs(dynamics))
+    assert [made for made in dynamics._functions.steps.values() if made is not None] == programs_of_steps(dynamics)
+    assert all(found.runner is None for found in programs_of_steps(dynamics))
 
 
 def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> None:
@@ -165,4 +160,4 @@ def test_controls_that_no_program_holds_stay_as_they_are(name: str) -> None:
         return tx.integrate(dynamics, {"x": x0}, t1=1.0, steps=100, u=CONTROLS[name]).xs["x"][-1]
 
     np.testing.assert_allclose(jax.grad(cost)(jnp.asarray(0.3)), np.exp(-1.0), rtol=1e-8)
-    assert not programs(dynamics)
+    assert not programs_of_steps(dynamics)

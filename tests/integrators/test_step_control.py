@@ -10,7 +10,6 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.step_control import StepControl
 from twistax.tableaus import BOGACKI_SHAMPINE3, TSIT5
 
 METHOD = tx.RKMK(TSIT5)
@@ -55,7 +54,7 @@ def test_the_first_step_is_sensible_over_twelve_decades(rtol: float) -> None:
     """Neither far too long, which the error of the first try shows, nor far too short."""
     for k in 10.0 ** np.arange(-6.0, 7.0, 2.0):
         settings = {"t1": min(5.0, 30.0 / k), "rtol": rtol, "atol": rtol, "params": {"k": k}, "method": METHOD}
-        one = tx.integrate(stiff(), {"x": 2.0}, control=StepControl(max_steps=1), throw=False, **settings)
+        one = tx.integrate(stiff(), {"x": 2.0}, control=tx.StepControl(max_steps=1), throw=False, **settings)
         sol = tx.integrate(stiff(), {"x": 2.0}, **settings)
         assert sol.stats.rejected <= 3
         assert sol.stats.accepted < 600
@@ -85,7 +84,7 @@ def test_a_system_at_rest_stays_and_is_done_soon() -> None:
 
 
 def test_dt_is_the_first_step() -> None:
-    once = StepControl(max_steps=1)
+    once = tx.StepControl(max_steps=1)
     for dt in (1e-5, 1e-3):
         sol = tx.integrate(chase(), {"x": 2.0}, t1=1.0, dt=dt, rtol=1e-4, control=once, throw=False, method=METHOD)
         assert float(sol.ts[0]) == dt
@@ -106,7 +105,7 @@ def quadrature() -> tx.Dynamics:
     return tx.compile(tx.System(rates={x: tx.Exp(2.0 * tx.Sin(3.0 * t)) * tx.Cos(t * t)}))
 
 
-def by_hand(control: StepControl, t1: float, tol: float, first: float) -> tuple[float, int, int]:
+def by_hand(control: tx.StepControl, t1: float, tol: float, first: float) -> tuple[float, int, int]:
     """The solution of `quadrature` with its steps, in plain Python. Returns x, and steps taken and taken back."""
     b, b_low, c = BOGACKI_SHAMPINE3.b, BOGACKI_SHAMPINE3.b_embedded, BOGACKI_SHAMPINE3.c
     p, i, d, order = control.pcoeff, control.icoeff, control.dcoeff, 3
@@ -134,10 +133,10 @@ def by_hand(control: StepControl, t1: float, tol: float, first: float) -> tuple[
 
 
 CONTROLS = {
-    "default": StepControl(),
-    "plain": StepControl(pcoeff=0.0, icoeff=1.0),
-    "pid": StepControl(pcoeff=0.3, icoeff=0.3, dcoeff=0.1),
-    "bounded": StepControl(factormin=0.5, factormax=1.2, safety=0.7, dtmax=0.2),
+    "default": tx.StepControl(),
+    "plain": tx.StepControl(pcoeff=0.0, icoeff=1.0),
+    "pid": tx.StepControl(pcoeff=0.3, icoeff=0.3, dcoeff=0.1),
+    "bounded": tx.StepControl(factormin=0.5, factormax=1.2, safety=0.7, dtmax=0.2),
 }
 
 
@@ -164,7 +163,7 @@ def test_steps_follow_the_formula(name: str) -> None:
 
 
 def test_no_step_is_longer_than_dtmax() -> None:
-    sol = tx.integrate(ramp(), {"x": 0.0}, t1=1.0, rtol=1e-3, control=StepControl(dtmax=0.05), method=METHOD)
+    sol = tx.integrate(ramp(), {"x": 0.0}, t1=1.0, rtol=1e-3, control=tx.StepControl(dtmax=0.05), method=METHOD)
     assert sol.stats.accepted >= 20
     free = tx.integrate(ramp(), {"x": 0.0}, t1=1.0, rtol=1e-3, method=METHOD)
     assert free.stats.accepted < 10
@@ -184,7 +183,7 @@ UP = {"x": 1.0, "y": 1.0}
 
 
 def test_steps_that_run_out_are_named() -> None:
-    settings = {"t1": 20.0, "rtol": 1e-6, "atol": 1e-6, "control": StepControl(max_steps=10), "method": METHOD}
+    settings = {"t1": 20.0, "rtol": 1e-6, "atol": 1e-6, "control": tx.StepControl(max_steps=10), "method": METHOD}
     with pytest.raises(tx.IntegrationError) as caught:
         tx.integrate(chase(), {"x": 2.0}, **settings)
     message = str(caught.value)
@@ -200,10 +199,10 @@ def test_steps_that_run_out_are_named() -> None:
 def test_the_number_of_steps_that_is_needed_is_enough() -> None:
     settings = {"t1": 5.0, "rtol": 1e-5, "atol": 1e-5, "method": METHOD}
     needed = tx.integrate(chase(), {"x": 2.0}, **settings).stats.steps
-    enough = tx.integrate(chase(), {"x": 2.0}, control=StepControl(max_steps=needed), **settings)
+    enough = tx.integrate(chase(), {"x": 2.0}, control=tx.StepControl(max_steps=needed), **settings)
     assert enough.result is tx.Result.SUCCESS
     with pytest.raises(tx.IntegrationError, match="steps ran out"):
-        tx.integrate(chase(), {"x": 2.0}, control=StepControl(max_steps=needed - 1), **settings)
+        tx.integrate(chase(), {"x": 2.0}, control=tx.StepControl(max_steps=needed - 1), **settings)
 
 
 def test_a_singularity_ends_a_solution_by_name() -> None:
@@ -223,7 +222,7 @@ def test_a_singularity_ends_a_solution_by_name() -> None:
 
 
 def test_dtmin_ends_a_solution() -> None:
-    settings = {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "method": METHOD, "control": StepControl(dtmin=1e-3)}
+    settings = {"t1": 2.0, "rtol": 1e-8, "atol": 1e-8, "method": METHOD, "control": tx.StepControl(dtmin=1e-3)}
     with pytest.raises(tx.IntegrationError, match=r"^no step is small enough .* at t = 0.*; state 'x' has the largest"):
         tx.integrate(blow_up(), UP, **settings)
     good = tx.integrate(blow_up(), UP, throw=False, **settings)
@@ -234,7 +233,7 @@ def test_dtmin_ends_a_solution() -> None:
 
 
 def test_a_last_step_shorter_than_dtmin_is_fine() -> None:
-    sol = tx.integrate(chase(), {"x": 2.0}, t1=1e-4, rtol=1e-6, control=StepControl(dtmin=1e-3), method=METHOD)
+    sol = tx.integrate(chase(), {"x": 2.0}, t1=1e-4, rtol=1e-6, control=tx.StepControl(dtmin=1e-3), method=METHOD)
     assert sol.result is tx.Result.SUCCESS
     assert float(sol.xs["x"][0]) == pytest.approx(chase_exact(1e-4), abs=1e-9)
 
@@ -271,7 +270,7 @@ def test_the_state_with_the_largest_error_is_named() -> None:
             {"slow": np.ones(2), "fast": np.ones(2)},
             t1=10.0,
             rtol=1e-8,
-            control=StepControl(max_steps=30),
+            control=tx.StepControl(max_steps=30),
             method=METHOD,
         )
 
@@ -297,11 +296,11 @@ def test_the_state_with_the_largest_error_is_named() -> None:
 )
 def test_nonsense_is_named(change: dict, message: str, unchecked: None) -> None:
     with pytest.raises(tx.ModelError, match=message):
-        inspect.unwrap(StepControl)(**change)
+        inspect.unwrap(tx.StepControl)(**change)
 
 
 def test_controllers_are_values() -> None:
-    assert StepControl() == StepControl()
-    assert hash(StepControl(dtmax=1.0)) == hash(StepControl(dtmax=1.0))
+    assert tx.StepControl() == tx.StepControl()
+    assert hash(tx.StepControl(dtmax=1.0)) == hash(tx.StepControl(dtmax=1.0))
     with pytest.raises(dataclasses.FrozenInstanceError):
-        StepControl().safety = 0.5  # type: ignore[misc]
+        tx.StepControl().safety = 0.5  # type: ignore[misc]

@@ -1,16 +1,12 @@
 """What a tolerance is: by state, by rotation and position, by scale; and what is refused."""
 
 import functools
-import inspect
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.integrators.step_control import StepControl
-from twistax.integrators.tolerances import tolerances_of
 from twistax.tableaus import TSIT5
 
 METHOD = tx.RKMK(TSIT5)
@@ -126,8 +122,6 @@ def test_tolerances_never_fall_below_round_off() -> None:
     sol = tx.integrate(dynamics, {"x": 1e3}, t1=1.0, rtol=1e-12, atol=0.0, method=METHOD)
     assert sol.result is tx.Result.SUCCESS
     np.testing.assert_allclose(sol.xs["x"], 1e3 * np.exp(1.0), rtol=1e-12)
-    allowed = tolerances_of(dynamics, 1e-12, 0.0, np.float64)._allowed_part("x", jnp.array([1e3]))
-    np.testing.assert_allclose(allowed, 10.0 * np.finfo(float).eps * 1e3)
 
 
 def test_a_start_at_zero_with_atol_zero_is_integrated() -> None:
@@ -174,13 +168,13 @@ def plain() -> tx.Dynamics:
         ({"jumps": 0.5}, r"jumps expects finite, sorted times with shape \(n,\)"),
         ({"jumps": [0.5, np.nan]}, "jumps expects finite, sorted times"),
         ({"save_at": [0.5, 0.2]}, "save_at must be sorted from t0 to t1, got 0.5 before 0.2"),
-        ({"rtol": None, "dt": 0.1, "control": StepControl()}, "control is for steps chosen by tolerances"),
+        ({"rtol": None, "dt": 0.1, "control": tx.StepControl()}, "control is for steps chosen by tolerances"),
     ],
 )
 def test_nonsense_is_named(change: dict, message: str, unchecked: None) -> None:
     arguments = {"x0": {"x": np.ones((2, 3)), "g": np.eye(4)}, "t1": 1.0, "rtol": 1e-6} | change
     with pytest.raises(tx.InputError, match=message):
-        inspect.unwrap(tx.integrate)(plain(), **arguments)
+        tx.integrate(plain(), **arguments)
 
 
 def test_single_precision_is_told_of_double(unchecked: None) -> None:

@@ -12,10 +12,8 @@ import pytest
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import skew
 from twistax.expr import Expr
-from twistax.expr.node import Operand
-from twistax.report.sections import hessians as of_the_arm
-from twistax.scalar.graph import TooLarge
 from twistax.scenes import SCENES
 from twistax.system import hessian as hessians
 
@@ -23,10 +21,6 @@ mp = pytest.importorskip("mpmath")
 
 RNG = np.random.default_rng(0)
 BY_JAX = {"xla_backend_optimization_level": 0}
-
-
-def hat(w: Any) -> Any:
-    return np.array([[0, -w[2], w[1]], [w[2], 0, -w[0]], [-w[1], w[0], 0]])
 
 
 def by_retraction(dynamics: tx.Dynamics, total: Any, x: Any, u: Any) -> jax.Array:
@@ -48,8 +42,8 @@ def by_retraction(dynamics: tx.Dynamics, total: Any, x: Any, u: Any) -> jax.Arra
 
 #: With an offset centre of mass, kg and kg m2.
 INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
-INERTIA[:3, 3:] = -hat([0.2, -0.1, 0.3])
-INERTIA[3:, :3] = hat([0.2, -0.1, 0.3])
+INERTIA[:3, 3:] = -skew([0.2, -0.1, 0.3])
+INERTIA[3:, :3] = skew([0.2, -0.1, 0.3])
 
 g, V, F = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
 
@@ -97,7 +91,7 @@ def hessian_exactly(total: Any, X: Any, V: Any, F: Any, pairs: list[tuple[int, i
         def at(moves: dict[int, int]) -> Any:
             d = np.array([step * moves.get(k, 0) for k in range(18)])
             twist = np.vectorize(mp.mpf)(np.zeros((4, 4)))
-            twist[:3, :3], twist[:3, 3] = hat(d[3:6]), d[:3]
+            twist[:3, :3], twist[:3, 3] = skew(d[3:6]), d[:3]
             term = series = np.vectorize(mp.mpf)(np.eye(4))
             for k in range(1, 5):
                 term = term.dot(twist) / k
@@ -126,7 +120,7 @@ def hessian_exactly(total: Any, X: Any, V: Any, F: Any, pairs: list[tuple[int, i
 )
 def test_forces_that_depend_on_the_pose_to_forty_digits(turn: Any, request: Any) -> None:
     scale = 1e3 if "large" in request.node.callspec.id else 1.0
-    X = tx.pose(position=[1.0, -0.4, 0.7], rotation=expm(hat(turn)))
+    X = tx.pose(position=[1.0, -0.4, 0.7], rotation=expm(skew(turn)))
     x, u = {"g": np.asarray(X), "V": scale * RNG.normal(size=6)}, {"F": RNG.normal(size=6)}
     weights = {"V": RNG.normal(size=6), "reach": RNG.normal(size=3), "g": RNG.normal(size=6)}
     found = np.asarray(FALLING.hessian(0.0, x, u, None, weights))
@@ -320,14 +314,6 @@ def test_zeros_are_not_computed() -> None:
     assert dynamics.hessian(0.0, *point, None, {}).shape == (4, 4)
 
 
-def test_operations_of_the_arm_beside_casadi() -> None:
-    """Of the weighted forward dynamics of seven links by positions, velocities and torques: fewer than CasADi's."""
-    pytest.importorskip("casadi")
-    own, theirs = of_the_arm.operations()
-    assert own <= 0.75 * theirs
-    assert of_the_arm.in_casadi().nnz_out(0) == of_the_arm.dynamics().hessian_pattern("qd").sum()
-
-
 # ---- what the graph does not hold ----------------------------------------------------------------------------------
 
 
@@ -366,7 +352,7 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
     class Own(Expr):
         """A user's node. Shapes: (3,) -> (3,)."""
 
-        a: Operand
+        a: tx.expr.fields.Operand
         takes, gives = ((3,),), (3,)
 
         def evaluate(self, *values: jax.Array) -> jax.Array:
@@ -385,24 +371,6 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
 
     np.testing.assert_allclose(found, jax.hessian(total)(jnp.asarray(at)), rtol=1e-12, atol=1e-13)
     assert np.array_equal(found, found.T)
-
-
-def test_what_is_too_large_is_left_to_jax(monkeypatch: pytest.MonkeyPatch) -> None:
-    """The same numbers, under jit and batched; there is no pattern."""
-
-    def refused(*arguments: Any) -> Any:
-        raise TooLarge("the function takes more than 200000 scalars")
-
-    x = {"g": np.asarray(tx.pose(position=[1.0, -0.4, 0.7], euler=[0.4, -0.9, 2.0])), "V": RNG.normal(size=6)}
-    u, weights = {"F": RNG.normal(size=6)}, {"V": RNG.normal(size=6), "reach": RNG.normal(size=3)}
-    expected = FALLING.hessian(0.0, x, u, None, weights, wrt=("u", "x"))
-    monkeypatch.setattr(hessians, "columns_of", refused)
-    plain = falling()
-    found = plain.hessian(0.0, x, u, None, weights, wrt=("u", "x"))
-    np.testing.assert_allclose(found, expected, rtol=0.0, atol=1e-13 * np.abs(expected).max())
-    assert np.array_equal(found, found.T)
-    with pytest.raises(tx.ModelError, match="the Hessian has no pattern"):
-        plain.hessian_pattern(weights)
 
 
 # ---- errors --------------------------------------------------------------------------------------------------------

@@ -14,7 +14,6 @@ import pytest
 
 import twistax as tx
 from twistax.expr import Expr
-from twistax.expr.node import Operand
 
 x, u = tx.State("x", shape=(3,), initial=[1.0, 2.0, 3.0]), tx.Control("u", shape=(3,))
 J = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0]))
@@ -24,7 +23,7 @@ POINT: Any = (0.1, {"x": np.array([0.3, -0.2, 0.5])}, {"u": np.array([1.0, 0.5, 
 class Applied(Expr):
     """A function of the user's, entry by entry."""
 
-    operand: Operand
+    operand: tx.expr.fields.Operand
     own: Callable[[jax.Array], jax.Array]
 
     def infer_shape(self, *shapes: tuple[int, ...]) -> tuple[int, ...]:

@@ -7,14 +7,7 @@ import dataclasses
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-
-def skew(w: np.ndarray) -> np.ndarray:
-    x, y, z = w
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
-def hat(xi: np.ndarray) -> np.ndarray:
-    return np.block([[skew(xi[3:]), xi[:3, None]], [np.zeros((1, 4))]])
+from oracles import hat
 
 
 def pose(rng: np.random.Generator) -> np.ndarray:

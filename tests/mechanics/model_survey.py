@@ -24,12 +24,11 @@ os.environ.setdefault("XLA_FLAGS", "--xla_backend_optimization_level=0 --xla_llv
 
 import jax
 import numpy as np
+from mujoco_models import mujoco_model
 
 import twistax as tx
 from twistax import mechanics
 from twistax.mechanics import Mechanism
-from twistax.mechanics.models.mjcf_file import Compiled
-from twistax.mechanics.models.xml_file import read_xml
 
 #: Largest difference, relative to the magnitudes of what is compared, at which two models agree.
 BOUND = 1e-12
@@ -124,7 +123,7 @@ class Mujoco:
         if within is None:
             self.model = mujoco.MjModel.from_xml_path(str(path))
         else:
-            self.model = Compiled(read_xml(path), within).model
+            self.model = mujoco_model(path, within)
         self.model.opt.disableflags |= int(mujoco.mjtDisableBit.mjDSBL_CONSTRAINT)
         self.model.opt.density = self.model.opt.viscosity = 0.0
         self.model.body_gravcomp[:] = 0.0

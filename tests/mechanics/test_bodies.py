@@ -7,10 +7,11 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, pose, skew
+from mechanics_oracles import Cloud, pose
 from scipy.special import ellipj
 
 import twistax as tx
+from oracles import skew
 from twistax.mechanics import SpatialInertia, joints, power
 
 RNG = np.random.default_rng(11)

@@ -14,7 +14,9 @@ from scipy.integrate import quad
 
 import twistax as tx
 from twistax.errors import ModelError, ShapeError
-from twistax.mechanics.environment import atmosphere, earth, gravity
+from twistax.mechanics import environment
+
+atmosphere, earth, gravity = environment.atmosphere, environment.earth, environment.gravity
 
 mp.mp.dps = 50
 

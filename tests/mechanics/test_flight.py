@@ -11,10 +11,10 @@ from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, ShapeError
-from twistax.mechanics import SpatialInertia, flight
-from twistax.mechanics.environment import earth
-from twistax.mechanics.flight import numbers
+from twistax.mechanics import SpatialInertia, environment, flight
 from twistax.units import degrees, feet, knots, seconds
+
+earth, numbers = environment.earth, flight.numbers
 
 PLACE = (48.0 * degrees, -123.0 * degrees, 11_000.0)
 VELOCITY, EULER, RATE = np.array([80.0, -150.0, 12.0]), (0.3, -0.2, 2.5), np.array([0.03, -0.02, 0.05])
@@ -313,6 +313,7 @@ def test_what_is_refused(unchecked: None) -> None:
         (lambda: flight.Steady((1.0, 2.0)), InputError, r"Steady: velocity expects finite numbers of shape \(3,\)"),
         (lambda: flight.Profile((0.0, 0.0), ((0.0,) * 3,) * 2), ModelError, "altitudes that increase"),
         (lambda: flight.LogarithmicShear(1.0, 0.0, 30.0), ModelError, "roughness between 0 and 20 ft, got 30.0 m"),
+        (lambda: flight.LogarithmicShear(1.0, 0.0, 0.0), ModelError, "roughness between 0 and 20 ft, got 0.0 m"),
         (lambda: flight.Aerodynamics(1.0, 1.0, (1.0, 2.0)), ShapeError, r"chord with shape \(\), got \(2,\)"),
         (lambda: flight.drag(craft.air, np.zeros(3)), ShapeError, r"area with shape \(\), got \(3,\)"),
     ):

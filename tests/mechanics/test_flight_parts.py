@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, ShapeError
-from twistax.mechanics import SpatialInertia, flight
-from twistax.mechanics.environment import gravity
-from twistax.mechanics.flight import numbers
+from twistax.mechanics import SpatialInertia, environment, flight
 from twistax.scenes import published
 from twistax.units import feet, knots, seconds
+
+gravity, numbers = environment.gravity, flight.numbers
 
 # ---- Dryden turbulence -----------------------------------------------------------------------------------------------
 

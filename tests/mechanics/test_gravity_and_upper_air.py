@@ -16,11 +16,11 @@ from us1976_oracle import atmosphere as standard
 
 import twistax as tx
 from twistax.errors import ModelError
-from twistax.mechanics import flight
-from twistax.mechanics.environment import atmosphere, earth, gravity
-from twistax.mechanics.environment.harmonics import EGM2008, HarmonicPull, Harmonics
-from twistax.mechanics.environment.upper_atmosphere import US1976_TO_1000_KM
-from twistax.mechanics.flight import numbers
+from twistax.mechanics import environment, flight
+
+atmosphere, earth, gravity = environment.atmosphere, environment.earth, environment.gravity
+EGM2008, Harmonics = environment.harmonics.EGM2008, environment.harmonics.Harmonics
+numbers = flight.numbers
 
 PLACES = [[4.1e6, -3.3e6, 3.9e6], [1e-3, 0.0, -6.6e6]]
 
@@ -67,7 +67,7 @@ def test_high_orders_in_single_precision() -> None:
     """Without normalisation they overflow there."""
     place, model = np.array([0.7, 0.7, 0.2]), Harmonics(1.0, 1.0, ((32, 32, 1e-3, 2e-3),))
     expected = slope_of_potential(model, place.tolist())
-    pull = HarmonicPull(place, model)
+    pull = environment.harmonics.HarmonicPull(place, model)
     for kind, close in (jnp.float32, 1e-5), (jnp.float64, 1e-13):
         np.testing.assert_allclose(pull.evaluate(jnp.asarray(place, kind)), expected, rtol=close)
 
@@ -146,7 +146,7 @@ PRINTED = [
     (500.0, 999.24, 3.0236e-7, 5.215e-13),
     (1000.0, 1000.00, 7.5138e-9, 3.561e-15),
 ]
-AIR = US1976_TO_1000_KM
+AIR = environment.upper_atmosphere.US1976_TO_1000_KM
 
 
 def test_the_printed_table() -> None:

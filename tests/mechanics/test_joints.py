@@ -9,10 +9,11 @@ import jax
 import mpmath
 import numpy as np
 import pytest
-from mechanics_oracles import hat, pose
+from mechanics_oracles import pose
 from scipy.integrate import solve_ivp
 
 import twistax as tx
+from oracles import hat
 from twistax.mechanics import joints
 
 AXIS = np.array([1.0, -2.0, 2.0]) / 3.0

@@ -10,12 +10,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, hat, pose
+from mechanics_oracles import Cloud, pose
 from scipy.linalg import expm
 
 import twistax as tx
+from oracles import hat
 from twistax import mechanics
-from twistax.expr.graph import leaves_of
+from twistax.expr import leaves_of
 from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimic, SpatialInertia, joints, loops
 
 GRAVITY = np.array([0.7, -1.1, -9.6])

@@ -149,6 +149,20 @@ def test_limits_that_a_file_switches_off_are_none(tmp_path: Path) -> None:
     assert free.motors(["h"]).max is None
 
 
+@pytest.mark.parametrize(
+    ("flag", "name"), [("damper", "damping"), ("frictionloss", "friction"), ("spring", "stiffness")]
+)
+def test_forces_that_a_file_switches_off_are_none(flag: str, name: str, tmp_path: Path) -> None:
+    joint = f"<joint name='h' damping='2' frictionloss='3' stiffness='4'/>{ROD}"
+    path = model(
+        tmp_path / "model.xml",
+        f"<option><flag {flag}='disable'/></option><worldbody><body>{joint}</body></worldbody>",
+    )
+    drive = load(path).segments[-1].link.drive
+    numbers = {"damping": 2.0, "friction": 3.0, "stiffness": 4.0, name: 0.0}
+    assert {each: float(getattr(drive, each)) for each in numbers} == numbers
+
+
 def test_a_scene_in_which_nothing_moves_has_frames(tmp_path: Path) -> None:
     path = model(
         tmp_path / "model.xml", "<worldbody><body name='table' pos='0 0 0.7'><geom size='1'/></body></worldbody>"

@@ -8,8 +8,8 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
+from solutions import scene_of
 from twistax.mechanics import Mechanism, load
-from twistax.view.motion import Motion, shown
 
 URDF = """
 <robot name="arm">
@@ -66,7 +66,7 @@ def in_view(path: Path, **positions: float) -> dict[str, tx.view.Body]:
     """The bodies of a mechanism at rest, by name."""
     mechanism = load(path)
     q = np.tile([positions.get(name, 0.0) for name in mechanism.joints], (2, 1))
-    scene = shown(Motion(np.array([0.0, 1.0]), {"q": q, "qd": 0.0 * q}), path.with_suffix(".none"), bodies=mechanism)
+    scene = scene_of([0.0, 1.0], {"q": q, "qd": 0.0 * q}, path.with_suffix(".none"), bodies=mechanism)
     return {body.name: body for body in scene.bodies}
 
 

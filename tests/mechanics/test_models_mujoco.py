@@ -9,13 +9,12 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
+from mujoco_models import mujoco_model
 
 import twistax as tx
 from twistax import mechanics
-from twistax.expr.graph import leaves_of
+from twistax.expr import leaves_of
 from twistax.mechanics import Mechanism
-from twistax.mechanics.models.mjcf_file import Compiled
-from twistax.mechanics.models.xml_file import read_xml
 
 mujoco = pytest.importorskip("mujoco", reason="mujoco is not installed (extra twistax[models])")
 
@@ -43,7 +42,7 @@ class Pair:
         loaded = mechanics.load(path, quarter_turns=0.0, parameters=list(self.friction))
         # So are equalities, which have a test of their own.
         self.ours = Mechanism(loaded.links, loaded.gravity, base=next(iter(loaded.frames)), driven=loaded.driven)
-        self.model = model = Compiled(read_xml(path), path.parent).model
+        self.model = model = mujoco_model(path)
         off = mujoco.mjtDisableBit
         model.opt.disableflags |= int(off.mjDSBL_CONSTRAINT)
         model.opt.density = model.opt.viscosity = 0.0
@@ -256,7 +255,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     """At rest the accelerations are those that MuJoCo's own rows of the equalities give if they hold exactly."""
     path = tmp_path / "model.xml"
     path.write_text(LINKAGE.format(rod=ROD, active="false", driven=driven))
-    robot, model = mechanics.load(path), Compiled(read_xml(path), path.parent).model
+    robot, model = mechanics.load(path), mujoco_model(path)
     assert [repr(loop) for loop in robot.loops] == [
         "Point('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
         "Pose('tie', 'tie on raft', 'tie on gear')",

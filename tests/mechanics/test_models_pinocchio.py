@@ -11,7 +11,7 @@ import pytest
 
 import twistax as tx
 from twistax import mechanics
-from twistax.expr.graph import leaves_of
+from twistax.expr import leaves_of
 from twistax.mechanics import ALIGNED, BODY, WORLD, Mechanism
 
 pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")

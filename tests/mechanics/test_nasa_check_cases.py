@@ -20,9 +20,12 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import twistax as tx
-from twistax.mechanics.environment import earth
-from twistax.scenes.check_cases import CASES, CheckCase
-from twistax.scenes.published import DURATION, TIMES
+from twistax.mechanics import environment
+from twistax.scenes import check_cases
+from twistax.scenes import published as tables
+
+earth, CASES, CheckCase = environment.earth, check_cases.CASES, check_cases.CheckCase
+DURATION, TIMES = tables.DURATION, tables.TIMES
 
 EXAMPLE = Path(__file__).parents[2] / "examples" / "nasa_check_cases.py"
 Flight = dict[str, np.ndarray]

@@ -10,9 +10,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, pose, skew
+from mechanics_oracles import Cloud, pose
 
 import twistax as tx
+from oracles import skew
 from twistax.mechanics import (
     Chain,
     Link,

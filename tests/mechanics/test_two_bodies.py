@@ -7,9 +7,10 @@ from functools import partial
 import jax
 import jax.numpy as jnp
 import numpy as np
-from mechanics_oracles import Cloud, pose, skew
+from mechanics_oracles import Cloud, pose
 
 import twistax as tx
+from oracles import skew
 from twistax.mechanics import SpatialInertia, joints
 
 RNG = np.random.default_rng(3)

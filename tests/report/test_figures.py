@@ -9,10 +9,14 @@ import pytest
 
 import twistax as tx
 from twistax.mechanics import screws
-from twistax.report.checks import Absent, Check, explained
-from twistax.report.page import texts
-from twistax.report.sections import FIGURES, identities, keeping, scalars, steps
+from twistax.report.figures import identities, scalars, steps
+from twistax.report.harness.expected import Absent
+from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.page import texts
+from twistax.report.harness.timing import Race, Repeats
+from twistax.report.registry import FIGURES
 from twistax.report.speed.cases import CASES
+from twistax.report.stability import invariants
 from twistax.scalar.targets.llvm.backend import installed
 from twistax.scenes import SCENES
 
@@ -31,7 +35,7 @@ def test_every_row_has_a_key_of_its_own() -> None:
 @pytest.mark.parametrize(
     "check", [c for section in FIGURES.values() for _, c in explained(section) if not c.slow], ids=lambda c: c.what
 )
-def test_what_is_quick_is_what_was_asked_for(check: Check) -> None:
+def test_what_is_quick_is_what_was_asked_for(check: Measurement) -> None:
     row = check.run()
     assert row.holds is not False, f"{row.came}; asked for: {row.bar}"
 
@@ -84,7 +88,7 @@ def test_wrenches_moved_as_twists_stand_out(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_momenta_of_the_exact_motion_stay() -> None:
-    kept = keeping.tumble().kept
+    kept = invariants.tumble().invariants
     states = [SCENES["offset-tumble"].truth(t) for t in np.linspace(0.0, 10.0, 11)]
     xs = {name: np.stack([state[name] for state in states]) for name in ("g", "V")}
     values, size = kept(xs)["momentum"]
@@ -99,12 +103,12 @@ def test_momenta_of_the_exact_motion_stay() -> None:
 @pytest.mark.slow
 def test_a_top_keeps_its_vertical_momentum_alone() -> None:
     """The horizontal ones change: what is measured is no constant. Another method loses it."""
-    top = keeping.top((1.0, 1.3, 0.5))
+    top = invariants.top((1.0, 1.3, 0.5))
     method = tx.Splitting(tx.compositions.SUZUKI4, top.bodies)
-    found = keeping.changes(top, method, 1e-2, (2_000,))
+    found = invariants.changes(top, method, 1e-2, (2_000,))
     assert found["vertical momentum"].relative[-1] < 1e-13
     assert 1e-14 < found["energy"].relative[-1] < 1e-8
-    lost = keeping.changes(top, tx.RKMK(tx.tableaus.RK4), 1e-2, (2_000,))
+    lost = invariants.changes(top, tx.RKMK(tx.tableaus.RK4), 1e-2, (2_000,))
     assert min(lost[name].relative[-1] for name in ("vertical momentum", "energy")) > 1e-9
     end = tx.integrate(top.dynamics, dict(top.start), t1=20.0, steps=2_000, method=method).xs
     J = np.array([1.0, 1.3, 0.5])
@@ -114,10 +118,10 @@ def test_a_top_keeps_its_vertical_momentum_alone() -> None:
 
 @pytest.mark.slow
 def test_quaternions_stay_and_matrices_drift() -> None:
-    for motion in (keeping.constant_twist(), keeping.free_body()):
+    for motion in (invariants.constant_twist(), invariants.free_body()):
         ends = [
-            keeping.changes(motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (1_000, 10_000))["R'R - I"].absolute[-1]
-            for chart in (None, keeping.Matrices())
+            invariants.changes(motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (1_000, 10_000))["R'R - I"].absolute[-1]
+            for chart in (None, invariants.Matrices())
         ]
         assert ends[0] < 4e-15 < 5e-15 < ends[1] < 1e-11
 
@@ -126,7 +130,9 @@ def test_quaternions_stay_and_matrices_drift() -> None:
 def test_changes_shrink_with_the_order() -> None:
     for tableau, factor in ((tx.tableaus.EULER, 2.0), (tx.tableaus.HEUN, 4.0), (tx.tableaus.RK4, 16.0)):
         coarse, fine = (
-            keeping.changes(keeping.free_body(), tx.RKMK(tableau), 0.5 / count, (count,))["linear momentum"].absolute[0]
+            invariants.changes(invariants.free_body(), tx.RKMK(tableau), 0.5 / count, (count,))[
+                "linear momentum"
+            ].absolute[0]
             for count in (25, 50)
         )
         assert 0.6 * factor < coarse / fine < 1.6 * factor
@@ -137,25 +143,25 @@ def test_changes_shrink_with_the_order() -> None:
 
 @pytest.mark.slow
 def test_both_loops_end_alike() -> None:
-    found = steps.looped(tx.RKMK(tx.tableaus.HEUN), 200)
-    assert all(each.seconds > 0.0 and each.compile_seconds > 0.0 for each in found.values())
+    race = Race(lambda: steps.looped(tx.RKMK(tx.tableaus.HEUN), 200), 1e-12, Repeats(1, 1))
+    assert all(it.seconds > 0.0 and it.compile_seconds > 0.0 for it in race.programs.values())
 
 
 def test_c_steps_the_same_body_and_the_difference_sees_another(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     """With another drag the ends are far more than the bar apart; without a compiler it says so."""
     monkeypatch.setattr(steps.shutil, "which", lambda name: None)
     with pytest.raises(Absent, match="no gcc on this machine"):
-        steps.beside_c.__wrapped__(2_000)
+        steps.beside_c(2_000)
     monkeypatch.undo()
     if steps.shutil.which("gcc") is None:
         pytest.skip("needs gcc")
-    monkeypatch.setattr(steps, "_REPEATS", steps.Repeats(1, 1))
-    assert len(steps.beside_c.__wrapped__(2_000)) == 3
+    race = lambda: Race(lambda: steps.beside_c(2_000), steps.BESIDE_C.bar, Repeats(1, 1), steps.BESIDE_C.read)  # noqa: E731
+    assert len(race().programs) == 3
     changed = tmp_path / "rkmk4.c"
     changed.write_text(steps.SOURCE.read_text().replace("DRAG = 0.1;", "DRAG = 0.1001;"))
     monkeypatch.setattr(steps, "SOURCE", changed)
     with pytest.raises(RuntimeError, match="DISAGREES"):
-        steps.beside_c.__wrapped__(2_000)
+        race().programs  # noqa: B018
 
 
 # ---- scalars and kernels ---------------------------------------------------------------------------------------------

@@ -20,24 +20,15 @@ import twistax as tx
 from twistax import progress
 from twistax.__main__ import main
 from twistax.report import command
-from twistax.report.checks import (
-    Absent,
-    Check,
-    Checked,
-    Ended,
-    agree,
-    at_most,
-    between,
-    draw,
-    either,
-    ends,
-    refused,
-    simulated,
-)
 from twistax.report.command import run_report
-from twistax.report.page import Picture, duration, render, renew, table_of
-from twistax.report.rows import Origin, Row, Store, number, plain, save_csv
-from twistax.report.timing import Repeats, Timed, compiled, in_turn
+from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, either, ends, refused, simulated
+from twistax.report.harness.measurement import Measurement, explained, quick, table
+from twistax.report.harness.page import PageFigure, render, renew, table_of, texts
+from twistax.report.harness.report import SectionReport, draw
+from twistax.report.harness.rows import ReportRow, duration, number, plain
+from twistax.report.harness.store import Origin, Store, save_csv
+from twistax.report.harness.timing import Race, Repeats, Timed, agree, compiled, in_turn
+from twistax.report.registry import FIGURES, OPTIMAL, STABILITY
 
 LOST = tx.IntegrationError("state 'x' became infinite\n  fix: none")
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
@@ -59,7 +50,7 @@ def test_measured_numbers_have_two_or_three_digits() -> None:
 
 def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Path) -> None:
     path = tmp_path / "rows.json"
-    row = Row("scene", "one call", "RK4", "steps 8", math.nan, "s", numbers={"error": 1e-3, "fastest": math.nan})
+    row = ReportRow("scene", "one call", "RK4", "steps 8", math.nan, "s", numbers={"error": 1e-3, "fastest": math.nan})
     Store(path, ORIGIN).add([row])
     again = Store(path, ORIGIN)
     assert (len(again), again.dropped) == (1, 0)
@@ -76,7 +67,8 @@ def test_rows_come_back_from_disk_until_something_else_is_measured(tmp_path: Pat
 
 def test_a_table_has_each_column_once(tmp_path: Path) -> None:
     save_csv(
-        tmp_path / "rows.csv", [Row("scene", "one call", "RK4", "steps 8", 1.0, numbers={"setting": 8.0, "error": 2.0})]
+        tmp_path / "rows.csv",
+        [ReportRow("scene", "one call", "RK4", "steps 8", 1.0, numbers={"setting": 8.0, "error": 2.0})],
     )
     head, row = (line.split(",") for line in (tmp_path / "rows.csv").read_text().splitlines())
     assert len(set(head)) == len(head)
@@ -123,15 +115,15 @@ def test_numbers_are_held_against_bars() -> None:
     assert between(4.0).met(4.0)
     assert not between(4.0).met(3.9)
     assert between(4.8, 5.2).text == "at least 4.8, at most 5.2"
-    assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(Ended(tx.Result.MAX_STEPS, 0.1))
+    assert either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(EarlyEnd(tx.Result.MAX_STEPS, 0.1))
     assert not either(at_most(1.0), ends(tx.Result.MAX_STEPS)).met(2.0)
 
 
 def test_an_end_needs_its_name_and_its_time() -> None:
     expected = ends(tx.Result.NON_FINITE, 0.9, 1.1)
-    assert expected.met(Ended(tx.Result.NON_FINITE, 1.0))
-    assert not expected.met(Ended(tx.Result.NON_FINITE, 1.2))
-    assert not expected.met(Ended(tx.Result.MAX_STEPS, 1.0))
+    assert expected.met(EarlyEnd(tx.Result.NON_FINITE, 1.0))
+    assert not expected.met(EarlyEnd(tx.Result.NON_FINITE, 1.2))
+    assert not expected.met(EarlyEnd(tx.Result.MAX_STEPS, 1.0))
 
 
 def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
@@ -143,16 +135,33 @@ def test_an_error_needs_its_type_and_its_words_in_the_first_line() -> None:
 def test_an_integration_that_ends_early_raises_how_and_when() -> None:
     x = tx.State("x")
     growing = tx.compile(tx.System(rates={x: x * x}))
-    with pytest.raises(Ended, match="NON_FINITE at t = 1") as ended:
+    with pytest.raises(EarlyEnd, match="NON_FINITE at t = 1") as ended:
         simulated(growing, {"x": 1.0}, t1=2.0, dt=0.02)
     assert ended.value.result is tx.Result.NON_FINITE
 
 
 def test_results_must_agree_before_times_count() -> None:
     agree(1e-12, 1e-9)
-    for apart in (1e-8, math.nan):
+    for size in (1e-8, math.nan):
         with pytest.raises(RuntimeError, match="DISAGREES by"):
-            agree(apart, 1e-9)
+            agree(size, 1e-9)
+
+
+def test_a_race_compares_first_and_is_run_once() -> None:
+    calls: list[str] = []
+
+    def programs(error: float) -> dict[str, Timed]:
+        calls.append("made")
+        return {"one": Timed(lambda: np.ones(2)), "two": Timed(lambda: np.array([1.0, 1.0 + error]), 2)}
+
+    race = Race(lambda: programs(1e-10), 1e-9, Repeats(2, 1))
+    assert race.ratio("two", "one") == race.seconds("two") / race.seconds("one")
+    assert race.seconds("one", 1e-3) == pytest.approx(1e3 * race.seconds("one"))
+    assert calls == ["made"]
+    assert race.programs["two"].samples
+    for error in (1e-8, math.nan):
+        with pytest.raises(RuntimeError, match="DISAGREES by"):
+            Race(lambda error=error: programs(error), 1e-9, Repeats(2, 1)).ratio("two", "one")
 
 
 # ---- a report of checks ----------------------------------------------------------------------------------------------
@@ -165,28 +174,28 @@ def raising(error: Exception) -> Callable[[], float]:
     return measure
 
 
-def section(*more: Check) -> list[str | Check]:
-    lost = raising(Ended(tx.Result.NON_FINITE, 0.5))
+def section(*more: Measurement) -> list[str | Measurement]:
+    lost = raising(EarlyEnd(tx.Result.NON_FINITE, 0.5))
     return [
         "Short steps.",
-        Check("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
+        Measurement("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
         "Long steps.",
-        Check("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
+        Measurement("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
         "Too long steps.",
-        Check("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
+        Measurement("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
         "For a test.",
         *more,
     ]
 
 
-SILENT = Check("a silent one", "RK4", at_most(1.0), lambda: math.nan)
-ABSENT = Check("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
-BROKEN = Check("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
+SILENT = Measurement("a silent one", "RK4", at_most(1.0), lambda: math.nan)
+ABSENT = Measurement("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
+BROKEN = Measurement("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
 
 
 def run(
     folder: Path,
-    *more: Check,
+    *more: Measurement,
     quick: bool = False,
     again: bool = False,
     renew: Any = None,
@@ -207,7 +216,7 @@ def run(
         method=None,
         case=None,
     )
-    return run_report(Checked("stability", {"long": section(*more)}, given), given)
+    return run_report(SectionReport("stability", {"long": section(*more)}, given), given)
 
 
 def test_a_run_writes_page_figure_and_tables_and_goes_on(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
@@ -261,7 +270,7 @@ def test_without_matplotlib_everything_but_the_figures_is_there(
 
 
 def test_the_figure_shows_numbers_and_ends() -> None:
-    placed = [(check.run(), check.place) for check in section() if isinstance(check, Check)]
+    placed = [(check.run(), check.place) for check in section() if isinstance(check, Measurement)]
     text = draw(placed, {"title": "Made up", "axes": ["step", "error"]}).decode()
     assert "Made up" in text
     assert "x: ends by name" in text
@@ -269,13 +278,31 @@ def test_the_figure_shows_numbers_and_ends() -> None:
 
 def test_a_wide_table_has_a_column_for_each_contender_and_bars_they_share_in_its_head() -> None:
     rows = [
-        Row("g", "exp", "float64", value=2.0, unit="ulp", bar="at most 8 ulp", holds=True),
-        Row("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
-        Row("g", "log", "float32", value=3.0, unit="ulp"),
+        ReportRow("g", "exp", "float64", value=2.0, unit="ulp", bar="at most 8 ulp", holds=True),
+        ReportRow("g", "log", "float64", value=9.0, unit="ulp", bar="at most 8 ulp", holds=False),
+        ReportRow("g", "log", "float32", value=3.0, unit="ulp"),
     ]
     head, table, _ = table_of(rows, wide=True)
     assert head == ["", "float64 (at most 8 ulp)", "float32"]
     assert table == [["exp", "2 ulp", ""], ["log", "**9 ulp MISSED**", "3 ulp"]]
+
+
+def test_a_table_measures_each_column_of_each_row() -> None:
+    columns = {"double": (at_most(5.0), lambda x: 2.0 * x), "off": (lambda x: at_most(x - 2.0), lambda x: abs(x))}
+    rows = [it.run("g") for it in table({"two": 2.0, "three": 3.0}, columns, quick)]
+    assert [(row.what, row.by, row.came, row.bar, row.verdict) for row in rows] == [
+        ("two", "double", "4", "at most 5", "holds"),
+        ("two", "off", "2", "at most 0", "MISSED"),
+        ("three", "double", "6", "at most 5", "MISSED"),
+        ("three", "off", "3", "at most 1", "MISSED"),
+    ]
+    assert all(it.slow for it in table({"two": 2.0}, columns))
+
+
+def test_every_section_has_words_and_every_word_a_section() -> None:
+    for report, sections in (("stability", STABILITY), ("figures", FIGURES), ("optimal", OPTIMAL)):
+        assert set(texts(report)["sections"]) == set(sections)
+        assert all(list(explained(section)) for section in sections.values())
 
 
 # ---- pages -----------------------------------------------------------------------------------------------------------
@@ -288,7 +315,7 @@ def test_a_page_is_safe_html_and_plain_markdown() -> None:
     assert "<title>a &lt; b</title>" in page
     assert '<td class="word">a | <code>x &lt; 1</code></td><td><strong>1</strong></td>' in page
     assert "http" not in page
-    assert Picture("a.svg", b"<svg/>").data.startswith("data:image/svg+xml;base64,")
+    assert PageFigure("a.svg", b"<svg/>").data.startswith("data:image/svg+xml;base64,")
 
 
 def test_tables_of_a_document_are_renewed_and_its_prose_is_kept(tmp_path: Path) -> None:
@@ -311,7 +338,7 @@ def test_only_whole_tables_are_put_into_a_document(tmp_path: Path, capsys: pytes
     document.write_text(f"<!-- stability: long -->\n{stale}<!-- figures: a -->\n{stale}<!-- speed: bars -->\n{stale}")
     for name, group, whole in (("figures", "a", True), ("speed", "bars", False)):
         store = Store(tmp_path / f"{name}.json", ORIGIN)
-        store.save([Row(group, "it", "us", value=3.0)], whole)
+        store.save([ReportRow(group, "it", "us", value=3.0)], whole)
     assert run(tmp_path, renew=document, only=["long"]) == 0
     assert "renewed   " in (told := capsys.readouterr().out)
     assert "measured.md: stability: long\n" in told
@@ -384,7 +411,7 @@ def test_an_interrupted_run_says_how_to_go_on(
     def interrupt(*_: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(Checked, "measure", interrupt)
+    monkeypatch.setattr(SectionReport, "measure", interrupt)
     assert main(["report", "--figures", "--out", str(tmp_path)]) == 130
     assert "interrupted; the same command goes on" in capsys.readouterr().err
 
@@ -393,7 +420,7 @@ def test_options_are_read_before_anything_heavy_is_loaded() -> None:
     code = (
         "import sys, contextlib, twistax.__main__ as m\n"
         "with contextlib.suppress(SystemExit): m.main(['report', '--fast'])\n"
-        "print([n for n in sys.modules if n.startswith(('diffrax', 'jinja2', 'matplotlib', 'twistax.report.checks'))])"
+        "print([n for n in sys.modules if n.startswith(('diffrax', 'jinja2', 'matplotlib', 'twistax.report.harness'))])"
     )
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.strip() == "[]"

@@ -8,8 +8,9 @@ import pytest
 from scipy.integrate import solve_ivp
 
 import twistax as tx
-from twistax.report.checks import Absent
-from twistax.report.sections import OPTIMAL, optimal, problems
+from twistax.report.harness.expected import Absent
+from twistax.report.registry import OPTIMAL
+from twistax.report.sections import optimal, problems
 
 
 def test_every_problem_is_asked_the_same() -> None:

@@ -15,11 +15,12 @@ import pytest
 
 import twistax as tx
 from twistax.report.command import run_report
-from twistax.report.rows import Origin, Row, Store
+from twistax.report.harness.rows import ReportRow
+from twistax.report.harness.store import Origin, Store
+from twistax.report.harness.timing import Repeats, Timed
 from twistax.report.speed import page
-from twistax.report.speed.cases import CASES, FREE_BODY, Case
+from twistax.report.speed.cases import CASES, FREE_BODY, EvaluatedFunction
 from twistax.report.speed.contenders import (
-    CASADI,
     JACOBIAN,
     LOOP,
     PLAIN,
@@ -27,14 +28,15 @@ from twistax.report.speed.contenders import (
     SINGLE,
     VALUE,
     Contender,
+    DerivativeKind,
     Lacks,
-    Quantity,
     Task,
     batch,
+    relative_difference,
     values,
 )
-from twistax.report.speed.page import QUICK, apart, measure
-from twistax.report.timing import Repeats, Timed
+from twistax.report.speed.page import QUICK, measure
+from twistax.report.speed.peers import CASADI
 
 ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, cases=("free-body",), largest=64, repeats=Repeats(2, 1, 1e-3))
@@ -62,7 +64,7 @@ class Pretending:
 
 
 def pretender(name: str, factor: float = 1.0, seconds: float = 0.1, refuses: str = "", needs: str = "") -> Contender:
-    def task(case: Case, quantity: Quantity) -> Task:
+    def task(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
         return Pretending(quantity.shape(case), factor, seconds, refuses)
 
     return Contender(name, "C0", task, tool=needs)
@@ -133,8 +135,8 @@ def test_what_was_measured_is_kept(tmp_path: Path, capsys: pytest.CaptureFixture
 
 
 def test_bars_are_ratios_and_seconds_to_compile() -> None:
-    def row(by: str, value: float, use: str = "in a loop") -> Row:
-        return Row("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
+    def row(by: str, value: float, use: str = "in a loop") -> ReportRow:
+        return ReportRow("aba-7", "value", by, use, value, numbers={"compile_seconds": 2.0})
 
     found = {
         (each.by, each.setting): each
@@ -149,7 +151,9 @@ def test_bars_are_ratios_and_seconds_to_compile() -> None:
     assert found["twistax native", "over CasADi C"].verdict == "not run"
 
 
-def measured(store: Store, contenders: Sequence[Contender], case: Case = CASES["free-body"]) -> dict[Any, Row]:
+def measured(
+    store: Store, contenders: Sequence[Contender], case: EvaluatedFunction = CASES["free-body"]
+) -> dict[Any, ReportRow]:
     measure(case, VALUE, [SINGLE, LOOP, batch(8)], contenders, SHORT, store)
     return {(row.by, row.setting): row for row in store}
 
@@ -181,7 +185,7 @@ def test_what_compiles_for_too_long_is_not_compiled_again(tmp_path: Path) -> Non
 
 
 def test_a_failure_of_a_peer_ends_its_row_alone(tmp_path: Path) -> None:
-    def task(case: Case, quantity: Quantity) -> Task:
+    def task(case: EvaluatedFunction, quantity: DerivativeKind) -> Task:
         raise RuntimeError("RESOURCE_EXHAUSTED: Out of memory\nand more")
 
     rows = measured(Store(tmp_path / "rows.json", ORIGIN), [pretender("ours"), Contender("peer", "C1", task)])
@@ -191,11 +195,11 @@ def test_a_failure_of_a_peer_ends_its_row_alone(tmp_path: Path) -> None:
 
 def test_the_difference_is_relative_to_the_largest_entry_of_a_point() -> None:
     reference = np.array([[1.0, 2.0], [100.0, 0.0]])
-    assert apart(reference, reference, 1) == 0.0
-    assert apart(reference + np.array([[0.0, 0.0], [0.0, 1.0]]), reference, 1) == pytest.approx(1e-2)
-    assert apart(reference + np.array([[1.0, 0.0], [0.0, 0.0]]), reference, 1) == pytest.approx(0.5)
-    assert apart(reference[:, :1], reference, 1) == np.inf
-    assert apart(np.full((2, 2), np.nan), reference, 1) == np.inf
+    assert relative_difference(reference, reference, 1) == 0.0
+    assert relative_difference(reference + np.array([[0.0, 0.0], [0.0, 1.0]]), reference, 1) == pytest.approx(1e-2)
+    assert relative_difference(reference + np.array([[1.0, 0.0], [0.0, 0.0]]), reference, 1) == pytest.approx(0.5)
+    assert relative_difference(reference[:, :1], reference, 1) == np.inf
+    assert relative_difference(np.full((2, 2), np.nan), reference, 1) == np.inf
 
 
 def test_ours_and_plain_jax_agree_in_every_use(tmp_path: Path) -> None:
@@ -220,9 +224,9 @@ def test_c_of_casadi_gives_what_the_matrices_give() -> None:
     for quantity in (VALUE, JACOBIAN):
         ours, task = PLAIN.task(case, quantity), CASADI.task(case, quantity)
         expected = values(ours.batch(3))
-        assert apart(values(task.batch(3)), expected, len(quantity.shape(case))) < 1e-13
-        assert apart(values(task.loop(5)), expected[0], len(quantity.shape(case))) < 1e-13
-        assert apart(values(task.single()), expected[0], len(quantity.shape(case))) < 1e-13
+        assert relative_difference(values(task.batch(3)), expected, len(quantity.shape(case))) < 1e-13
+        assert relative_difference(values(task.loop(5)), expected[0], len(quantity.shape(case))) < 1e-13
+        assert relative_difference(values(task.single()), expected[0], len(quantity.shape(case))) < 1e-13
 
 
 def test_parts_of_a_result_are_joined_for_the_comparison_alone() -> None:

@@ -2,9 +2,9 @@
 
 import pytest
 
-from twistax.report.checks import Check, explained
-from twistax.report.page import texts
-from twistax.report.sections import STABILITY
+from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.page import texts
+from twistax.report.registry import STABILITY
 
 #: Sections that take long to compile, beside the rows that take long to run.
 SLOW = ("stiff", "single", "jumps", "long", "statuses")
@@ -20,7 +20,7 @@ CHECKS = [
 
 
 @pytest.mark.parametrize("check", CHECKS)
-def test_the_row_is_what_was_asked_for(check: Check) -> None:
+def test_the_row_is_what_was_asked_for(check: Measurement) -> None:
     row = check.run()
     assert row.holds, f"{row.came}; asked for: {row.bar}"
 

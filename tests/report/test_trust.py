@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.report.sections import OPTIMAL, problems, trust
+from twistax.report.registry import OPTIMAL
+from twistax.report.sections import problems, trust
 from twistax.report.sections.curvature import is_saddle
 from twistax.report.sections.packed import packed
 from twistax.report.sections.problems import Known
@@ -34,7 +35,7 @@ def test_a_restated_problem_is_the_same_in_other_units() -> None:
     objective = tx.Minimize(tx.Time() * x, running=u @ u)
     times = {"final_time": (1.0, 6.0), "final_time_guess": 2.0}
     plain = tx.trajectory.Problem(tx.compile(system), objective, nodes=2, **times, **ends)
-    found = trust.Restated(10.0, 100.0, {"x": 4.0, "v": 3.0, "u": 2.0})(plain)._stated
+    found = trust.Restated(10.0, 100.0, {"x": 4.0, "v": 3.0, "u": 2.0})(plain).stated
     system = found["dynamics"].system
     rates = tx.lower([*system.rates.values()])(20.0, {"v": 0.7}, {"u": [40.0]})
     # In old units t = 2, x = 3, v = 7, u = 4.
@@ -62,7 +63,7 @@ def test_a_packed_problem_is_the_same_with_one_vector() -> None:
     guess = {x: [1.0, 1.5, 2.0], u: np.full(3, 0.25)}
     objective = tx.Minimize(x, running=u @ u + v[1])
     plain = tx.trajectory.Problem(tx.compile(system), objective, nodes=3, final_time=1.0, guess=guess, **ends)
-    found = packed(plain)._stated
+    found = packed(plain).stated
     own = found["dynamics"].system
     (whole,) = (s for s in own.states if s.name == "x")
     np.testing.assert_array_equal(whole.min, [-1.0, -np.inf, -np.inf])
@@ -88,11 +89,11 @@ def test_phases_are_restated_with_their_links() -> None:
     first = tx.trajectory.Phase(dynamics, nodes=2, final_time=(1.0, 2.0), initial={m: 3.0})
     plain = tx.trajectory.Problem([first, last], links=[{m: m - 1.0}])
     found = trust.Restated(10.0, 1.0, {"m": 4.0, "u": 2.0})(plain)
-    (link,) = found._stated["links"]
+    (link,) = found.stated["links"]
     (left,) = tx.lower([*link.values()])(0.0, {"m": 20.0})
     assert float(left) == 10.0
-    assert [phase.final_time for phase in found._phases] == [(10.0, 20.0), 20.0]
-    assert [phase.final_time_guess for phase in found._phases] == [15.0, 20.0]
+    assert [phase.final_time for phase in found.phases] == [(10.0, 20.0), 20.0]
+    assert [phase.final_time_guess for phase in found.phases] == [15.0, 20.0]
     (state,), (control,) = found.parts[0].dynamics.states, found.parts[0].dynamics.controls
     assert (float(state.scale), float(control.guess)) == (20.0, 0.05)
 

@@ -13,15 +13,15 @@ import pytest
 
 import twistax as tx
 from twistax.__main__ import main
-from twistax.report.rows import Origin, Store
-from twistax.report.timing import Repeats
-from twistax.report.work_precision import contenders, page
-from twistax.report.work_precision.contenders import (
-    CONTENDERS,
+from twistax.report.harness.store import Origin, Store
+from twistax.report.harness.timing import Repeats
+from twistax.report.work_precision import integrators, page
+from twistax.report.work_precision.integrators import (
+    INTEGRATORS,
     QUICK,
-    Contender,
     Counts,
-    Program,
+    Integrator,
+    SceneProgram,
     measure_scene,
     tolerances,
 )
@@ -32,14 +32,14 @@ ORIGIN = Origin({"jax": "1"}, "abc", "a machine", {})
 SHORT = dataclasses.replace(QUICK, tolerances=tolerances(-6, -9, 1), repeats=Repeats(4, 2, 0.05))
 
 
-def pretended(scene: Scene) -> Program:
+def pretended(scene: Scene) -> SceneProgram:
     """Knows the answer, and misses it by the tolerance."""
 
     def solve(start: Any, tolerance: jax.Array) -> tuple[Any, Counts]:
         good = tolerance > 3e-9
         return start["w"] + tolerance, Counts(jnp.asarray(3), jnp.asarray(1), jnp.asarray(24), good)
 
-    return Program({"w": jnp.asarray(scene.end["w"])}, solve, lambda w: {**scene.end, "w": w})
+    return SceneProgram({"w": jnp.asarray(scene.end["w"])}, solve, lambda w: {**scene.end, "w": w})
 
 
 def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
@@ -74,12 +74,12 @@ def test_a_run_leaves_tables_figures_and_a_page_and_goes_on_where_it_stopped(
     fastest = min((row for row in table if float(row["error"]) < 1e-6), key=lambda row: float(row["value"]))
     for name in ("report.md", "report.html"):
         text = (tmp_path / name).read_text()
-        assert f"(6 digits). Fastest: {CONTENDERS[fastest['by']].title} on Euler top." in text
+        assert f"(6 digits). Fastest: {INTEGRATORS[fastest['by']].title} on Euler top." in text
         assert document["machine"] in text
     assert (tmp_path / "figures/euler-top.svg").stat().st_size < 150_000
 
     # The same again runs nothing; where rows are missing, only those are run.
-    monkeypatch.setattr(contenders, "_first_run", pytest.fail)
+    monkeypatch.setattr(integrators, "_first_run", pytest.fail)
     assert main(words) == 0
     assert "   0 rows" in capsys.readouterr().out
     monkeypatch.undo()
@@ -105,7 +105,7 @@ def test_a_wrong_answer_ends_in_status_1(
 
 def test_rows_say_what_happened(tmp_path: Path) -> None:
     store = Store(tmp_path / "rows.json", ORIGIN)
-    assert measure_scene(TOP, [Contender("pretended", pretended)], SHORT, store) == {}
+    assert measure_scene(TOP, [Integrator("pretended", pretended)], SHORT, store) == {}
     rows = {row.numbers["setting"]: row for row in store}
     assert list(rows) == [1e-6, 1e-7, 1e-8, 1e-9]
     size = float(np.linalg.norm(TOP.end["w"]))
@@ -120,17 +120,17 @@ def test_rows_say_what_happened(tmp_path: Path) -> None:
 
 
 def test_a_method_that_cannot_run_a_scene_is_named(tmp_path: Path) -> None:
-    def refusing(scene: Scene) -> Program:
+    def refusing(scene: Scene) -> SceneProgram:
         raise tx.ModelError("the rate depends on the pose\n  fix: another method")
 
     store = Store(tmp_path / "rows.json", ORIGIN)
-    refused = measure_scene(TOP, [Contender("refusing", refusing)], SHORT, store)
+    refused = measure_scene(TOP, [Integrator("refusing", refusing)], SHORT, store)
     assert refused == {"refusing": "the rate depends on the pose"}
 
 
 def test_diffrax_in_one_call_is_compiled_as_one_small_function() -> None:
     """Otherwise the comparison would flatter us."""
     for name, small in (("diffrax-tsit5-call", True), ("diffrax-tsit5", False)):
-        program = CONTENDERS[name].build(TOP)
+        program = INTEGRATORS[name].build(TOP)
         text = jax.jit(program.solve).lower(program.start, jnp.asarray(1e-6)).compile().as_text()
         assert ('inlineable="false"' in text) == small

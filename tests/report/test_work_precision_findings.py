@@ -6,19 +6,12 @@ from typing import Any
 
 import pytest
 
-from twistax.report.page import render
-from twistax.report.rows import Origin, Row
-from twistax.report.work_precision.contenders import CONTENDERS, OURS, QUICK, WHAT, equal_steps, tolerances
-from twistax.report.work_precision.page import (
-    LONG,
-    STIFF,
-    Curve,
-    Findings,
-    bar_rows,
-    context,
-    doubts,
-    suited,
-)
+from twistax.report.harness.page import render
+from twistax.report.harness.rows import ReportRow
+from twistax.report.harness.store import Origin
+from twistax.report.work_precision.findings import Curve, Findings, bar_rows, doubts
+from twistax.report.work_precision.integrators import INTEGRATORS, OURS, QUICK, WHAT, equal_steps, tolerances
+from twistax.report.work_precision.page import LONG, STIFF, context, suited
 from twistax.scenes import SCENES
 
 
@@ -52,13 +45,15 @@ def row(
     setting: float = 1e-8,
     unit: str = "tolerance",
     note: str = "done",
-) -> Row:
+) -> ReportRow:
     numbers = {"setting": setting, "error": error, "compile_seconds": 0.5}
     numbers |= {"evaluations": 100.0, "accepted": 10.0, "rejected": 1.0}
-    return Row(scene, WHAT, method, f"{unit} {setting:g}", seconds, "s", note=note, sitting="then", numbers=numbers)
+    return ReportRow(
+        scene, WHAT, method, f"{unit} {setting:g}", seconds, "s", note=note, sitting="then", numbers=numbers
+    )
 
 
-def runs(scene: str, method: str, scale: float, order: int) -> list[Row]:
+def runs(scene: str, method: str, scale: float, order: int) -> list[ReportRow]:
     """Time scale * error^(-1 / order), so that time at 1e-6 is scale * 10^(6 / order)."""
     settings = [10.0**-k for k in range(4, 12)]
     return [row(error, scale * error ** (-1.0 / order), scene, method, error) for error in settings]
@@ -123,7 +118,7 @@ def test_a_method_that_was_stopped_early_may_still_be_right() -> None:
 def test_what_disagrees_is_not_compared() -> None:
     wrong = [row(1e-4, 1e-9, method="tsit5", setting=s) for s in (1e-5, 1e-7)]
     findings = Findings([*wrong, *runs("euler-top", "dop853", 1e-4, 8)])
-    assert findings.curve("euler-top", CONTENDERS["tsit5"]) == ()
+    assert findings.curve("euler-top", INTEGRATORS["tsit5"]) == ()
 
 
 def test_bars_take_the_better_rival_and_the_better_controller() -> None:
@@ -140,7 +135,7 @@ def test_the_page_names_whoever_is_fastest() -> None:
     refused = {("magnus6", "rates read a pose"): ["rocket", "heavy-top"]}
     for fast, slow in (("dop853", "tsit5"), ("tsit5", "dop853")):
         for text in pages(found(**{fast: 1.0, slow: 3.0}), refused=refused):
-            assert f"Fastest: {CONTENDERS[fast].title} on Euler top." in text
+            assert f"Fastest: {INTEGRATORS[fast].title} on Euler top." in text
             assert "a machine" in text
             assert "magnus6 does not run rocket, heavy-top: rates read a pose." in text
             assert "they need matplotlib" in text
@@ -148,10 +143,10 @@ def test_the_page_names_whoever_is_fastest() -> None:
 
 def test_stiff_scenes_have_their_own_methods_and_their_own_advice() -> None:
     assert {*STIFF, *LONG} < set(SCENES)
-    assert all("radau5" in suited(CONTENDERS, scene) and "dop853" not in suited(CONTENDERS, scene) for scene in STIFF)
-    assert all("dop853" in suited(CONTENDERS, scene) and "rk4" not in suited(CONTENDERS, scene) for scene in LONG)
-    assert "rk4" in suited(CONTENDERS, "euler-top")
-    assert "radau5" not in suited(CONTENDERS, "euler-top")
+    assert all("radau5" in suited(INTEGRATORS, scene) and "dop853" not in suited(INTEGRATORS, scene) for scene in STIFF)
+    assert all("dop853" in suited(INTEGRATORS, scene) and "rk4" not in suited(INTEGRATORS, scene) for scene in LONG)
+    assert "rk4" in suited(INTEGRATORS, "euler-top")
+    assert "radau5" not in suited(INTEGRATORS, "euler-top")
     # What is fast on one kind does not count on the other, and no method has to run both.
     rows = [
         *runs("euler-top", "dop853", 1.0, 8),
@@ -213,7 +208,7 @@ def test_ladders_go_from_coarse_to_fine() -> None:
 
 
 def test_every_line_has_a_name_of_its_own() -> None:
-    lines = {(each.title, each.code, each.side, each.style, each.drawn) for each in CONTENDERS.values()}
+    lines = {(each.title, each.code, each.provider, each.style, each.drawn) for each in INTEGRATORS.values()}
     assert len({title for title, *_ in lines}) == len(lines)
-    assert all(name == contender.name for name, contender in CONTENDERS.items())
-    assert sum(side == OURS for _, _, side, _, _ in lines) >= 10
+    assert all(name == it.name for name, it in INTEGRATORS.items())
+    assert sum(provider == OURS for _, _, provider, _, _ in lines) >= 10

@@ -8,6 +8,11 @@ from typing import Any
 import numpy as np
 from scipy.integrate import solve_ivp
 
+from oracles import skew
+from twistax.scenes import scene
+
+about, rotation_angle = scene.about, scene.rotation_angle
+
 Array = np.ndarray
 Rates = Callable[[Any, Mapping[str, Array]], dict[str, Array]]
 
@@ -32,16 +37,12 @@ def scipy_solution(rates: Rates, start: Mapping[str, Any], t0: float, t1: float)
     return unpacked(solution.y[:, -1])
 
 
-def hat(a: Array) -> Array:
-    return np.array([[0.0, -a[2], a[1]], [a[2], 0.0, -a[0]], [-a[1], a[0], 0.0]])
-
-
 def spinning(J: Any) -> Rates:
     """Euler's equations and R' = R [w]x."""
     J = np.asarray(J, float)
 
     def rates(t: float, y: Mapping[str, Array]) -> dict[str, Array]:
-        W = hat(y["w"])
+        W = skew(y["w"])
         return {"R": y["R"] @ W, "w": -(W @ (J * y["w"])) / J}
 
     return rates
@@ -52,10 +53,10 @@ def tumbling(center: Array, inertia: Array) -> Rates:
 
     def rates(t: float, y: Mapping[str, Array]) -> dict[str, Array]:
         R, v, w = y["g"][:3, :3], y["V"][:3], y["V"][3:]
-        W = hat(w)
+        W = skew(w)
         # 0 = a_origin + w' x c + w x (w x c) with a_origin = v' + w x v;  0 = I w' + w x I w
         turning = np.linalg.solve(inertia, -W @ inertia @ w)
-        moving = -W @ v - hat(turning) @ center - W @ W @ center
+        moving = -W @ v - skew(turning) @ center - W @ W @ center
         rate = np.zeros((4, 4))
         rate[:3, :3], rate[:3, 3] = R @ W, R @ v
         return {"g": rate, "V": np.concatenate([moving, turning])}

@@ -20,8 +20,9 @@ from typing import Any
 
 import numpy as np
 
-from twistax.mechanics.environment import gravity
+from twistax.mechanics import environment
 from twistax.scenes import (
+    Scene,
     actuator_lag,
     check_cases,
     heavy_top,
@@ -31,7 +32,9 @@ from twistax.scenes import (
     stiff_attitude,
     stiff_joint,
 )
-from twistax.scenes.scene import Array, Scene, about, cross_matrix
+from twistax.scenes import scene as tools
+
+about, cross_matrix, Array = tools.about, tools.cross_matrix, np.ndarray
 
 Values = Mapping[str, Array]
 
@@ -120,7 +123,7 @@ def _spring_bodies(t: Any, y: Values, params: Values) -> dict[str, Array]:
 
 
 def _tumbling_brick(t: Any, y: Values, params: Values) -> dict[str, Array]:
-    earth, g = gravity.EARTH_J2, y["g"]
+    earth, g = environment.gravity.EARTH_J2, y["g"]
     fall = g[:3, :3].T @ _gravity(g[:3, 3], earth.gm, earth.radius, earth.j2)
     return dict(zip(("g", "V"), _body(g, y["V"], 1, params["inertia"], fall, np.zeros(3))))
 

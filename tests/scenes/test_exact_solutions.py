@@ -6,13 +6,10 @@ from typing import Any
 import mpmath as mp
 import numpy as np
 import pytest
-from scene_oracles import scipy_solution, spinning, tumbling
+from scene_oracles import about, rotation_angle, scipy_solution, spinning, tumbling
 from scene_references import REFERENCES
 
-from twistax.scenes import SCENES, offset_tumble
-from twistax.scenes.free_rotation import SymmetricBody, TriaxialBody
-from twistax.scenes.heavy_top import INERTIA, MOMENT, LagrangeTop
-from twistax.scenes.scene import about, rotation_angle
+from twistax.scenes import SCENES, free_rotation, heavy_top, offset_tumble
 
 R0 = about((1.0, 0.0, 0.0), 0.6)
 #: Extended precision is a double on some machines.
@@ -47,7 +44,7 @@ def test_any_order_of_moments_and_any_start(J: Any) -> None:
         [1e-9, 2.0, 1e-7],
         [0.0, 0.0, 2.0],
     ):
-        body = TriaxialBody(np.array(J), R0, np.array(w))
+        body = free_rotation.TriaxialBody(np.array(J), R0, np.array(w))
         if np.argsort(J)[1] == np.argmax(np.abs(w)) and min(np.abs(w)) < 1e-3:
             continue  # tends to the unstable spin
         truth = scipy_solution(spinning(J), {"R": R0, "w": np.array(w)}, 0.0, 6.0)
@@ -117,7 +114,7 @@ def test_the_symmetric_body_in_thirty_digits(name: str) -> None:
 def test_a_sphere_like_spin_needs_no_wobble() -> None:
     """Equal moments: a steady turn about the momentum."""
     w = np.array([0.3, -0.2, 0.5])
-    R, rate = SymmetricBody(2.0, 2.0, R0, w).at(3.0)
+    R, rate = free_rotation.SymmetricBody(2.0, 2.0, R0, w).at(3.0)
     size = np.linalg.norm(w)
     np.testing.assert_allclose(R, R0 @ about(w / size, 3.0 * size), atol=1e-15)
     np.testing.assert_allclose(rate, w, atol=1e-15)
@@ -143,7 +140,7 @@ def test_the_heavy_top_from_any_lean_and_phase(seed: int) -> None:
     R0 = about(z, rng.uniform(-3, 3)) @ about((1.0, 0.0, 0.0), rng.uniform(0.2, 2.8)) @ about(z, rng.uniform(-3, 3))
     w0 = rng.normal(size=3) * [1.0, 1.0, 6.0]
     truth = scipy_solution(lambda t, y: REFERENCES["heavy-top"].rates(t, y, {}), {"R": R0, "w": w0}, 0.0, 5.0)
-    R, w = LagrangeTop(INERTIA[0], INERTIA[2], MOMENT, R0, w0).at(5.0)
+    R, w = heavy_top.LagrangeTop(heavy_top.INERTIA[0], heavy_top.INERTIA[2], heavy_top.MOMENT, R0, w0).at(5.0)
     assert rotation_angle(truth["R"], R) < 1e-12
     np.testing.assert_allclose(w, truth["w"], rtol=0.0, atol=1e-12)
 
@@ -159,7 +156,7 @@ def test_the_heavy_top_after_long_in_thirty_digits() -> None:
     """Jacobi's functions, and precession and spin by quadrature over one period, in mpmath."""
     scene = SCENES["long-heavy-top"]
     with mp.workdps(30):
-        J1, J3, W = mp.mpf(INERTIA[0]), mp.mpf(INERTIA[2]), mp.mpf(MOMENT)
+        J1, J3, W = mp.mpf(heavy_top.INERTIA[0]), mp.mpf(heavy_top.INERTIA[2]), mp.mpf(heavy_top.MOMENT)
         n, w = ([mp.mpf(float(x)) for x in row] for row in (scene.start["R"][2], scene.start["w"]))
         spin, energy = J3 * w[2], J1 * (w[0] ** 2 + w[1] ** 2) / 2 + W * n[2]
         vertical = J1 * (n[0] * w[0] + n[1] * w[1]) + spin * n[2]

@@ -5,13 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_oracles import scipy_solution
+from scene_oracles import about, rotation_angle, scipy_solution
 from scene_references import REFERENCES, extrapolated, main
 from scipy import special
 
-from twistax.scenes import SCENES, check_cases, heavy_top, spring_bodies
-from twistax.scenes.free_rotation import TriaxialBody
-from twistax.scenes.scene import about, rotation_angle
+from twistax.scenes import SCENES, check_cases, free_rotation, heavy_top, spring_bodies
 
 #: Extended precision is a double on some machines.
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -110,7 +108,7 @@ def test_the_heavy_top_by_elliptic_functions() -> None:
 
 def test_the_brick_turns_as_an_euler_top() -> None:
     scene, body = SCENES["tumbling-brick"], check_cases.CASES[2]
-    top = TriaxialBody(np.array(body.inertia), scene.start["g"][:3, :3], np.array(body.rate))
+    top = free_rotation.TriaxialBody(np.array(body.inertia), scene.start["g"][:3, :3], np.array(body.rate))
     R, w = top.at(scene.duration)
     assert rotation_angle(R, scene.end["g"][:3, :3]) < 1e-14
     np.testing.assert_allclose(scene.end["V"][3:], w, rtol=0.0, atol=1e-15)

@@ -6,11 +6,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scene_oracles import rotation_angle
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax.scenes import SCENES, Scene
-from twistax.scenes.scene import rotation_angle
 
 RNG = np.random.default_rng(4)
 

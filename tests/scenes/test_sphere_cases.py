@@ -13,8 +13,7 @@ from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.mechanics import flight
-from twistax.scenes import published
-from twistax.scenes.spheres import SPHERES, SphereCase
+from twistax.scenes import published, spheres
 
 #: Inertial position in ft at 10, 20 and 30 s, of simulation 04. Source: the trajectories of NASA/TM-2015-218675. The
 #: z of the trajectories is round-off, below 1e-11 ft.
@@ -27,15 +26,15 @@ PUBLISHED = {
     9: ((2.09329391247e7, 24042.2830314), (2.09360184003e7, 46607.9152212), (2.09356958213e7, 68325.8218534)),
 }
 #: How far the nearest simulation is, m: over 1 Mach its density differs by 9e-7 of it.
-BARS = {number: 3e-5 if number < 9 else 2e-3 for number in SPHERES}
+BARS = {number: 3e-5 if number < 9 else 2e-3 for number in spheres.SPHERES}
 
 
 @functools.cache
 def dynamics(planet: flight.Planet, wind: flight.Wind) -> tx.Dynamics:
-    return tx.compile(SphereCase(0, "", planet, wind).system())
+    return tx.compile(spheres.SphereCase(0, "", planet, wind).system())
 
 
-def fly(case: SphereCase, **options: Any) -> tx.Solution:
+def fly(case: spheres.SphereCase, **options: Any) -> tx.Solution:
     system = dynamics(case.planet, case.wind)
     return tx.integrate(system, case.start(), **{"t1": published.DURATION, "dt": 1e-2, **options})
 
@@ -44,25 +43,25 @@ def fly(case: SphereCase, **options: Any) -> tx.Solution:
     "number", [n if n in (5, 6, 8, 9) else pytest.param(n, marks=pytest.mark.slow) for n in PUBLISHED]
 )
 def test_published_positions(number: int) -> None:
-    found = fly(SPHERES[number], save_at=[10.0, 20.0, 30.0]).xs["g"][:, :3, 3]
+    found = fly(spheres.SPHERES[number], save_at=[10.0, 20.0, 30.0]).xs["g"][:, :3, 3]
     expected = np.array([(*place, 0.0) for place in PUBLISHED[number]]) * 0.3048
     assert np.linalg.norm(found - expected, axis=1).max() < BARS[number]
 
 
 def test_the_radii_of_the_spreadsheet_are_not_those_of_the_trajectories() -> None:
-    start = SPHERES[4].start()["g"][0, 3]
+    start = spheres.SPHERES[4].start()["g"][0, 3]
     assert abs(start - 2.093225453051181e7 * 0.3048) < 1e-6  # simulation 05 at t = 0
     assert abs(start - (20902255.199 + 30000.0) * 0.3048) > 0.19
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", SPHERES)
+@pytest.mark.parametrize("number", spheres.SPHERES)
 def test_published_trajectories(number: int) -> None:
     """All times of all simulations, where somebody names their folder: TWISTAX_NASA=DIR."""
     folder = Path(os.environ.get("TWISTAX_NASA", ""), published.FOLDERS[number])
     if not folder.is_dir():
         pytest.skip(f"no published trajectories: set TWISTAX_NASA to a folder that has {folder.name}")
-    case = SPHERES[number]
+    case = spheres.SPHERES[number]
     ours = fly(case, save_at=published.TIMES).xs["g"][:, :3, 3]
     tracks = published.read(folder.parent, number, case.planet.figure)
     apart = {name: np.linalg.norm(track.position - ours, axis=1).max() for name, track in tracks.items()}
@@ -105,5 +104,5 @@ def by_scipy(velocity: list[float]) -> np.ndarray:
 
 @pytest.mark.parametrize(("number", "velocity"), [(9, [304.8, 304.8, 0.0]), (10, [304.8, 0.0, 304.8])])
 def test_scipy_agrees(number: int, velocity: list[float]) -> None:
-    found = fly(SPHERES[number], dt=5e-3).xs["g"][-1, :3, 3]
+    found = fly(spheres.SPHERES[number], dt=5e-3).xs["g"][-1, :3, 3]
     np.testing.assert_allclose(found, by_scipy(velocity), rtol=0.0, atol=2e-7)

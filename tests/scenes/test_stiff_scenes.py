@@ -6,12 +6,13 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scene_oracles import hat, scipy_solution
+from scene_oracles import scipy_solution
 from scene_references import REFERENCES, collocated, main, radau
 from scipy.integrate import solve_ivp
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
+from oracles import skew
 from twistax.scenes import SCENES, Scene, actuator_lag, stiff_attitude, stiff_joint
 
 EXTENDED = np.finfo(np.longdouble).eps < 1e-18
@@ -100,7 +101,7 @@ def test_a_very_stiff_damper_leaves_first_order_motion() -> None:
         return np.array([skew[2, 1], skew[0, 2], skew[1, 0]])
 
     def rates(t: float, y: Mapping[str, Any]) -> dict[str, Any]:
-        return {"R": y["R"] @ hat(-error(t, y["R"]))}
+        return {"R": y["R"] @ skew(-error(t, y["R"]))}
 
     scenes = stiff_attitude.scene(1e6), stiff_attitude.scene(1e7)
     R = scipy_solution(rates, {"R": scenes[0].start["R"]}, 0.0, 5.0)["R"]
@@ -119,7 +120,7 @@ def test_very_quick_actuators_are_their_commands() -> None:
         F, a = commands(t, y)
         thrust, V = F * np.array([*a, 1.0]), y["V"]
         twist = np.zeros((4, 4))
-        twist[:3, :3], twist[:3, 3] = hat(V[3:]), V[:3]
+        twist[:3, :3], twist[:3, 3] = skew(V[3:]), V[:3]
         v = (thrust - 9.81 * m * y["g"][2, :3]) / m - np.cross(V[3:], V[:3])
         w = (np.cross([0, 0, -arm], thrust) - np.cross(V[3:], J * V[3:])) / J
         return {"g": y["g"] @ twist, "V": np.concatenate([v, w])}

@@ -9,8 +9,9 @@ from typing import Any
 import casadi as ca
 import numpy as np
 from numpy import ndarray as Array
+from python_functions import PythonFunctions
 
-from twistax.solver import Options, PythonFunctions, Solution, Stages, Units, solve
+from twistax.solver import CoreSolution, Options, Stages, Units, solve
 
 #: With these the core takes the choices of IPOPT, and so the same steps.
 AS_IPOPT = {"multiplier_start": 1.0, "slack_push": 1e-2, "objective_gradient": 100.0}
@@ -102,7 +103,9 @@ class Staged:
         parts = zip(self._functions, self._split(z), *split)
         return [f(*part, weight, *multipliers).full() for (_, _, f), part, *multipliers in parts]
 
-    def solve(self, start: Array, stop: Any = None, size: Any = None, warm: Any = None, **options: float) -> Solution:
+    def solve(
+        self, start: Array, stop: Any = None, size: Any = None, warm: Any = None, **options: float
+    ) -> CoreSolution:
         functions = PythonFunctions(self.stages, self._numbers, self._slopes, self._bends, stop=stop)
         return solve(
             *(self.stages, functions.functions, self.lower, self.upper, start),

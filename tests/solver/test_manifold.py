@@ -7,9 +7,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from numpy import ndarray as Array
+from python_functions import PythonFunctions
 
 import twistax as tx
-from twistax.solver import Options, PythonFunctions, Solution, Stages, Status, solve
+from twistax.solver import CoreSolution, CoreStatus, Options, Stages, solve
 
 so3 = tx.lie.so3
 INTERVALS = 10
@@ -94,7 +95,7 @@ class Reorientation:
         steps = np.concatenate([d[: 6 * INTERVALS].reshape(INTERVALS, 6)[1:, :3], d[None, 6 * INTERVALS :]])
         return np.concatenate([jacobian_of_log(-s).T @ m for s, m in zip(-steps, lam.reshape(-1, 3))])
 
-    def solve(self, with_transport: bool = True) -> Solution:
+    def solve(self, with_transport: bool = True) -> CoreSolution:
         rng = np.random.default_rng(1)
         start = np.concatenate([np.tile(np.append(np.eye(3).ravel(), np.zeros(3)), INTERVALS), np.eye(3).ravel()])
         start = self.retract(start, 0.2 * rng.standard_normal(self.stages.variables))
@@ -114,7 +115,7 @@ def test_the_shortest_turn_is_a_geodesic() -> None:
     problem = Reorientation(np.zeros(3))
     solution = problem.solve()
     turn = np.asarray(so3.log(GOAL))
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
     assert solution.statistics["cost"] == pytest.approx(turn @ turn, rel=1e-8)
     _, rates = problem.split(solution.z)
     np.testing.assert_allclose(rates, np.tile(turn, (INTERVALS, 1)), atol=1e-6)
@@ -126,7 +127,7 @@ def test_points_stay_rotations_and_reach_the_goal(with_transport: bool) -> None:
     problem = Reorientation(np.array([0.5, 1.0, -2.0]))
     solution = problem.solve(with_transport)
     rotations, _ = problem.split(solution.z)
-    assert solution.status is Status.SOLVED
+    assert solution.status is CoreStatus.SOLVED
     np.testing.assert_allclose(rotations[-1], GOAL, atol=1e-8)
     squares = rotations @ rotations.transpose(0, 2, 1)
     np.testing.assert_allclose(squares, np.broadcast_to(np.eye(3), squares.shape), atol=1e-12)

@@ -10,15 +10,14 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.expr.node import Operand
 from twistax.testing import LawError, check_node
 
 
 class SquaredDistance(tx.Expr):
     """|a - b|^2 of two points."""
 
-    a: Operand
-    b: Operand
+    a: tx.expr.fields.Operand
+    b: tx.expr.fields.Operand
     takes = ((3,), (3,))
     gives = ()
     cases = ({"a": [0.5, -1.0, 2.0], "b": [1.0, 2.0, 3.0]},)

@@ -176,5 +176,7 @@ def test_rows_belong_to_the_objective() -> None:
         Problem(dynamics, tx.Minimize(running=u**2), by_node=[weight], **ends)
     with pytest.raises(ModelError, match=r"by_node expects a list of parameters"):
         Problem(dynamics, tx.Minimize(running=u**2), by_node=weight, **ends)
+    with pytest.raises(ModelError, match=r"by_node and free both name 'weight'"):
+        Problem(dynamics, tx.Minimize(running=weight * u**2), by_node=[weight], free=[weight], **ends)
     with pytest.raises(ModelError, match=r"by_node names 'weight' in two phases"):
         Problem([Phase(dynamics, tx.Minimize(running=weight * u**2), by_node=[weight], **ends) for _ in range(2)])

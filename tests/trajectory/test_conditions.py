@@ -256,3 +256,31 @@ def test_what_no_value_can_meet_is_refused(beyond: Any, end: bool) -> None:
     dynamics = tx.compile(tx.System(rates=rates, constraints=[] if end else asked))
     with pytest.raises(ModelError, match="expects numbers that a value can meet, got an infinite one"):
         Problem(dynamics, tx.Minimize(running=u**2), nodes=3, final_time=1.0, final=asked if end else None, **EULER)
+
+
+def test_a_guess_goes_through_what_conditions_say() -> None:
+    """Of a state that no value fixes; what is guessed, and what a value fixes, counts more."""
+    g, x = tx.State("g", group=tx.SE3), tx.State("x", shape=(2,))
+    V, u, goal = tx.Control("V", shape=(6,)), tx.Control("u", shape=(2,)), tx.Parameter("goal", value=3.0)
+    dynamics = tx.compile(tx.System(rates={g: V, x: u}))
+    here, there = np.array([1.0, 2.0, 3.0]), np.asarray(tx.pose(position=[2.0, 0.0, 1.0], euler=[0.0, 0.0, 0.0]))
+    ends: dict[str, Any] = {
+        "initial": [g[:3, 3] == here, 2.0 * x[0] == 1.0 + goal],
+        "final": [g == there, x[1] == 8.0, g[:2, 2] == 0.0],
+    }
+
+    def guessed(**options: Any) -> dict[str, np.ndarray]:
+        problem = Problem(dynamics, tx.Minimize(running=V @ V + u @ u), nodes=3, final_time=1.0, **ends, **options)
+        xs: dict[str, np.ndarray] = problem.started().point.xs
+        return xs
+
+    xs = guessed()
+    np.testing.assert_allclose(xs["g"][:, :3, 3], np.linspace(here, there[:3, 3], 3), atol=1e-12)
+    np.testing.assert_allclose(xs["g"][:, :3, :3], [np.eye(3)] * 3, atol=1e-12)
+    np.testing.assert_allclose(xs["x"], [[2.0, 8.0]] * 3)
+    np.testing.assert_allclose(guessed(params={goal: 5.0})["x"][0], [3.0, 8.0])
+    np.testing.assert_allclose(guessed(guess={x: [1.0, 1.0]})["x"], [[1.0, 1.0]] * 3)
+    phase = tx.trajectory.Phase(dynamics, tx.Minimize(running=V @ V + u @ u), nodes=3, final_time=1.0, **ends)
+    first, second = Problem([phase, phase]).started().point.xs
+    np.testing.assert_allclose(first["x"][0], [2.0, 8.0])
+    np.testing.assert_allclose(second["g"][-1], there, atol=1e-12)

@@ -9,9 +9,7 @@ from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.jax_inside import in_double
-from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem, Status, durations
-from twistax.trajectory.border import Border, times_of
-from twistax.trajectory.transcribed import Given, Point
+from twistax.trajectory import Collocation, Integral, Linear, Maximum, Minimum, Problem
 
 x, u = tx.State("x"), tx.Control("u")
 WALL = u**2 + tx.Exp(10.0 * (x - 1.0)) - x
@@ -102,33 +100,6 @@ def test_a_target_that_moves_is_met_in_least_time() -> None:
     exact = (1.0 - 0.5 * 0.8**2 - 0.5 * (0.8 + 0.3) * 0.5 + 0.8 * 1.3) / (0.8 - 0.3)
     assert exact <= result.final_time + 1e-6
     assert result.final_time == pytest.approx(exact, rel=3e-3)
-
-
-def test_no_fixed_duration_helps_where_nothing_does(monkeypatch: pytest.MonkeyPatch) -> None:
-    tried, fixed = list[float](), durations.fixed
-
-    def seen(*args: Any) -> Any:
-        for point, given in fixed(*args):
-            tried.append(float(np.asarray(point.border)[0]))
-            yield point, given
-
-    monkeypatch.setattr(durations, "fixed", seen)
-    result = stopping().solve(initial={"p": 1.0, "v": 0.7}, final_time=(0.1, 1.5))
-    assert result.status is Status.INFEASIBLE
-    assert tried == pytest.approx([1.36, 0.8])
-
-
-def test_units_of_time_do_not_matter_for_durations_that_are_fixed() -> None:
-    for unit in (1e-9, 1.0):
-        border = Border(("first", "second"), unit * np.array([[0.1, 60.0], [2.0, 2.0]]))
-        start = Point({}, np.zeros((1, 0)), unit * np.array([3.0, 2.0]))
-        found = list(durations.fixed(border, start, Given({}, {}, border.limits)))
-        times = [np.asarray(point.border) / unit for point, _ in found]
-        np.testing.assert_allclose(times, [[9.0, 2.0], [27.0, 2.0], [3.0, 2.0]])
-        limits = np.asarray(found[0][1].limits) / unit
-        np.testing.assert_allclose(limits, [[8.91, 9.09], [2.0, 2.0]])
-    fixed = Border(("only",), np.array([[2.0, 2.0]]))
-    assert not list(durations.fixed(fixed, Point({}, np.zeros((1, 0)), np.array([2.0])), Given({}, {}, fixed.limits)))
 
 
 @pytest.mark.parametrize("constant", [0.0, 3.0])
@@ -264,10 +235,3 @@ def test_sizes_of_parameters_alone_need_no_bound() -> None:
     result = Problem(driven, cost, nodes=4, final_time=1.0, initial={x: 0.0}, final=budget, **EULER).solve()
     assert result.solved
     assert result.cost == pytest.approx(0.25)
-
-
-def test_a_free_time_starts_between_its_limits_however_far_apart_they_are() -> None:
-    for low in (1.0, 1e-6, 3e-7, 1e-200):
-        assert times_of((low, 100.0 * low), None)[1] == pytest.approx(50.5 * low)
-        assert times_of((low, 121.0 * low), None)[1] == pytest.approx(11.0 * low)
-    assert times_of((0.5, 20_000.0), 3.0)[1] == 3.0

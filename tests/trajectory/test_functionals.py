@@ -323,7 +323,7 @@ def test_norms_have_bounds_where_less_is_wanted() -> None:
 
     def bounds(*final: Any, objective: Any = None) -> list[str]:
         problem = Problem(dynamics(), objective or tx.Minimize(tx.Time()), final_time=1.0, final=list(final))
-        return list(problem.reduced.bounds)
+        return list(problem.functionals.bounds)
 
     assert bounds(2.0 * spent <= 3.0) == [f"bound on {tx.Abs(u)!r} in {spent!r}"]
     assert bounds(spent == 3.0) == bounds(spent >= 3.0) == bounds(spent <= 3.0, spent >= 1.0) == []

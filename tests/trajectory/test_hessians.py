@@ -12,7 +12,6 @@ import pytest
 
 import twistax as tx
 from twistax.errors import TrajectoryError
-from twistax.expr.operations.elementwise import Function
 from twistax.trajectory import Collocation, GaussNewton, Phase, Problem, QuasiNewton, solution
 
 p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
@@ -149,32 +148,6 @@ def test_quasi_newton_of_phases_and_attitudes() -> None:
     assert found.solved
     assert found.cost == pytest.approx(0.3**2 + 1.0 + 0.4**2, rel=1e-6)  # at a constant rate, in the longest time
     assert found.iterations <= 40  # 193 where tangent spaces count as one
-
-
-def test_quasi_newton_needs_no_second_derivative() -> None:
-    @jax.custom_jvp
-    def lift(x: jax.Array) -> jax.Array:
-        return jax.pure_callback(lambda x: np.sin(x), x, x, vmap_method="sequential")
-
-    @lift.defjvp
-    def _slope(primals: Any, tangents: Any) -> Any:
-        (x,), (dx,) = primals, tangents
-        slope = jax.pure_callback(lambda x: np.cos(x), x, x, vmap_method="sequential")
-        return lift(x), slope * dx
-
-    class Lift(Function):
-        """The sine, by a function without second derivatives."""
-
-        function = staticmethod(lift)
-
-    angle, rate, torque = tx.State("angle"), tx.State("rate"), tx.Control("torque", min=-8.0, max=8.0)
-    dynamics = tx.compile(tx.System(rates={angle: rate, rate: torque - 9.81 * Lift(angle) - 0.1 * rate}))
-    ends: Any = {"initial": {angle: 0.0, rate: 0.0}, "final": {angle: np.pi, rate: 0.0}}
-    found = Problem(
-        dynamics, tx.Minimize(running=torque**2), nodes=21, final_time=2.0, hessian=QuasiNewton(), **ends
-    ).solve()
-    assert found.solved
-    assert found.cost == pytest.approx(pendulum(swing=True).solve().cost, rel=1e-6)
 
 
 def test_an_optimum_by_updates_has_exact_derivatives() -> None:

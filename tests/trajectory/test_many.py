@@ -1,6 +1,7 @@
 """Many cases at once end as each does alone."""
 
 import functools
+import re
 from typing import Any
 
 import numpy as np
@@ -104,7 +105,7 @@ def test_worst_trajectories_are_left_among_others_too() -> None:
 BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
     ({"initial": {"p": 0.0}}, tx.TrajectoryError, "no argument has an axis of cases"),
     ({"initial": {"p": np.zeros(3)}, "params": {"mass": np.ones(2)}}, tx.ShapeError, r"has 3, params\['mass'\] has 2"),
-    ({"initial": {"p": [0.0, np.nan]}}, tx.TrajectoryError, r"case 1: solve: initial\['p'\] must fix"),
+    ({"initial": {"p": [np.nan, np.nan]}}, tx.TrajectoryError, r"case 0: solve: initial\['p'\] must fix"),
     ({"initial": {"q": np.zeros(2)}}, tx.ModelError, "case 0: initial names 'q'"),
     ({"initial": {"p": []}}, tx.ShapeError, r"initial\['p'\] has no cases"),
     ({"initial": {"p": [[1.0], [1.0, 2.0]]}}, tx.ShapeError, r"initial\['p'\] expects an array"),
@@ -115,3 +116,25 @@ BAD: list[tuple[dict[str, Any], type[Exception], str]] = [
 def test_nonsense_is_refused(case: dict[str, Any], error: type[Exception], text: str) -> None:
     with pytest.raises(error, match=text):
         parking().solve_many(**case)
+
+
+@pytest.mark.parametrize(
+    ("case", "text"),
+    [
+        ({"initial": {"p": [0.0, np.nan, 0.5]}}, r"case 1: solve: initial\['p'\] must fix .*, got nan"),
+        ({"params": {"mass": [1.0, np.inf, 0.3]}}, r"case 1: params\['mass'\] expects finite numbers"),
+        ({"final_time": [(0.5, 20.0), (2.0, 1.0), (0.5, 20.0)]}, "case 1: final_time must be positive"),
+    ],
+)
+def test_a_case_that_does_not_fit_is_refused_alone(case: dict[str, Any], text: str) -> None:
+    many = parking().solve_many(**case)
+    assert many.solved.tolist() == [True, False, True]
+    refused = many[1]
+    assert refused.status is many.status[1] is Status.REFUSED
+    assert np.isnan([many.cost[1], refused.cost, refused.final_time, *refused.xs["p"], *refused.us["u"]]).all()
+    assert re.search(text, refused.message)
+    with pytest.raises(tx.TrajectoryError, match="case 1"):
+        refused.replay()
+    last = {what: {name: own[2] for name, own in given.items()} for what, given in case.items() if what != "final_time"}
+    alone = parking().solve(**last)
+    assert many[2].cost == pytest.approx(alone.cost, rel=1e-9)

@@ -12,7 +12,6 @@ from scipy.integrate import solve_ivp
 
 import twistax as tx
 from twistax.trajectory import Collocation, GaussNewton, Linear, Mesh, Phase, Problem, QuasiNewton
-from twistax.trajectory.rollout import Rollout
 
 pytest.importorskip("llvmlite")
 
@@ -176,19 +175,6 @@ def test_rows_of_other_nodes_compile_nothing(made: list[str]) -> None:
         costs.append(problem.solve(params={wanted: np.linspace(0.0, 1.0, nodes)}).cost)
     assert made == []
     assert costs[1] == pytest.approx(costs[0], rel=1e-2)
-
-
-@pytest.mark.parametrize("options", WAYS.values(), ids=WAYS.keys())
-def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any]) -> None:
-    """Of held controls, as `between` looks at them, beside `replay`: of a group, and of free nodes."""
-    problem = turned(**options)
-    result = problem.solve()
-    core, given = problem._core(1e-6, *problem.started()[:2]), problem.started().given
-    data = core.staged.numbers.vector(given)
-    rollout = Rollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
-    found, expected = rollout.states(result.warm.point), result.replay(steps=12)
-    for name, values in expected.xs.items():
-        np.testing.assert_allclose(found[name], values, atol=1e-11)
 
 
 # ---- the numbers are the right ones -------------------------------------------------------------------------------

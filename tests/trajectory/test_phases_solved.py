@@ -13,8 +13,9 @@ from trajectory_systems import HEUN
 
 import twistax as tx
 from twistax.errors import InputError, ModelError, TrajectoryError
-from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem, refine
-from twistax.trajectory.evaluated import Evaluated
+from twistax.trajectory import IPOPT, Fatrop, Phase, PhasedResult, Problem
+from twistax.trajectory.result import refine
+from twistax.trajectory.transcription.evaluation import Evaluated
 
 WALL, NODES = -0.03, 6
 STEP = 1.0 / (NODES - 1)
@@ -121,10 +122,10 @@ def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
     errors = result.accuracy.intervals
     assert [own.shape for own in errors] == [(NODES - 1,)] * 2
     assert np.max(errors) < 1e-9
-    finer, warm = refine._finer(result, errors, 1e-3, rests=False) or (None, None)
+    finer, warm = refine._finer(result, errors, 1e-3, is_settled=False) or (None, None)
     assert finer is not None
     assert all(part.nodes > NODES for part in finer.parts)
-    staged = finer._core(1e-6, warm.point, finer.started().given).staged
+    staged = finer.core(1e-6, warm.point, finer.started().given).staged
     values = Evaluated(staged.transcription, staged.flat(warm.point))
     np.testing.assert_allclose(values.c, 0.0, atol=1e-9)
     assert values.cost[0] == pytest.approx(result.cost, rel=1e-9)

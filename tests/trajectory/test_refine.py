@@ -8,7 +8,8 @@ import scipy.integrate
 from trajectory_systems import HEUN, double_integrator
 
 import twistax as tx
-from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status, refine
+from twistax.trajectory import Linear, Mesh, Meshed, Problem, Status
+from twistax.trajectory.result import refine
 
 
 def test_a_jump_between_nodes() -> None:
@@ -71,7 +72,8 @@ def test_errors_are_those_of_an_independent_integration(monkeypatch: pytest.Monk
     monkeypatch.setattr(refine, "_NODES", 6)
     ended = problem.solve(refine=1e-3)
     assert ended.status is Status.COARSE
-    assert "could not be refined" in ended.message
+    assert "could not be refined to 0.001: a finer mesh has more than 6 nodes. On 5 nodes" in ended.message
+    assert "Mesh(n, free=True)" in ended.message
     assert not ended.solved
 
 

@@ -15,7 +15,7 @@ from trajectory_systems import EULER, HEUN
 
 import twistax as tx
 from twistax.errors import InputError, TrajectoryError
-from twistax.trajectory import Problem, Solution, solution
+from twistax.trajectory import Collocation, Problem, Solution, solution
 
 
 def centred(function: Callable[[Any], Any], at: np.ndarray, size: float) -> np.ndarray:
@@ -221,3 +221,36 @@ def test_a_problem_of_a_traced_function() -> None:
     moves = 0.5 * np.stack([1.75 - 0.5 * np.arange(4.0), np.ones(4)])
     least = 0.5 * np.sum((np.linalg.pinv(moves) @ [0.5, 0.0]) ** 2)
     np.testing.assert_allclose(jax.jit(stopped)(3.0), 3.0 * least, rtol=1e-7)
+
+
+@functools.cache
+def stiff_pendulum() -> tuple[Problem, Callable[[Any], Any]]:
+    """By collocation, and its optimal value as a function of a parameter."""
+    x, v, u, k = tx.State("x"), tx.State("v"), tx.Control("u"), tx.Parameter("k", value=2.0)
+    problem = Problem(
+        tx.compile(tx.System(rates={x: v, v: u - k * tx.Sin(x)})),
+        tx.Minimize(running=u**2),
+        nodes=5,
+        final_time=2.0,
+        initial={x: 1.0, v: 0.0},
+        final={x: 0.0, v: 0.0},
+        transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE4),
+    )
+    optimum = solution(problem)
+    return problem, lambda k: optimum(params={"k": k}).cost
+
+
+def test_derivatives_of_a_collocated_optimum() -> None:
+    problem, cost = stiff_pendulum()
+    near, far = (
+        (problem.solve(params={"k": 2.1 + e}, tolerance=1e-9).cost - problem.solve(params={"k": 2.1 - e}).cost)
+        / (2.0 * e)
+        for e in (1e-3, 2e-3)
+    )
+    assert jax.grad(cost)(2.1) == pytest.approx((4.0 * near - far) / 3.0, rel=1e-6)
+
+
+def test_second_derivatives_of_a_collocated_optimum() -> None:
+    _, cost = stiff_pendulum()
+    slope = jax.grad(cost)
+    assert jax.grad(slope)(2.1) == pytest.approx(float(slope(2.1 + 1e-4) - slope(2.1 - 1e-4)) / 2e-4, rel=1e-6)

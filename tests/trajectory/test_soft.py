@@ -14,8 +14,8 @@ from scipy.optimize import minimize
 from trajectory_systems import HEUN
 
 import twistax as tx
-from twistax.errors import ModelError, ShapeError
-from twistax.trajectory import Collocation, Integral, Linear, Maximum, Mesh, Phase, Problem, solution
+from twistax.errors import InputError, ModelError, ShapeError
+from twistax.trajectory import Collocation, Integral, Linear, Maximum, Mesh, Phase, Problem, Status, solution
 
 INTERVALS, TIME = 8, 2.0
 STEP = TIME / INTERVALS
@@ -222,6 +222,20 @@ def test_weights_are_data() -> None:
     warm = soft.solve(warm=low)
     assert warm.solved
     assert warm.iterations <= 10
+
+
+@pytest.mark.parametrize("place", ["path", "node"])
+def test_a_negative_weight_is_refused_wherever_it_comes_from(place: str) -> None:
+    asked = tx.Soft(v <= 0.6, l2=2.0 * weight - 0.5)
+    soft = problem({"speed": asked}) if place == "path" else problem(final=[p == 1.0, asked])
+    for call in (soft.solve, tx.trajectory.solution(soft)):
+        with pytest.raises(InputError, match=r"weight l2 of .* must be 0 or more, got -0.1 by 'w"):
+            call(params={"weight": 0.2})
+    many = soft.solve_many(params={weight: np.array([1.0, 0.2])})
+    assert many.status == (Status.SOLVED, Status.REFUSED)
+    phases = [Phase(tx.compile(tx.System(rates=RATES, constraints={"speed": asked})), tx.Minimize(v), final_time=1.0)]
+    with pytest.raises(InputError, match="phase 0: params: the weight l2"):
+        Problem(phases, params={weight: 0.2})
 
 
 def test_what_is_no_soft_constraint_is_refused() -> None:

@@ -88,7 +88,7 @@ def test_rates_of_rates_and_finer_meshes() -> None:
     assert 22.5 < result.cost < 30.0
     # Flown by the system as stated.
     x0 = {name: np.float64(0.0) for name in result.xs}
-    own = tx.integrate(result.problem._stated["dynamics"], x0, t1=2.0, dt=0.01, u=result.controls)
+    own = tx.integrate(result.problem.phases[0].dynamics, x0, t1=2.0, dt=0.01, u=result.controls)
     np.testing.assert_allclose(own.xs["p"][-1], 1.0, atol=1e-4)
 
 
@@ -111,6 +111,6 @@ def test_what_is_no_spline() -> None:
     bent = tx.compile(tx.System(rates={p: v, v: u}, constraints={"bent": Rate(Rate(u)) <= 1.0}))
     with pytest.raises(tx.ModelError, match=r"rate of rate of u, of a control of degree 1.\n  fix: .*Spline\(2\)"):
         Problem(bent, tx.Minimize(running=u**2), final_time=2.0, controls=Linear(), initial={"p": 0.0})
-    assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).restated.rates == {
+    assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).continuous.rates == {
         "rate of rate of u": 2
     }

@@ -10,7 +10,6 @@ import pytest
 from trajectory_systems import EULER, HEUN, free_flyer
 
 import twistax as tx
-from twistax.report.sections import flights
 from twistax.trajectory import Problem, Status, TrajectoryResult
 
 
@@ -46,15 +45,6 @@ def test_too_little_time_is_infeasible_and_names_what_gives() -> None:
     assert not result.solved
 
 
-def test_a_run_past_spheres_that_got_lost_finds_its_way() -> None:
-    """One of 64: from its start it comes to rest 135 rad from where its dynamics lead."""
-    result = flights.quadrotor(20).solve(
-        initial={"g": tx.pose(position=[0.09034702181816101, 0.02820368856191635, -0.22304977476596832])}
-    )
-    assert result.solved
-    assert result.cost == pytest.approx(1.46904, rel=1e-5)
-
-
 def test_an_end_beyond_a_wall_names_the_wall_and_the_node() -> None:
     result = stated().solve(final={"p": 2.5, "v": 0.0})
     assert result.status is Status.INFEASIBLE
@@ -79,7 +69,8 @@ def test_too_few_iterations_are_said() -> None:
 def test_what_goes_back_in_time_has_no_rollout() -> None:
     """Free node times of a solve that has not ended may."""
     times = np.array([0.0, 1.0, 0.75, 1.0, 2.0, 2.5, 2.75, 3.0])
-    result = dataclasses.replace(stated().solve(), ts=times)
+    solved = stated().solve()
+    result = dataclasses.replace(solved, phases=(dataclasses.replace(solved.phases[0], ts=times),))
     with pytest.raises(tx.TrajectoryError, match=r"node 2 is before node 1, at 0\.75 s"):
         result.replay()
     assert "no finer rollout: node 2 is before node 1" in result.explain()
@@ -238,3 +229,31 @@ def test_a_baked_parameter_cannot_be_read_by_the_objective() -> None:
     dynamics = tx.compile(tx.System(rates={x: k * u}), bake={"k": 3.0})
     with pytest.raises(tx.ModelError, match="baked"):
         Problem(dynamics, tx.Minimize(k * x), final_time=1.0)
+
+
+@pytest.mark.parametrize(
+    ("call", "text"),
+    [
+        (
+            lambda problem: problem.solve(hessian=1),
+            r"solve has no argument 'hessian'.*\n  fix: tx.*Problem\(",
+        ),
+        (lambda problem: problem.solve_many(callbak=print), "solve_many has no argument 'callbak'"),
+        (lambda _: Problem(None, guesses=3), r"Problem has no argument 'guesses'.*\n  fix: problem.solve\("),
+        (lambda problem: problem.solve(callback=tx.trajectory.Progress), r"got the class Progress.\n  fix: Progress\("),
+    ],
+)
+def test_arguments_that_stand_elsewhere_say_where(call: Any, text: str) -> None:
+    x, u = tx.State("x"), tx.Control("u")
+    problem = Problem(tx.compile(tx.System(rates={x: u})), tx.Minimize(running=u**2), nodes=3, final_time=1.0)
+    with pytest.raises(tx.TrajectoryError, match=text):
+        call(problem)
+
+
+def test_an_unknown_parameter_is_told_all_that_there_are() -> None:
+    x, u, goal = tx.State("x"), tx.Control("u"), tx.Parameter("goal", value=1.0)
+    drag, weight = tx.Parameter("drag", value=0.1), tx.Parameter("weight", value=1.0)
+    dynamics = tx.compile(tx.System(rates={x: u - drag * x}))
+    problem = Problem(dynamics, tx.Minimize(running=weight * u**2), nodes=3, final_time=1.0, final=[x == goal])
+    with pytest.raises(tx.InputError, match=r"params; expected: 'drag', 'weight', 'goal'.\n  fix: did you"):
+        problem.solve(params={"gaol": 2.0})

@@ -5,11 +5,12 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator, quick_jit, spinning_ball
+from core_functions import core_values, staged_of
+from trajectory_systems import double_integrator, spinning_ball
 
 import twistax as tx
 from twistax.trajectory import Collocation, MultipleShooting, Problem
-from twistax.trajectory.transcribed import Given, Point, Step
+from twistax.trajectory.transcription.points import Given, Point
 
 
 def tumbling(transcription: Any, nodes: int = 3, final_time: float = 0.8) -> Problem:
@@ -50,14 +51,14 @@ def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> N
     """Against the same system with its cost as a state, integrated to round-off."""
     problem, errors = tumbling(Collocation(tableau), nodes=2), []
     given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
-    values = quick_jit(problem.shooting.values)
+    staged = staged_of(problem, given)
     R, w, u, t = *problem.dynamics.states, problem.dynamics.controls[0], tx.Time()
     spent = tx.State("spent")
     rates = {s: problem.dynamics.system.rates[s.name] for s in (R, w)}
     whole = tx.compile(tx.System(rates={**rates, spent: u @ u + w @ w + R[0, 1] * t}))
     for final_time in (0.15, 0.075):
         point = point_of(problem, final_time)
-        found = values(point, given)
+        found = core_values(staged, point, given)
         x0 = {name: a[0] for name, a in point.xs.items()} | {"spent": np.float64(0.0)}
         exact = tx.integrate(whole, x0, t1=final_time, rtol=1e-13, atol=1e-13, u={"u": point.us[0]}).xs
         end = {name: np.asarray(exact[name])[-1] for name in exact}
@@ -66,38 +67,6 @@ def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> N
         errors.append([np.abs(np.asarray(found.defects)[0] - gap).max(), abs(float(found.cost) - cost)])
     orders = np.log2(np.array(errors[0]) / np.array(errors[1]))
     np.testing.assert_allclose(orders, order + 1.0, atol=0.7)
-
-
-def test_derivatives_of_collocation() -> None:
-    """First ones, and the second of cost + y.F + w.rows, by differences; nodes at which intervals end rest."""
-    problem = tumbling(Collocation(tx.tableaus.GAUSS_LEGENDRE4, substeps=2), nodes=2)
-    point, rng, shooting = point_of(problem, 0.15), np.random.default_rng(1), problem.shooting
-    given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
-    y, w = rng.normal(size=(1, 6)), rng.normal(size=len(shooting.exists))
-    found = quick_jit(shooting.derivatives)(point, y, w, given)
-    values = quick_jit(lambda step: shooting.values(shooting.move(point, step), given))
-    split = shooting.rows_per_interval
-
-    def lagrangian(step: Step) -> Any:
-        v = values(step)
-        return np.concatenate(
-            [np.ravel(v.defects), np.ravel(v.rows), [v.cost, v.cost + (y * v.defects).sum() + w @ v.rows]]
-        )
-
-    for _ in range(3):
-        d = np.stack([rng.normal(size=6), np.zeros(6)])
-        way = Step(d, rng.normal(size=(1, 3)), 0.1 * rng.normal(size=1))
-        z = np.concatenate([d[0], way.u[0], way.border])
-        at = [lagrangian(jax.tree.map(lambda a, e=e: e * a, way)) for e in (-2e-2, -1e-2, 0.0, 1e-2, 2e-2)]
-        first = (8.0 * (at[3] - at[1]) - (at[4] - at[0])) / (12.0 * 1e-2)
-        second = (16.0 * (at[3] + at[1]) - (at[4] + at[0]) - 30.0 * at[2]) / (12.0 * 1e-4)
-        np.testing.assert_allclose(np.asarray(found.defects)[0] @ z, first[:6], atol=2e-6)
-        np.testing.assert_allclose(np.asarray(found.rows)[0] @ z, first[6 : 6 + split], atol=2e-6)
-        own = np.concatenate([np.zeros(6), way.border])
-        slope = np.asarray(found.gradient)[0] @ z + np.asarray(found.end_gradient) @ own
-        assert slope == pytest.approx(first[-2], abs=2e-6)
-        bend = z @ np.asarray(found.hessian)[0] @ z + own @ np.asarray(found.end_hessian) @ own
-        assert bend == pytest.approx(second[-1], abs=1e-4)
 
 
 def test_stiff_rates() -> None:

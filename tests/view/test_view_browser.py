@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.view.motion import Motion, shown
+from solutions import scene_of
 
 CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
@@ -65,7 +65,7 @@ def test_a_mechanism_of_a_file_is_drawn_in_a_browser(tmp_path: Path) -> None:
     xs = {"q": 2.0 * np.cos(t)[:, None], "qd": -2.0 * np.sin(t)[:, None]}
     page = tmp_path / "pendulum.html"
     shapes = [tx.view.Sphere(0.3, at=(0.0, 1.0, 0.0), color=(0, 160, 60))]
-    shown(Motion(t, xs), page, bodies=robot, axes=["rod"], trails=["rod"], shapes=shapes)
+    scene_of(t, xs, page, bodies=robot, axes=["rod"], trails=["rod"], shapes=shapes)
     image, said = picture(page, 1500)
     assert not [line for line in said.splitlines() if "ERROR" in line or "rror:" in line]
     assert np.sum((image[..., 0] > 0.5) & (image[..., 1] < 0.35)) > 200
@@ -78,7 +78,7 @@ def test_a_scene_plays_in_a_browser(tmp_path: Path) -> None:
     poses[:, 0, 3] = 2.0 * t - 4.0
     page = tmp_path / "scene.html"
     red = tx.view.Box((2.0, 2.0, 2.0), color=(220, 30, 30))
-    shown(Motion(t, {"g": poses}), page, bodies={"g": red}, shapes=[tx.view.Cone(3.0, 0.5, color=(0, 160, 60))])
+    scene_of(t, {"g": poses}, page, bodies={"g": red}, shapes=[tx.view.Cone(3.0, 0.5, color=(0, 160, 60))])
     (early, said), (late, _) = picture(page, 800), picture(page, 3200)
     assert "Embedded data loaded" in said
     assert not [line for line in said.splitlines() if "ERROR" in line or "rror:" in line]

@@ -1,1 +1,1 @@
-"""The main job of the command line: a powered descent, checked, solved, simulated again, drawn and tabled."""
+"""`python -m twistax demo`: a powered descent, checked, solved, simulated again, drawn and written as a table."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 import jax
@@ -10,15 +11,8 @@ import numpy as np
 
 import twistax as tx
 
-from ..scenes.powered_descent import Array
-from ..trajectory.declared import declared
-from ..trajectory.discretize import Controls, value_and_jacobian
-
-#: The largest difference allowed.
-BAR = 1e-8
-
-#: Step of the finite differences, in scales of the unknowns.
-_STEP = 2e-3
+#: The largest difference allowed, and the step of the finite differences in scales of the unknowns.
+BAR, _STEP = 1e-8, 2e-3
 
 
 class DerivativeCheck(NamedTuple):
@@ -33,49 +27,47 @@ class DerivativeCheck(NamedTuple):
         return max(self.rates, self.interval) <= BAR
 
 
-def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Array], us: dict[str, Array], h: float) -> DerivativeCheck:
+def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Any], us: dict[str, Any], h: float) -> DerivativeCheck:
     """Compare derivatives with respect to state, controls and length of an interval at several points.
 
     A state moves by x (+) d, and ends are compared by the tangent between them. Columns are measured in the scales that
     the leaves declare. The finite differences are central with two steps (error of fourth order). Points xs, us have a
     leading axis; h is the length of the interval, s.
     """
-    scale = jnp.append(declared((*dynamics.states, *dynamics.controls)), h)
-    n, flat = dynamics.dimension, Controls(dynamics.controls)
-    size = scale.shape[0]
-    steps = _STEP * jnp.concatenate([step * jnp.eye(size) for step in (0.0, 1.0, -1.0, 2.0, -2.0)])[size - 1 :]
+    n, sizes = dynamics.dimension, [math.prod(control.shape) for control in dynamics.controls]
+    widths = [*(state.group.dimension for state in dynamics.states), *sizes]
+    leaves = zip((*dynamics.states, *dynamics.controls), widths, strict=True)
+    scale = np.concatenate([np.ones(k) if leaf.scale is None else np.ravel(leaf.scale) for leaf, k in leaves] + [[h]])
+    steps = _STEP * np.concatenate([k * np.eye(len(scale)) for k in (1.0, -1.0, 2.0, -2.0)])
 
     def moved(x: Any, u: Any, z: jax.Array) -> tuple[Any, Any, jax.Array]:
         step = z * scale
-        controls = {name: u[name] + change for name, change in flat.split(step[n:-1]).items()}
+        parts = zip(dynamics.controls, jnp.split(step[n:-1], np.cumsum(sizes)[:-1]), strict=True)
+        controls = {control.name: u[control.name] + part.reshape(control.shape) for control, part in parts}
         return dynamics.retract(x, step[:n]), controls, h + step[-1]
 
-    def pointwise(x: Any, u: Any, z: jax.Array) -> jax.Array:
-        x, u, _ = moved(x, u, z)
-        rates, found = dynamics(0.0, x, u), dynamics.constraints(0.0, x, u)
-        return jnp.concatenate([*(rates[s.name].reshape(-1) for s in dynamics.states), *found.values()])
-
-    def at(x: Any, u: Any, z: jax.Array) -> tuple[Any, ...]:
-        values, slopes = value_and_jacobian(lambda z: pointwise(x, u, z), z)
-        interval = tx.trajectory.discretize(dynamics, 0.0, *moved(x, u, z))
-        closed = jnp.column_stack([interval.A, interval.B, interval.h_derivative]) * scale[None, :]
-        return slopes, values, closed, interval.x1
-
     def compared(point: tuple[Any, Any]) -> tuple[jax.Array, ...]:
-        # The first of the steps is none: there the derivatives are taken.
-        slopes, values, closed, ends = jax.lax.map(lambda z: at(*point, z), steps)
-        end = {name: value[0] for name, value in ends.items()}
-        tangents = jax.vmap(dynamics.difference, (None, 0))(end, ends)
-        return slopes[0], values[1:], closed[0], tangents[1:]
+        interval = tx.trajectory.discretize(dynamics, 0.0, *point, h)
+        closed = jnp.column_stack([interval.A, interval.B, interval.h_derivative]) * scale[None, :]
+
+        def pointwise(z: jax.Array) -> jax.Array:
+            x, u, _ = moved(*point, z)
+            rates, limits = dynamics(0.0, x, u), dynamics.constraints(0.0, x, u)
+            return jnp.concatenate([*(rates[s.name].reshape(-1) for s in dynamics.states), *limits.values()])
+
+        def end(z: jax.Array) -> jax.Array:
+            return dynamics.difference(interval.x1, tx.trajectory.discretize(dynamics, 0.0, *moved(*point, z)).x1)
+
+        values, tangents = jax.lax.map(lambda z: (pointwise(z), end(z)), jnp.asarray(steps))
+        return jax.jacfwd(pointwise)(jnp.zeros(len(scale))), values, closed, tangents
 
     # Loops, not vmaps: what compiles is one point, and that is where the time goes.
     slopes, values, closed, tangents = jax.jit(lambda x, u: jax.lax.map(compared, (x, u)))(xs, us)
-    state_scale = np.asarray(scale[:n])
-    rows = np.concatenate([state_scale, np.zeros(slopes.shape[1] - n)])
-    return DerivativeCheck(len(slopes), _largest(slopes, values, rows), _largest(closed, tangents, state_scale))
+    rows = np.concatenate([scale[:n], np.zeros(slopes.shape[1] - n)])
+    return DerivativeCheck(len(slopes), _largest(slopes, values, rows), _largest(closed, tangents, scale[:n]))
 
 
-def _largest(slopes: Any, values: Any, rows: Array) -> float:
+def _largest(slopes: Any, values: Any, rows: Any) -> float:
     """The largest difference between slopes (points, rows, columns) and central differences of values.
 
     A row is measured by its largest entry, but not by less than a tenth of its natural size: some rows are zero.

@@ -1,4 +1,4 @@
-"""What is kept of a landing: a table, and a picture of the path with attitude, plume and cone and of every limit.
+"""A landing as a picture of the path with attitude, plume and cone and of every limit, and as a table.
 
 The picture needs matplotlib, the extra `plot`; imported when it is drawn.
 """
@@ -19,12 +19,10 @@ from ..scenes.powered_descent import Array, Limit, Vehicle
 from ..scenes.touchdown import Descent
 
 _INK, _PATH, _BODY, _FLAME, _LIMIT, _CONE = "#1b2a3a", "#1f5f99", "#37506b", "#f28c28", "#c0392b", "#5b9a68"
-
 #: The stage is drawn this many times larger than it is, a plume at full thrust this long (m, before enlarging).
 ENLARGED = 3.0
 LENGTH, RADIUS, PLUME = 28.0, 2.4, 34.0
-_POSES = 9
-_DEGREES = 180.0 / np.pi
+_POSES, _DEGREES = 9, 180.0 / np.pi
 
 #: output, title, unit, factor of each panel
 _PANELS = (
@@ -39,9 +37,8 @@ _PANELS = (
 
 def save_table(path: Path, descent: Descent) -> None:
     """Write a descent as CSV, one line a sample, with units in the first line."""
-    quaternions = np.asarray(jax.vmap(tx.lie.quaternion)(descent.rotation))
-    outputs = descent.outputs
-    columns: dict[str, Array] = {
+    outputs, quaternions = descent.outputs, np.asarray(jax.vmap(tx.lie.quaternion)(descent.rotation))
+    columns: dict[str, Any] = {
         "time (s)": descent.ts,
         **dict(zip(("x (m)", "y (m)", "height (m)"), descent.position.T)),
         **dict(zip((f"velocity {axis} (m/s)" for axis in "xyz"), descent.velocity.T)),
@@ -50,9 +47,10 @@ def save_table(path: Path, descent: Descent) -> None:
         "mass (kg)": descent.xs["m"],
         **dict(zip((f"body thrust {axis} (N)" for axis in "xyz"), descent.us["T"].T)),
         "thrust (kN)": outputs["thrust"] / 1e3,
-        "gimbal (deg)": outputs["gimbal"] * _DEGREES,
-        "tilt (deg)": outputs["tilt"] * _DEGREES,
-        "rate (deg/s)": outputs["rate"] * _DEGREES,
+        **{
+            f"{name} (deg{per})": outputs[name] * _DEGREES
+            for name, per in (("gimbal", ""), ("tilt", ""), ("rate", "/s"))
+        },
         "inside the cone (m)": outputs["cone"],
     }
     with path.open("w", newline="") as file:
@@ -64,11 +62,8 @@ def save_table(path: Path, descent: Descent) -> None:
 def save_figure(
     path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Vehicle
 ) -> None:
-    """Draw a landing into a PNG file.
+    """Draw a landing into a PNG file: its dense rollout, and the nodes of the optimiser.
 
-    Args:
-        dense: the rollout of the controls, densely sampled.
-        nodes: the optimiser's own nodes.
     Raises:
         ImportError: matplotlib is not installed.
     """
@@ -84,11 +79,11 @@ def save_figure(
     for number, panel in enumerate(_PANELS):
         axes = figure.add_subplot(grid[number // 2, number % 2])
         _draw_panel(axes, panel, dense, nodes, limits)
-        if number >= len(_PANELS) - 2:
-            axes.set_xlabel("time, s", fontsize=10)
+        axes.set_xlabel("time, s" if number >= len(_PANELS) - 2 else "", fontsize=10)
     style: dict[str, Any] = {"loc": "lower center", "fontsize": 9.5, "frameon": False}
-    figure.legend(handles=axes.get_legend_handles_labels()[0], bbox_to_anchor=(0.74, 0.005), ncols=3, **style)
-    figure.legend(handles=_scene_handles(vehicle), bbox_to_anchor=(0.25, 0.005), ncols=2, **style)
+    for shown, place, columns in ((axes, 0.74, 3), (scene, 0.25, 2)):
+        handles = shown.get_legend_handles_labels()[0]
+        figure.legend(handles=handles, bbox_to_anchor=(place, 0.005), ncols=columns, **style)
     figure.savefig(path, dpi=100)
 
 
@@ -97,9 +92,9 @@ def _draw_panel(
 ) -> None:
     output, title, unit, factor = panel
     values, marks = dense.outputs[output] * factor, nodes.outputs[output] * factor
-    kept = slice(None, -1) if output in ("thrust", "gimbal") else slice(None)  # these are held
+    last = -1 if output in ("thrust", "gimbal") else None  # a control has no value of its own at the last node
     axes.plot(dense.ts, values, color=_PATH, lw=1.6, label="rollout of the controls (RKMK4)")
-    axes.plot(nodes.ts[kept], marks[kept], "o", color=_INK, ms=3.0, label="nodes of the optimiser")
+    axes.plot(nodes.ts[:last], marks[:last], "o", color=_INK, ms=3.0, label="nodes of the optimiser")
     bounds = [limit.bound * factor for limit in limits if limit.output == output]
     for bound in bounds:
         axes.axhline(bound, color=_LIMIT, lw=1.3, ls="--", label="limit" if bound == bounds[0] else None)
@@ -116,13 +111,22 @@ def _draw_panel(
 def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> None:
     path = dense.position
     radius = 0.5 * max(float(np.linalg.norm(path[:, :2], axis=1).max()), 0.4 * float(path[:, 2].max()))
-    _draw_cone(axes, vehicle, radius)
-    axes.plot(path[:, 0], path[:, 1], 0.0 * path[:, 2], color="0.55", lw=1.0, ls=":")
     axes.plot(*path.T, color=_PATH, lw=1.8)
     axes.plot(*nodes.position.T, "o", color=_INK, ms=2.2)
+    axes.plot([], [], color=_PATH, lw=1.8, marker="o", ms=3.0, mfc=_INK, mec=_INK, label="path and nodes")
+    axes.plot(*path[:, :2].T, 0.0 * path[:, 2], color="0.55", lw=1.0, ls=":", label="ground track")
     for time in np.linspace(0.0, dense.ts[-1], _POSES):
         _draw_stage(axes, dense, int(np.argmin(np.abs(dense.ts - time))), vehicle)
-    axes.scatter([0.0], [0.0], [0.0], marker="x", s=40, color=_LIMIT, depthshade=False)
+    for color, label in ((_BODY, f"stage, drawn {ENLARGED:g} times as large"), (_FLAME, "plume, length by thrust")):
+        axes.plot([], [], color=color, lw=7.0, label=label)
+    # The approach cone, and its rim.
+    slope, label = np.tan(vehicle.glide_slope), f"approach cone, {np.rad2deg(vehicle.glide_slope):.0f} deg"
+    turn, out = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(0.0, radius, 9))
+    x, y = np.cos(turn), np.sin(turn)
+    axes.plot_surface(out * x, out * y, out / slope, color=_CONE, alpha=0.22, linewidth=0, shade=False)
+    axes.plot(radius * x[-1], radius * y[-1], radius / slope + 0.0 * x[-1], color=_CONE, lw=1.0)
+    axes.plot([], [], color=_CONE, lw=7.0, alpha=0.4, label=label)
+    axes.plot([0.0], [0.0], [0.0], color=_LIMIT, ls="", marker="x", ms=6.0, label="pad")
     # The same length of a metre along every axis, around path, cone and pad.
     room = 60.0
     low = np.minimum(path.min(axis=0), [-radius, -radius, 0.0]) - [room, room, 0.0]
@@ -137,28 +141,6 @@ def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> 
         axis.set_label_text(f"{name}, m", fontsize=10)
         axis.labelpad = 2
         axis.set_pane_color((0.97, 0.97, 0.98, 1.0))
-
-
-def _scene_handles(vehicle: Vehicle) -> list[Any]:
-    from matplotlib.lines import Line2D
-    from matplotlib.patches import Patch
-
-    return [
-        Line2D([], [], color=_PATH, lw=1.8, marker="o", ms=3.0, mfc=_INK, mec=_INK, label="path and nodes"),
-        Line2D([], [], color="0.55", lw=1.0, ls=":", label="ground track"),
-        Patch(color=_BODY, label=f"stage, drawn {ENLARGED:g} times as large"),
-        Patch(color=_FLAME, label="plume, length by thrust"),
-        Patch(color=_CONE, alpha=0.4, label=f"approach cone, {np.rad2deg(vehicle.glide_slope):.0f} deg"),
-        Line2D([], [], color=_LIMIT, ls="", marker="x", ms=6.0, label="pad"),
-    ]
-
-
-def _draw_cone(axes: Any, vehicle: Vehicle, radius: float) -> None:
-    turn, out = np.meshgrid(np.linspace(0.0, 2.0 * np.pi, 49), np.linspace(0.0, radius, 9))
-    height = out / np.tan(vehicle.glide_slope)
-    axes.plot_surface(out * np.cos(turn), out * np.sin(turn), height, color=_CONE, alpha=0.22, linewidth=0, shade=False)
-    rim = np.linspace(0.0, 2.0 * np.pi, 97)
-    axes.plot(radius * np.cos(rim), radius * np.sin(rim), height.max() + 0.0 * rim, color=_CONE, lw=1.0)
 
 
 def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Vehicle) -> None:
@@ -176,11 +158,11 @@ def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Vehicle) -> N
         _draw_solid(axes, p, down, np.linspace(0.0, length, 3), radii[1] * np.array([0.55, 0.8, 0.0]), _FLAME)
 
 
-def _draw_solid(axes: Any, origin: Array, axis: Array, along: Array, radii: Array, color: str) -> None:
+def _draw_solid(axes: Any, origin: Array, axis: Array, distances: Array, radii: Array, color: str) -> None:
     """A solid of revolution: distances along a unit axis from the origin, and the radius at each."""
     side = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     side /= np.linalg.norm(side)
     turn = np.linspace(0.0, 2.0 * np.pi, 13)[:, None]
     ring = np.cos(turn) * side + np.sin(turn) * np.cross(axis, side)
-    points = origin + along[:, None, None] * axis + radii[:, None, None] * ring
+    points = origin + distances[:, None, None] * axis + radii[:, None, None] * ring
     axes.plot_surface(*np.moveaxis(points, 2, 0), color=color, linewidth=0)

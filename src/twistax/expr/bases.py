@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from ..errors import ShapeError
-from .node import Expr, ExprLike, Numbers, Shape
+from .fields import ExprLike
+from .node import Expr, Numbers, Shape
 
 
 def expect_square(node: Expr, operand: str, got: Shape, *, stacks: bool = False) -> None:

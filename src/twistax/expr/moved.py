@@ -26,6 +26,14 @@ MOVED = {
     "expr.table_kinds": "expr.tables.kinds",
     "expr.vmap": "expr.transformations.vmap",
     "expr.without_numbers": "expr.transformations.without_numbers",
+    "integrators.commutator_free": "integrators.methods.commutator_free",
+    "integrators.implicit_rkmk": "integrators.methods.implicit_rkmk",
+    "integrators.interpolant": "integrators.methods.interpolant",
+    "integrators.magnus": "integrators.methods.magnus",
+    "integrators.phased_solution": "integrators.phases.phased_solution",
+    "integrators.rkmk": "integrators.methods.rkmk",
+    "integrators.run": "integrators.loop.outcome",
+    "integrators.solution": "integrators.results.solution",
     "lowering.backends": "scalar.backends",
     "lowering.dynamics": "system.dynamics",
     "lowering.functions": "system.functions",
@@ -33,6 +41,9 @@ MOVED = {
     "layout": "groups.columns",
     "table_load": "scalar.primitives.table_load",
     "tables": "expr.tables",
+    "trajectory.controls": "trajectory.problem.controls",
+    "trajectory.functionals": "trajectory.problem.functionals",
+    "trajectory.statement": "trajectory.problem.statement",
 }
 _EARLIER = {now: earlier for earlier, now in MOVED.items()}
 #: Packages that are gone; of their modules those above are left.

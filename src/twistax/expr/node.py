@@ -17,8 +17,8 @@ import numpy as np
 from ..checks import listed
 from ..errors import ImmutableError, ModelError, OperationError, ShapeError
 from .canonical import canonicalize_all
+from .declaring import Field, bind_fields, declare_fields, freeze
 from .examples import Case, Example, example_of
-from .fields import Field, bind_fields, declare_fields, freeze
 from .graph import bottom_up, find_path
 from .moved import first_module
 from .operators import NODES, Operators, as_node

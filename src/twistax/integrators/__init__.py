@@ -1,13 +1,19 @@
 """Integration on groups: methods, controls, events, solutions. Tableaus are `tx.tableaus`, charts `tx.charts`."""
 
-from .commutator_free import CommutatorFree
 from .controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
-from .events import AtStart, Event
-from .implicit_rkmk import ImplicitRKMK
+from .events.conditions import AtStart, Event
 from .integrate import integrate
-from .magnus import Magnus
+from .loop.loop import ended_well
+from .loop.outcome import Result
 from .method import Method, VectorField
-from .rkmk import RKMK
-from .run import Result
-from .solution import Solution
+from .methods.commutator_free import CommutatorFree
+from .methods.implicit_rkmk import ImplicitRKMK
+from .methods.interpolant import Between
+from .methods.magnus import Magnus
+from .methods.rkmk import RKMK
+from .phases.integrate_phases import Phase, integrate_phases
+from .phases.phased_solution import PhasedSolution
+from .results.solution import Crossings, Solution
+from .simulator import Simulator, simulator
+from .splitting import FreeBody, FreeParticle, Splitting
 from .step_control import StepControl

@@ -1,7 +1,8 @@
-"""The same system as a plain ODE in quaternions or matrices, as one would write it without groups; diffrax's args."""
+"""A system as a plain ODE in quaternions or matrices, and the arguments `args` of diffrax."""
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any, NamedTuple
 
@@ -12,10 +13,10 @@ from ..errors import InputError
 from ..groups import Group, quaternions, se3, so3
 from ..groups.arrays import unpack, vector
 from ..system.dynamics import Arrays, Dynamics, need_compiled
-from .controls import OfTime, Signals, controls_of
+from .controls import OfTime, controls_of
 
 
-class Ambient:
+class AmbientSystem:
     """A system's state and rates in numbers that a general ODE solver can add and scale.
 
     Poses become [quaternion, position] (7,), rotations quaternions (4,), w first, or both stay matrices; states
@@ -37,11 +38,11 @@ class Ambient:
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
         """The numbers of a state. Raises InputError as a call of the dynamics does."""
         states = self.dynamics._functions.prepare(0.0, x, reads=()).x
-        return {name: own.write(states[name]) for name, own in self._numbers.items()}
+        return {name: numbers.write(states[name]) for name, numbers in self._numbers.items()}
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
         """The state of one set of numbers; map over saved times with jax.vmap."""
-        return {name: own.read(jnp.asarray(y[name])) for name, own in self._numbers.items()}
+        return {name: numbers.read(jnp.asarray(y[name])) for name, numbers in self._numbers.items()}
 
     def vector_field(self, t: Any, y: Mapping[str, Any], args: Any = None) -> Arrays:
         """y' at time t with args = (u, params), both as `integrate` takes them, or None. Traceable."""
@@ -49,7 +50,7 @@ class Ambient:
 
     def rates(self, y: Mapping[str, Any], velocities: Mapping[str, Any]) -> Arrays:
         """y' of the rates that the dynamics give: body velocities of rotations and poses."""
-        return {name: own.rate(jnp.asarray(y[name]), velocities[name]) for name, own in self._numbers.items()}
+        return {name: numbers.rate(jnp.asarray(y[name]), velocities[name]) for name, numbers in self._numbers.items()}
 
 
 class _Numbers(NamedTuple):
@@ -84,13 +85,15 @@ def _moved(y: jax.Array, twist: jax.Array) -> jax.Array:
     return jnp.concatenate([_turned(y[:4], twist[3:]), so3.act(quaternions.to_rotation(y[:4]), twist[:3])])
 
 
-class Arguments(NamedTuple):
-    """What diffrax calls args, read as `integrate` reads u and params: what a step needs besides its length."""
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Arguments:
+    """Time, state, controls and parameters: the `args` of diffrax, read as `integrate` reads u and params."""
 
-    t: jax.Array
-    x: Arrays
-    signals: Signals  # prepared
-    params: Arrays  # prepared
+    t: Any
+    x: Any
+    signals: Any  # prepared
+    params: Any  # prepared
 
     def rates(self, dynamics: Dynamics, t: jax.Array | None = None, h: jax.Array | None = None) -> Arrays:
         """The rates there, for controls within the step from t to t + h.

@@ -25,11 +25,11 @@ _SHORT = 64
 
 def _floats(place: str, value: Any) -> jax.Array:
     """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
-    given = real_array(place, value)
-    dtype = given.dtype if jnp.issubdtype(given.dtype, jnp.floating) else float
+    array = real_array(place, value)
+    dtype = array.dtype if jnp.issubdtype(array.dtype, jnp.floating) else float
     # What the precision cannot hold becomes infinite, and is refused as that.
-    with contextlib.nullcontext() if is_traced(given) else jax.ensure_compile_time_eval(), np.errstate(over="ignore"):
-        return jnp.asarray(given, jax.dtypes.canonicalize_dtype(dtype))
+    with contextlib.nullcontext() if is_traced(array) else jax.ensure_compile_time_eval(), np.errstate(over="ignore"):
+        return jnp.asarray(array, jax.dtypes.canonicalize_dtype(dtype))
 
 
 def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
@@ -39,7 +39,7 @@ def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
     return jnp.searchsorted(ts, t, side="right", method=method) - 1
 
 
-class Table(ABC):
+class ControlTable(ABC):
     """Values over time for one control. A pytree: new numbers in a table of the same size do not compile again.
 
     Attributes:
@@ -78,12 +78,12 @@ class Table(ABC):
         jax.tree_util.register_pytree_node(cls, lambda table: ((table.ts, table.values), None), cls._of)
 
     @classmethod
-    def _of(cls, _: None, children: Sequence[Any]) -> Table:
+    def _of(cls, _: None, children: Sequence[Any]) -> ControlTable:
         table = object.__new__(cls)
         table.ts, table.values = children
         return table
 
-    def astype(self, dtype: Any) -> Table:
+    def astype(self, dtype: Any) -> ControlTable:
         """The same table in another precision. Raises InputError where that cannot hold it."""
         if self.ts.dtype == dtype and self.values.dtype == dtype:
             return self
@@ -133,7 +133,6 @@ class Table(ABC):
         return value
 
     def _missing(self, t: jax.Array) -> jax.Array:
-        """Whether there is no value at a time."""
         return t < self.ts[0] if self.holds_on else (t < self.ts[0]) | (t > self.ts[-1])
 
     @abstractmethod
@@ -156,7 +155,7 @@ class Table(ABC):
         return jnp.clip(row_at(self.ts, t), 0, self.ts.shape[0] - self.rows)
 
 
-class ZeroOrderHold(Table):
+class ZeroOrderHold(ControlTable):
     """A zero-order hold: row i holds from ts[i] until ts[i + 1], the last one from its time on.
 
     Before ts[0] there is no value: an integration must not begin earlier.
@@ -179,7 +178,7 @@ class ZeroOrderHold(Table):
         return self.values[row]
 
 
-class PiecewisePolynomial(Table):
+class PiecewisePolynomial(ControlTable):
     """Polynomials: from ts[i] until ts[i + 1] $sum_k values[i, k] (t - ts[i])^k / k!$, the last from its time on.
 
     So values[i] has the value at ts[i] and its derivatives from there on. Before ts[0] there is no value.
@@ -207,14 +206,14 @@ class PiecewisePolynomial(Table):
         return super().first[0]
 
     def _value(self, row: jax.Array, time: jax.Array) -> jax.Array:
-        own, since = self.values[row], time - self.ts[row]
-        found = own[-1]
+        coefficients, since = self.values[row], time - self.ts[row]
+        result = coefficients[-1]
         for order in range(self.values.shape[1] - 1, 0, -1):
-            found = own[order - 1] + since / order * found
-        return found
+            result = coefficients[order - 1] + since / order * result
+        return result
 
 
-class FirstOrderHold(Table):
+class FirstOrderHold(ControlTable):
     """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration.
 
     Args, Raises: ts and values as for `ZeroOrderHold`, two rows or more.
@@ -237,30 +236,34 @@ class ByName:
 
     def sample(self, t: Any) -> Mapping[str, Any]:
         """A value of every control, to check names and shapes with."""
-        return {name: v.first if isinstance(v, Table) else v for name, v in self.values.items()}
+        return {name: v.first if isinstance(v, ControlTable) else v for name, v in self.values.items()}
 
     def check_span(self, t0: float, t1: float) -> None:
         """Raise InputError where a known table does not cover a span."""
         for name, value in self.values.items():
-            if isinstance(value, Table):
+            if isinstance(value, ControlTable):
                 value.check_span(f"u[{name!r}]", t0, t1)
 
     @property
     def jumps(self) -> list[Any]:
         """The times at which tables jump."""
-        return [value.jumps for value in self.values.values() if isinstance(value, Table)]
+        return [value.jumps for value in self.values.values() if isinstance(value, ControlTable)]
 
-    def prepared(self, held: Mapping[str, Any], dtype: Any) -> ByName:
-        """The same controls in the precision of the state; `held` has the arrays already cast."""
-        return ByName({n: v.astype(dtype) if isinstance(v, Table) else held[n] for n, v in self.values.items()})
+    def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> ByName:
+        """The same controls in the precision of the state; `arrays` are already cast."""
+        return ByName(
+            {n: v.astype(dtype) if isinstance(v, ControlTable) else arrays[n] for n, v in self.values.items()}
+        )
 
     def during(
         self, dynamics: Dynamics, t: jax.Array, h: jax.Array, within: bool = False
     ) -> Callable[[jax.Array], Arrays]:
-        """The prepared controls as a function of the times within the step from t to t + h, as of a `Table`."""
-        tables = {name: value.during(t, h, within) for name, value in self.values.items() if isinstance(value, Table)}
-        held = {name: value for name, value in self.values.items() if name not in tables}
-        return lambda time: held | {name: value(time) for name, value in tables.items()}
+        """The prepared controls as a function of the times within the step from t to t + h, as of a `ControlTable`."""
+        tables = {
+            name: value.during(t, h, within) for name, value in self.values.items() if isinstance(value, ControlTable)
+        }
+        constants = {name: value for name, value in self.values.items() if name not in tables}
+        return lambda time: constants | {name: value(time) for name, value in tables.items()}
 
 
 class OfTime:
@@ -291,7 +294,7 @@ class OfTime:
             function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
-    def prepared(self, held: Mapping[str, Any], dtype: Any) -> OfTime:
+    def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> OfTime:
         """Nothing to cast before the function is called."""
         return self
 
@@ -326,7 +329,7 @@ def controls_of(u: Any) -> Signals:
                     f"  fix: give one function of time for all controls, u=lambda t: {{{name!r}: ...}}, or a table"
                 )
         return ByName(dict(u))
-    if isinstance(u, Table):
+    if isinstance(u, ControlTable):
         raise InputError(f"u must be a dict, got a bare {type(u).__name__}.\n  fix: u={{'name of the control': table}}")
     if callable(u):
         callable_with("u", u, ["t"], InputError)

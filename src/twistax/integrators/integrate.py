@@ -1,73 +1,37 @@
-"""Integration of a compiled system over time: what was given is read and checked, steps are taken, a solution made.
+"""Integration of a compiled system over time.
 
-The way down: `integrate` makes a `Stepper`, a method on a system (method.py), and `Steps` (steps.py, adaptive.py),
-which `rollout` compiles (rollout.py). A step of `RKMK` (rkmk.py) is one loop over stages in a chart (charts.py).
+The way down: `integrate` reads its options into a `Plan` (options.py): a `Stepper`, a method on a system (method.py),
+and `Steps` (loop/), which `rollout` compiles (loop/rollout.py). A step of `RKMK` (methods/rkmk.py) is one loop over
+stages in a chart (charts/).
 """
 
 from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Mapping
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import instance, real_array
-from ..errors import InputError
-from ..expr import Inputs
-from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
 from ..scalar.array_primitive import on_any_mesh
-from ..system.dynamics import Dynamics, need_compiled
-from ..system.inputs import is_finite, need_held, precision
-from .adaptive import AdaptiveSteps
-from .charts import Ambient
-from .controls import ByName, OfTime, Signals, controls_of
-from .events import watch_of
-from .failures import failure, numbers
-from .interpolant import Between
-from .meter import asked_for, metered
-from .method import Method, Stepper
-from .projected import need_start_on_manifold, projected
-from .rkmk import RKMK
-from .rollout import Rollout, rollout
-from .rows import Stops, filled, limits_of
-from .run import Result
-from .solution import Crossings, Dense, Solution, Stats
-from .step_control import StepControl
-from .steps import FixedSteps, Steps, ended_well
-from .tableaus import DOP853, RK4
-from .times import check_saves, direction_of, fixed_steps, span_of
-from .tolerances import tolerances_of
-from .unreached import nan_unless
+from ..system.dynamics import Dynamics
+from .loop.failures import failure, numbers
+from .loop.loop import Steps, ended_well
+from .loop.outcome import Result
+from .loop.progress_callback import callback_of, calling_back
+from .loop.rollout import RolloutResult, rollout
+from .loop.unreached import nan_unless
+from .method import Stepper
+from .options import Options, need_flag, plan_of, with_options
+from .results.solution import Crossings, Dense, Solution, Stats
 
 
-def integrate(
-    dynamics: Dynamics,
-    x0: Mapping[str, Any],
-    *,
-    t0: Any = 0.0,
-    t1: Any,
-    dt: Any = None,
-    steps: int | None = None,
-    rtol: Any = None,
-    atol: Any = None,
-    method: Method | None = None,
-    control: StepControl | None = None,
-    jumps: Any = None,
-    u: Any = None,
-    params: Mapping[str, Any] | None = None,
-    save_at: Any = None,
-    between: Between = Between.STEP,
-    dense: bool = False,
-    event: Any = None,
-    max_crossings: Any = None,
-    throw: bool = True,
-    progress: Any = None,
-) -> Solution:
+@with_options(Options)
+def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> Solution:
     """Integrate a system from x0 at t0 to t1, with fixed steps or with as long ones as tolerances allow.
 
     Every state stays in its group, and on the manifold that the system's corrections bring it back to. The loop is
@@ -126,234 +90,57 @@ def integrate(
         ModelError: a system that is not compiled; a method that cannot integrate the system, or has no error estimate.
         IntegrationError: the integration ended early. Names the time, the state and the likely cause.
     """
-    plan = planned(
-        dynamics,
-        x0,
-        t0=t0,
-        t1=t1,
-        dt=dt,
-        steps=steps,
-        rtol=rtol,
-        atol=atol,
-        method=method,
-        control=control,
-        jumps=jumps,
-        u=u,
-        params=params,
-        save_at=save_at,
-        between=between,
-        dense=dense,
-        event=event,
-        max_crossings=max_crossings,
-    )
-    _flag("throw", throw)
-    stepper, taken = plan.stepper, plan.steps
-    told = None if progress is None else asked_for(progress)
-    if told is None or plan.traced or is_tracing():
-        found = rollout(taken, stepper, plan.x)
+    return integrated(dynamics, x0, options)
+
+
+def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> Solution:
+    """`integrate` with its options as a record."""
+    plan = plan_of(dynamics, x0, options)
+    need_flag("throw", options.throw)
+    stepper, steps = plan.stepper, plan.steps
+    callback = None if options.progress is None else callback_of(options.progress)
+    if callback is None or plan.traced or is_tracing():
+        result = rollout(steps, stepper, plan.x)
     else:
-        with metered(told) as meter:
-            found = rollout(dataclasses.replace(taken, meter=meter), stepper, plan.x)
-    if is_traced((t0, t1, save_at)):
-        times = (plan.t0, jnp.asarray(t1, plan.t0.dtype), plan.ts)
-        found = _inside(found, *(jnp.asarray(stepper.clock(t)) for t in times))
-    return solution_of(stepper, taken, found, plan.ts, save_at is None, throw)
+        with calling_back(callback) as meter:
+            result = rollout(dataclasses.replace(steps, meter=meter), stepper, plan.x)
+    if is_traced((options.t0, options.t1, options.save_at)):
+        times = (plan.t0, jnp.asarray(options.t1, plan.t0.dtype), plan.ts)
+        result = _inside(result, *(jnp.asarray(stepper.clock(t)) for t in times))
+    return solution_of(stepper, steps, result, plan.ts, options.save_at is None, options.throw)
 
 
-class Plan(NamedTuple):
-    """An integration that was checked, and what takes it."""
-
-    stepper: Stepper
-    steps: AdaptiveSteps | FixedSteps
-    x: dict[str, Any]  # the prepared start
-    t0: Any
-    ts: Any  # (n,) the saved times, or the end
-    traced: bool  # whether any of it is
-
-
-def planned(
-    dynamics: Any,
-    x0: Any,
-    *,
-    t0: Any = 0.0,
-    t1: Any,
-    dt: Any = None,
-    steps: Any = None,
-    rtol: Any = None,
-    atol: Any = None,
-    method: Any = None,
-    control: Any = None,
-    jumps: Any = None,
-    u: Any = None,
-    params: Any = None,
-    save_at: Any = None,
-    between: Any = Between.STEP,
-    dense: Any = False,
-    event: Any = None,
-    max_crossings: Any = None,
-) -> Plan:
-    """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
-    need_compiled("integrate", dynamics)
-    adaptive = rtol is not None or atol is not None
-    if method is None:
-        method = RKMK(DOP853, Ambient()) if adaptive else RKMK(RK4)
-    instance("method", method, Method, "an object like tx.RKMK(tx.tableaus.RK4)", InputError)
-    if dynamics.system.corrections:
-        method = projected(method)
-    method.check(dynamics)
-    _flag("dense", dense)
-    instance("between", between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
-    instance("control", control, StepControl | None, "tx.StepControl(...)", InputError)
-    span = span_of(t0, t1, dt)
-    controls = controls_of(u)
-    places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
-    now = _controls_now(dynamics, controls, t0, precision(x0, params))
-    inputs = dynamics._functions.prepare(t0, x0, now, params, names=places, on_host=True)
-    _check_start(dynamics, inputs, places)
-    if dynamics.system.corrections:
-        need_start_on_manifold(dynamics, inputs)
-    if span is not None:
-        need_held("t1", np.asarray(span[1]), inputs.dtype)
-        if isinstance(controls, ByName):
-            controls.check_span(min(span), max(span))
-    signals, x, dtype = controls.prepared(inputs.u, inputs.dtype), dict(inputs.x), inputs.dtype
-    if event is None and max_crossings is not None:
-        raise InputError(
-            "max_crossings is for events that do not end the integration, but event is left out.\n"
-            "  fix: leave it out too, or event=tx.Event(condition, terminal=False)"
-        )
-    watch, watched = (None, None) if event is None else watch_of(dynamics, event, inputs, signals, max_crossings)
-    traced = is_traced((signals, inputs.u, inputs.params, x, t0, t1, dt, rtol, atol, jumps, save_at, watched))
-    if traced and isinstance(signals, OfTime):
-        signals = signals.opened(jnp.asarray(inputs.t))
-    direction = direction_of(t0, t1, dtype)
-    stepper = Stepper(
-        dynamics, method, signals, dict(inputs.params), within=True, inward=jumps is not None, direction=direction
-    )
-    # From here on times are those of the clock of the loop over steps, which goes forward.
-    start, end, span = _on_clock(direction, t0, t1, span, dtype)
-    saves, count = save_at, np.asarray(0)
-    if save_at is not None:
-        known = check_saves(save_at, None if span is None else (float(t0), float(t1)))
-        count = np.asarray(len(save_at))
-        saves = (jnp if is_traced((direction, save_at)) else np).asarray(save_at)
-        # In the precision they came in, which says how exact they are.
-        saves = saves if saves.dtype.kind == "f" else saves.astype(dtype)
-        saves = direction.astype(saves.dtype) * saves
-        if known and not traced and not is_tracing():
-            # A polynomial is asked for as far as the time has come: never for what fills up the rows.
-            beyond = np.inf if between is Between.POLYNOMIAL else end
-            saves = filled(saves, beyond, sum(value.size for value in x.values()))
-    limits = limits_of(start, end, jumps, signals, direction)
-    taken: AdaptiveSteps | FixedSteps
-    if adaptive:
-        if steps is not None:
-            raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
-        _ = method.error_order  # a method without an error estimate says so here
-        if between is Between.POLYNOMIAL:
-            method.need_polynomial()
-        stops = Stops.given(limits, start, saves, count)
-        if dt is not None:
-            need_held("dt", real_array("dt", dt), dtype)
-        first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
-        tolerances = tolerances_of(dynamics, rtol, atol, dtype)
-        taken = AdaptiveSteps(start, first, stops, tolerances, control or StepControl(), dense, between, watch)
-    else:
-        polynomial = between if between is Between.POLYNOMIAL else None
-        for name, value in (("control", control), ("between", polynomial)):
-            if value is not None:
-                raise InputError(
-                    f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
-                )
-        taken = fixed_steps(
-            start, end, span, dt, steps, saves, count, dtype, bounded=traced, dense=dense, watch=watch, limits=limits
-        )
-    times = [t1] if save_at is None else save_at
-    ts = (jnp if is_traced(times) else np).asarray(times, dtype)
-    return Plan(stepper, taken, x, inputs.t, ts, traced)
-
-
-def _on_clock(direction: Any, t0: Any, t1: Any, span: Any, dtype: Any) -> tuple[Any, Any, tuple[float, float] | None]:
-    """Start and end on the clock of the loop over steps, and as plain numbers where they are known."""
-    array: Any = np if span else jnp
-    start, end = (direction * array.asarray(t, dtype) for t in (t0, t1))
-    return start, end, span and (float(direction) * span[0], float(direction) * span[1])
-
-
-def _flag(name: str, value: Any) -> None:
-    if not isinstance(value, (bool, np.bool_)):
-        raise InputError(f"{name} must be True or False, got {value!r}")
-
-
-def _controls_now(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
-    """The controls at t0, to check names and shapes with. A function that was checked is not called again."""
-    if isinstance(controls, ByName):
-        return controls.sample(t0)
-    plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
-    if is_tracing() or not plain:
-        return controls.sample(jnp.asarray(t0, dtype))
-    loops, key = dynamics._functions.loops, (_controls_now, controls.function, np.dtype(dtype))
-    return loops.get(key, lambda: controls.sample(jnp.asarray(t0, dtype)))
-
-
-def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
-    """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
-    for place, values in zip(places[1:], (inputs.x, inputs.u, inputs.params), strict=True):
-        for name, value in values.items():
-            if not is_finite(value):
-                raise InputError(f"{place}[{name!r}] expects finite numbers, got {np.asarray(value)}")
-    for name, group in dynamics.group.factors.items():
-        need_element(name, group, inputs.x[name])
-
-
-def need_element(name: str, group: Group, value: Any) -> None:
-    """Raise InputError where the start of a state is known and no element of its group."""
-    if group.flat or is_traced(value):
-        return
-    defect = group.known_defect(np.asarray(value))
-    tolerance = 1e-6
-    if defect > tolerance:  # what is known of the type takes long to find
-        tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
-    if defect > tolerance:
-        raise InputError(
-            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
-            + (
-                " (the rotation's R'R - I, and the last row of a pose).\n"
-                "  fix: build poses with tx.pose(...), or take the nearest element with "
-                f"tx.{group.name}.normalize(g)"
-                if group.rigid
-                else ".\n  fix: take the nearest element, that which normalize of the group gives"
-            )
-        )
-
-
-def _inside(found: Rollout, start: jax.Array, end: jax.Array, ts: jax.Array) -> Rollout:
-    """NON_FINITE for traced times that would be refused if they were known, and NaN for the states there."""
+def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
+    """The result of traced times: NON_FINITE and NaN where known ones would be refused."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
-    code = found.outcome.code
+    code = result.outcome.code
     code = jnp.where(ended_well(code) & ~inside.all(), Result.NON_FINITE.value, code)
-    return found._replace(xs=nan_unless(inside, found.xs), outcome=found.outcome._replace(code=code))
+    return dataclasses.replace(
+        result, xs=nan_unless(inside, result.xs), outcome=dataclasses.replace(result.outcome, code=code)
+    )
 
 
 def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
-    """Times and states by name, and the end behind them."""
+    """Times and states with the end appended."""
     joined = {name: array.concatenate([value, array.asarray(end[name])[None]]) for name, value in xs.items()}
     return array.append(ts, t), joined
 
 
-def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_only: bool, throw: bool) -> Solution:
-    """What the user gets; where numbers are known a failure raises, or leaves the good part."""
-    outcome, xs, known = found.outcome, found.xs, not is_traced(found.outcome)
+def solution_of(
+    stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
+) -> Solution:
+    """The `Solution` of a rollout; with known numbers a failure raises, or the part before it is returned."""
+    outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)
-    code, tried, accepted, evaluations, _, _ = outcome
+    code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)
     stats = Stats(tried, accepted, tried - accepted, evaluations)
     result = Result(int(code)) if known else code
     if known and throw and not ended_well(result):
-        raise failure(*numbers((stepper, steps, outcome, found.end or xs)))
+        raise failure(*numbers((stepper, steps, outcome, rolled.end or xs)))
     t_end = stepper.clock(outcome.t)
     if not known:
         t_end = nan_unless(ended_well(outcome.code), t_end)
@@ -366,27 +153,27 @@ def solution_of(stepper: Stepper, steps: Steps, found: Rollout, ts: Any, end_onl
             ts = jnp.where(outcome.code == Result.SUCCESS.value, ts[-1], t_end)[None]
     else:
         # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
-        unknown = is_traced((found, ts))
+        unknown = is_traced((rolled, ts))
         array: Any = jnp if unknown else np
         kept = len(ts)
         if known and result is not Result.SUCCESS:
-            kept = int(np.cumprod(np.asarray(found.reached)[:kept]).sum())
+            kept = int(np.cumprod(np.asarray(rolled.reached)[:kept]).sum())
         ts, xs = ts[:kept], {name: array.asarray(value)[:kept] for name, value in xs.items()}
         if watching:
-            end = found.end or {}
+            end = rolled.end or {}
             if not known:
                 end = nan_unless(ended_well(outcome.code), end)
             ts, xs = on_any_mesh(functools.partial(_and_end, array), ts, xs, t_end, end)
         xs = xs if unknown else jax.device_put(xs)
-    dense = None if found.trail is None else Dense(stepper, found.trail)
+    dense = None if rolled.trail is None else Dense(stepper, rolled.trail)
     return Solution(
         ts if isinstance(ts, jax.Array) else jax.device_put(ts),
         xs,
         stats,
         result,
         dense,
-        found.event,
+        rolled.event,
         stepper,
-        found.at_start,
-        None if found.crossings is None else Crossings.of(found.crossings),
+        rolled.at_start,
+        None if rolled.crossings is None else Crossings.of(rolled.crossings),
     )

@@ -1,4 +1,4 @@
-"""What every integration method offers, and a method bound to a system: what every loop over steps calls."""
+"""The interface of integration methods, and `Stepper`, a method on a system, which the loop over steps calls."""
 
 from __future__ import annotations
 
@@ -14,13 +14,14 @@ from ..errors import ModelError
 from ..jax_inside import spread
 from ..scalar.array_primitive import on_any_mesh
 from ..scalar.backends import JAX
+from ..scalar.small_call import held
 from ..system.dynamics import Arrays, Dynamics
-from .charts import Blocks, StateCoordinates, StoredState
-from .compensated import compensated
+from .charts.chart import compensated
+from .charts.coordinates import Blocks, StateCoordinates, StoredState
 from .controls import Signals
-from .tolerances import Tolerances
+from .step_control import Tolerances
 
-#: What a method carries from one step to the next, its own affair: a pytree of arrays of the state's precision.
+#: State of a method between steps: a pytree of arrays of the precision of the system's state.
 Carry: TypeAlias = Any
 
 
@@ -44,16 +45,18 @@ class VectorField(NamedTuple):
         return self.dynamics._functions.vector_field(self.clock(t), x, self.controls(t), self.params)
 
 
-class Attempt(NamedTuple):
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class StepAttempt:
     """A step that may be taken back."""
 
-    y: Blocks  # the stored state at its end
-    carry: Carry  # what the next step begins with
+    y: Any  # the stored state at its end
+    carry: Any  # what the next step begins with
     #: Estimates of the error of the step, in the coordinates around its start; the first one of lowest order but one,
     #: the second, where a method has two, of lowest order. None where steps are fixed.
-    errors: tuple[Blocks, ...]
+    errors: Any
     evaluations: Any  # of the right-hand side, a number or an array
-    solved: jax.Array | None = None  # whether the equations of the step were solved; None where it has none
+    solved: Any = None  # whether the equations of the step were solved; None where it has none
     slopes: Any = None  # what `between` reads, where the method has it
 
 
@@ -81,7 +84,7 @@ class Method(ABC):
         """Evaluations of the right-hand side in a step of `advance`."""
 
     def evaluations_of(self, dynamics: Dynamics) -> int:
-        """The same for one system, where a method takes more for some."""
+        """Evaluations of the right-hand side in a step of `advance` on one system."""
         return self.evaluations
 
     def check(self, dynamics: Dynamics) -> None:
@@ -127,14 +130,14 @@ class Method(ABC):
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        """What the first `follow` is given."""
+        """The carry of the first `follow`."""
         return ()
 
-    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         """The step of `advance`, after a step that left `carry`. Pure and traceable."""
-        return Attempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
+        return StepAttempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
-    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Attempt:
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
         """The step of `follow` with the slopes that `between` reads, where the method has it."""
         return self.follow(field, t, y, carry, h)
 
@@ -144,16 +147,16 @@ class Method(ABC):
     resume_evaluations: int = 1
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        """What the first `attempt` is given: the rate there, if a method wants nothing else."""
+        """The carry of the first `attempt`: the rate at the start, unless a method overrides this."""
         return rate
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
-        """What `attempt` is given at a time where rates may have jumped."""
+        """The carry of `attempt` at a time where rates may have jumped."""
         return self.rate(field, t, y)
 
     def attempt(
         self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
-    ) -> Attempt:
+    ) -> StepAttempt:
         """One step of length h with its error. Pure and traceable.
 
         Args:
@@ -245,12 +248,12 @@ class Stepper:
 
     @property
     def in_arrays(self) -> Stepper:
-        """The same, rates as arrays: for what is scalarised as a whole."""
+        """This stepper with rates as arrays, for a step that becomes scalars as a whole."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
 
     @property
     def beside_loops(self) -> Stepper:
-        """The same for what stands beside loops in kernels."""
+        """This stepper for functions outside of the kernel of a loop."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
 
     def clock(self, t: Any) -> Any:
@@ -283,8 +286,8 @@ class Stepper:
         field, t, h = self._in_s(t, h)
         return self.method.advance(field, t, y, h)
 
-    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> Attempt:
-        """The same, after a step that left `carry`; with the slopes of the step, if it has any, where it is sampled."""
+    def follow(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, sampled: bool = False) -> StepAttempt:
+        """The step of `advance` after a step that left `carry`; sampled, with the slopes of the step if it has any."""
         field, t, h = self._in_s(t, h)
         return (self.method.sampled if sampled else self.method.follow)(field, t, y, carry, h)
 
@@ -294,11 +297,11 @@ class Stepper:
         return self.method.rate(field, t, y)
 
     def resume(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> Carry:
-        """What `attempt` is given where rates may have jumped before a step of length h."""
+        """The carry of `attempt` where rates may have jumped before a step of length h."""
         field, t, _ = self._in_s(t, h)
         return self.method.resume(field, t, y, carry)
 
-    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> Attempt:
+    def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> StepAttempt:
         """A step of length h that may be taken back, with its error."""
         field, t, h = self._in_s(t, h)
         return self.method.attempt(field, t, y, carry, h, tolerances)
@@ -306,6 +309,35 @@ class Stepper:
     def between(self, y: Blocks, h: jax.Array, slopes: Any, share: jax.Array) -> Blocks:
         """The stored state at a share of a step of length h from y, of a method that has a polynomial."""
         return self.method.between(self.dynamics, y, self.clock(h), slopes, share)
+
+    def first_step(
+        self, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: Any, room: Any
+    ) -> jax.Array:
+        """A step whose error should be near the tolerance, judged by the rate and by a short Euler step.
+
+        Pure and traceable; `fallback` where the rates say nothing.
+
+        Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.4,
+        starting step size.
+        """
+        local, order = self.coordinates, self.method.error_order
+
+        def size(e: Blocks) -> jax.Array:
+            return jnp.sqrt(tolerances.mean_square(local, e, y, y))
+
+        slope = held(local.first_slope(y, rate))
+        reach, speed = tolerances.reach(local, y), size(slope)
+        short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
+        # Controls beyond the end may not be defined.
+        short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
+        z = jax.tree.map(lambda k: self.clock(short) * k, slope)
+        moved = held(local.move(y, z))
+        later = local.slope(z, moved, held(self.rate(t + short, moved, 1e-3 * short)))
+        bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
+        largest = jnp.maximum(speed, bend)
+        h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))
+        h = jnp.minimum(100.0 * short, h)
+        return jnp.where(jnp.isfinite(h) & (h > 0.0), h, fallback)
 
 
 def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any) -> Any:
@@ -317,7 +349,7 @@ def jitted(make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any)
 def flattened(
     make: Callable[[], Callable[..., Any]], stepper: Stepper, *rest: Any
 ) -> tuple[Callable[..., Any], list[Any], Any]:
-    """The same function of the arrays in its arguments, those arrays, and the structure they came in.
+    """The jitted function on the arrays of its arguments, those arrays, and their structure.
 
     JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
     with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures

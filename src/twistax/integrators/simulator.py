@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import inspect
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -17,16 +16,17 @@ from ..expr import Inputs
 from ..jax_inside import is_traced
 from ..system.dynamics import Dynamics
 from ..system.inputs import read_values
-from .controls import Table
-from .integrate import integrate, need_element, planned, solution_of
+from .controls import ControlTable
+from .integrate import integrated, solution_of
+from .loop.rollout import packed_rollout, unpacked
 from .method import flattened
-from .projected import need_start_on_manifold
-from .rollout import handed_over, in_few_arrays
-from .solution import Solution
+from .methods.projected import need_start_on_manifold
+from .options import Options, need_element, plan_of
+from .results.solution import Solution
 
 #: What a call may change, and the options of `integrate` that stay.
 _GIVEN = ("x0", "u", "params")
-_OPTIONS = tuple(name for name in inspect.signature(planned).parameters if name not in ("dynamics", *_GIVEN))
+_OPTIONS = tuple(f.name for f in dataclasses.fields(Options) if f.name not in ("throw", "progress", *_GIVEN))
 
 
 def simulator(
@@ -51,7 +51,7 @@ def simulator(
     for name in options:
         if name not in _OPTIONS:
             raise InputError(f"simulator has no option {name!r}; there are: {listed(_OPTIONS, name)}")
-    return Simulator(dynamics, {"x0": x0, "u": u, "params": params}, throw, options)
+    return Simulator(dynamics, x0, Options(u=u, params=params, throw=throw, **options))
 
 
 @dataclasses.dataclass(frozen=True)
@@ -65,28 +65,28 @@ class _Slot:
 
 
 class Simulator:
-    """What `tx.simulator` makes: called with starts, controls and parameters, it integrates.
+    """A compiled integration, called with starts, controls and parameters. `tx.simulator` makes it.
 
     Attributes:
         dynamics: the compiled system.
     """
 
-    def __init__(self, dynamics: Dynamics, given: dict[str, Any], throw: bool, options: dict[str, Any]) -> None:
+    def __init__(self, dynamics: Dynamics, x0: Any, options: Options) -> None:
         self.dynamics = dynamics
-        self._given, self._options, self._throw = given, options, throw
-        plan = planned(dynamics, **given, **options)
+        self._x0, self._options = x0, options
+        plan = plan_of(dynamics, x0, options)
         if plan.traced:
             raise InputError(
                 "simulator expects numbers, got a traced JAX value.\n  fix: tx.integrate inside of jit, vmap and grad"
             )
-        self._stepper, self._steps, self._end_only = plan.stepper, plan.steps, options.get("save_at") is None
+        self._stepper, self._steps = plan.stepper, plan.steps
         self._ts, self._dtype = jax.device_put(plan.ts), plan.t0.dtype
-        self._run, leaves, structure = flattened(in_few_arrays, plan.stepper, plan.steps, plan.x)
+        self._run, leaves, structure = flattened(packed_rollout, plan.stepper, plan.steps, plan.x)
         self._leaves = jax.device_put([jnp.asarray(leaf) for leaf in leaves])
         stepper, _, x = jax.tree.unflatten(structure, range(len(leaves)))
-        held: Any = plan.stepper.signals
-        by_name = getattr(held, "values", {}), getattr(stepper.signals, "values", {})
-        found = (
+        signals: Any = plan.stepper.signals
+        by_name = getattr(signals, "values", {}), getattr(stepper.signals, "values", {})
+        inputs = (
             (dynamics.states, plan.x, x),
             (dynamics.controls, *by_name),
             (dynamics.parameters, plan.stepper.params, stepper.params),
@@ -99,7 +99,7 @@ class Simulator:
                 for leaf in leaves
                 if leaf.name in at
             }
-            for kind, (leaves, values, at) in zip(_GIVEN, found, strict=True)
+            for kind, (leaves, values, at) in zip(_GIVEN, inputs, strict=True)
         }
         self._start = jnp.asarray(plan.t0), plan.x
 
@@ -122,11 +122,11 @@ class Simulator:
                 than before, in its kind, length or times; a function, or anything in place of one.
             IntegrationError: as `tx.integrate`.
         """
-        given = {"x0": x0, "u": u, "params": params}
-        if is_traced(tuple(given.values())):
-            return self._traced(given)
+        changes = {"x0": x0, "u": u, "params": params}
+        if is_traced(tuple(changes.values())):
+            return self._traced(changes)
         leaves, changed = list(self._leaves), dict[str, dict[str, Any]]()
-        for kind, values in given.items():
+        for kind, values in changes.items():
             if values is not None:
                 changed[kind] = self._placed(kind, values, leaves)
         stepper = self._stepper
@@ -137,28 +137,29 @@ class Simulator:
             stepper = dataclasses.replace(stepper, params=stepper.params | changed["params"])
         if self.dynamics.system.corrections and changed:
             self._need_manifold(stepper, changed.get("x0", {}))
-        found = handed_over(self._run(*leaves))
-        return solution_of(stepper, self._steps, found, self._ts, self._end_only, self._throw)
+        result = unpacked(self._run(*leaves))
+        options = self._options
+        return solution_of(stepper, self._steps, result, self._ts, options.save_at is None, options.throw)
 
     def _placed(self, kind: str, values: Any, leaves: list[Any]) -> dict[str, Any]:
-        """The values, checked and cast, and put in their places."""
-        slots, found = self._slots[kind], {}
+        """The values, checked and cast, written into the leaves."""
+        slots, placed = self._slots[kind], {}
         if not isinstance(values, Mapping):
             raise InputError(f"{kind} must be a dict from names to values, got {short(values)}")
         for name, value in values.items():
             slot = slots.get(name)
             if slot is None:
-                fixed = ", and the function u stays" if kind == "u" and callable(self._given["u"]) else ""
+                fixed = ", and the function u stays" if kind == "u" and callable(self._options.u) else ""
                 raise InputError(
                     f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
                 )
-            if isinstance(slot.value, Table) or isinstance(value, Table):
-                found[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
-                for k, leaf in zip(slot.places, jax.tree.leaves(found[name]), strict=True):
+            if isinstance(slot.value, ControlTable) or isinstance(value, ControlTable):
+                placed[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
+                for k, leaf in zip(slot.places, jax.tree.leaves(placed[name]), strict=True):
                     leaves[k] = leaf
             else:
-                found[name] = leaves[slot.places[0]] = self._array(kind, slot, value)
-        return found
+                placed[name] = leaves[slot.places[0]] = self._array(kind, slot, value)
+        return placed
 
     def _array(self, kind: str, slot: _Slot, value: Any) -> Any:
         as_before = isinstance(value, (np.ndarray, jax.Array)) and value.dtype == self._dtype
@@ -186,10 +187,12 @@ class Simulator:
         u = stepper.signals.during(self.dynamics, t0, jnp.zeros_like(t0))(t0)
         need_start_on_manifold(self.dynamics, Inputs(t0, {**before, **x}, u, stepper.params, self._dtype))
 
-    def _traced(self, given: dict[str, Any]) -> Solution:
-        whole = dict(self._given)
-        for kind, values in given.items():
+    def _traced(self, changes: dict[str, Any]) -> Solution:
+        arguments = {"x0": self._x0, "u": self._options.u, "params": self._options.params}
+        for kind, values in changes.items():
             if values is not None:
-                whole[kind] = {**(whole[kind] or {}), **values} if isinstance(whole[kind], Mapping | None) else values
-        x0 = whole.pop("x0")
-        return integrate(self.dynamics, x0, **whole, **self._options, throw=self._throw)
+                arguments[kind] = (
+                    {**(arguments[kind] or {}), **values} if isinstance(arguments[kind], Mapping | None) else values
+                )
+        x0 = arguments.pop("x0")
+        return integrated(self.dynamics, x0, dataclasses.replace(self._options, **arguments))

@@ -1,31 +1,45 @@
-"""How long steps are: the next one from the errors of the last ones, and the first one to try."""
+"""Step sizes by tolerances: how large an error of a step may be, and the next step after it."""
 
 from __future__ import annotations
 
 import dataclasses
+from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from jax.flatten_util import ravel_pytree
 
-from ..checks import number
-from ..errors import ModelError
-from ..scalar.small_call import held
+from ..checks import listed, number, real_array
+from ..errors import InputError, ModelError
+from ..expr import State
+from ..jax_inside import is_traced
+from ..system.dynamics import Dynamics
+from ..system.inputs import cast
 from ..units import same_unit, seconds
-from .charts import Blocks
-from .method import Stepper
-from .tolerances import Tolerances
+from .charts.coordinates import Blocks, StateCoordinates
 
-#: Errors below this many tolerances count as this: the next step grows by the most anyway.
+#: A step that leaves less than this share of itself to the next limit goes there at once.
+_STRETCH = 0.01
+#: ErrorHistory below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
 
 
-class Errors(NamedTuple):
+class ErrorHistory(NamedTuple):
     """Logarithms of the errors of the last accepted steps, in units of what is allowed; zeros before the first step."""
 
     last: jax.Array
     before: jax.Array
+
+
+class Length(NamedTuple):
+    """A step to try."""
+
+    end: jax.Array  # the time of its end
+    h: jax.Array  # its length
+    planned: jax.Array  # the length it would have without the next limit
+    least: jax.Array  # the shortest length
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,14 +102,28 @@ class StepControl:
             value = getattr(self, field, None)
             raise ModelError(f"StepControl: {field} must be {what}" + ("" if value is None else f", got {value!r}"))
 
-    def grown(self, square: jax.Array, past: Errors, rejected: jax.Array, order: int) -> tuple[jax.Array, Errors]:
+    def length(self, t: jax.Array, h: jax.Array, limit: jax.Array) -> Length:
+        """The next step: as planned, h, but no shorter than times are resolved, and up to the next limit at most."""
+        room = limit - t
+        least = jnp.maximum(8.0 * float(jnp.finfo(t.dtype).eps) * jnp.abs(t), self.dtmin or 0.0)
+        planned = jnp.maximum(h, least)
+        if self.dtmax is not None:
+            planned = jnp.minimum(planned, self.dtmax)
+        # No crumbs before a limit: the last two steps share what is left.
+        shared = jnp.where(2.0 * planned > room, 0.5 * room, planned)
+        step = jnp.where((1.0 + _STRETCH) * planned >= room, room, shared)
+        return Length(jnp.where(step == room, limit, t + step), step, planned, least)
+
+    def grown(
+        self, square: jax.Array, past: ErrorHistory, rejected: jax.Array, order: int
+    ) -> tuple[jax.Array, ErrorHistory]:
         """The factor on h after a step that is taken, and the errors to remember. `square` is e_n squared."""
         now = _log(square)
         p, i, d = self.pcoeff, self.icoeff, self.dcoeff
         exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last - d * past.before
         factor = self.safety * jnp.exp(exponent / order)
         most = jnp.where(rejected, jnp.ones_like(square), self.factormax)
-        return jnp.clip(factor, self.factormin, most), Errors(now, past.last)
+        return jnp.clip(factor, self.factormin, most), ErrorHistory(now, past.last)
 
     def shrunk(self, square: jax.Array, order: int) -> jax.Array:
         """The factor on h after a step that is taken back."""
@@ -103,35 +131,135 @@ class StepControl:
 
 
 def _log(square: jax.Array) -> jax.Array:
-    """The logarithm of the root; of an infinite error that of the largest number."""
+    """The logarithm of the root, within the range of the numbers."""
     largest = jnp.finfo(square.dtype).max
     return 0.5 * jnp.log(jnp.clip(square, _LEAST**2, largest))
 
 
-def first_step(
-    stepper: Stepper, tolerances: Tolerances, t: jax.Array, y: Blocks, rate: Blocks, fallback: Any, room: Any
-) -> jax.Array:
-    """A step whose error should be near the tolerance, judged by the rate and how it changes over a short Euler step.
+#: No tolerance is finer than this many times the precision of the numbers.
+_FINEST = 10.0
 
-    Pure and traceable; `fallback` where the rates say nothing.
 
-    Source: Hairer, Norsett, Wanner, Solving Ordinary Differential Equations I (1993), section II.4, starting step size.
-    """
-    local, order = stepper.coordinates, stepper.method.error_order
+class Tolerances(NamedTuple):
+    """Allowed is atol + rtol * size, size the state's own or the scale it declares, but never less than round-off."""
 
-    def size(e: Blocks) -> jax.Array:
-        return jnp.sqrt(tolerances.mean_square(local, e, y, y))
+    rtol: Any  # ()
+    atol: Any  # name -> () or (n,), in the order in which the state's deviations are held
+    scale: Any  # name -> (n,), the sizes that states declare
 
-    slope = held(local.first_slope(y, rate))
-    reach, speed = tolerances.reach(local, y), size(slope)
-    short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
-    # Controls beyond the end may not be defined.
-    short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
-    z = jax.tree.map(lambda k: stepper.clock(short) * k, slope)
-    moved = held(local.move(y, z))
-    later = local.slope(z, moved, held(stepper.rate(t + short, moved, 1e-3 * short)))
-    bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
-    largest = jnp.maximum(speed, bend)
-    h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))
-    h = jnp.minimum(100.0 * short, h)
-    return jnp.where(jnp.isfinite(h) & (h > 0.0), h, fallback)
+    def scaled(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
+        """The entries of a difference of coordinates, each in units of what is allowed: (dimension,)."""
+        return _flat(local.deviation(e, after)) / self._allowed(local.sizes(before, after))
+
+    def mean_square(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
+        """The mean square of `scaled`: up to one where a difference is allowed."""
+        return jnp.mean(jnp.square(self.scaled(local, e, before, after)))
+
+    def square(self, local: StateCoordinates, errors: Sequence[Blocks], before: Blocks, after: Blocks) -> jax.Array:
+        """The square of the error of a step in the same units; two estimates are weighed as in the program DOP853."""
+        squares = [self.mean_square(local, e, before, after) for e in errors]
+        if len(squares) == 1:
+            return squares[0]
+        first, second = squares
+        weight = first + 0.01 * second
+        return jnp.where(weight > 0.0, first * first / jnp.where(weight > 0.0, weight, 1.0), 0.0)
+
+    def by_state(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> dict[str, jax.Array]:
+        """The largest entry of each state's difference, in the same units."""
+        deviations, sizes = local.deviation(e, after), local.sizes(before, after)
+        return {
+            name: jnp.max(jnp.abs(_flat(deviations[name]) / self._allowed_part(name, _flat(sizes[name]))))
+            for name in deviations
+        }
+
+    def reach(self, local: StateCoordinates, y: Blocks) -> jax.Array:
+        """The size of a state in the same units."""
+        sizes = local.sizes(y, y)
+        return jnp.sqrt(jnp.mean(jnp.square(_flat(sizes) / self._allowed(sizes))))
+
+    def _allowed(self, sizes: Blocks) -> jax.Array:
+        return _flat({name: self._allowed_part(name, _flat(block)) for name, block in sizes.items()})
+
+    def _allowed_part(self, name: str, size: jax.Array) -> jax.Array:
+        info = jnp.finfo(size.dtype)
+        typical = self.scale.get(name, size)
+        finest = jnp.maximum(info.eps * _FINEST * size, info.tiny)
+        return jnp.maximum(self.atol[name] + self.rtol * typical, finest)
+
+
+def _flat(tree: Any) -> jax.Array:
+    return ravel_pytree(tree)[0]
+
+
+def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
+    """The tolerances a user gave, checked as far as they are known. Raises InputError."""
+    if rtol is None:
+        raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
+    relative = _numbers("rtol", rtol, dtype)
+    if relative.shape != ():
+        raise InputError(f"rtol must be one number, got shape {relative.shape}; atol may be a dict by state")
+    finest = _FINEST * float(jnp.finfo(dtype).eps)
+    if not is_traced(rtol):
+        if not 0.0 <= float(rtol) < np.inf:
+            raise InputError(f"rtol must be a positive number, got {float(rtol):g}.\n  fix: e.g. rtol=1e-6")
+        if float(rtol) < finest:
+            precise = (
+                'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double '
+                "precision, or "
+            )
+            precise = precise if np.dtype(dtype) == np.float32 else ""
+            raise InputError(
+                f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
+                f"  fix: {precise}give a larger rtol"
+            )
+    atol = rtol if atol is None else atol
+    names = [state.name for state in dynamics.states]
+    by_state = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
+    for name in by_state:
+        if name not in names:
+            raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
+    for name in names:
+        if name not in by_state:
+            raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
+    return Tolerances(
+        relative,
+        {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
+        {
+            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
+            for s in dynamics.states
+            if s.scale is not None
+        },
+    )
+
+
+def _absolute(state: State, value: Any, dtype: Any) -> Any:
+    """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
+    place, group = f"atol of state {state.name!r}", state.group
+    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
+    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
+        rotation, position = (_numbers(place, part, dtype) for part in value)
+        stack: Any = jnp.stack if is_traced(value) else np.stack
+        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
+    else:
+        array = _numbers(place, value, dtype)
+        shape = group.tangent_shape
+        if array.shape not in ((), shape):
+            pair = ", or the pair (rotation, position)" if is_pose else ""
+            raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
+        array = _held(state, array) if array.shape else array
+    # Not < 0, so that NaN is refused too.
+    if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
+        raise InputError(f"{place} must not be negative, got {array}")
+    return array
+
+
+def _held(state: State, array: Any) -> Any:
+    """Values by tangent entry, in the order in which the state's deviations are held."""
+    return state.group.to_linear_first(array.reshape(-1))
+
+
+def _numbers(place: str, value: Any, dtype: Any) -> Any:
+    array = real_array(place, value)
+    if array.dtype == bool:
+        raise InputError(f"{place} expects real numbers, got {value!r}")
+    return cast(place, array, dtype, on_host=True)

@@ -28,7 +28,7 @@ _TOLERANCE = 1e-13
 
 
 class Coefficients:
-    """What the data of all methods share: a name, an order, numbers that are checked when it is made, and messages."""
+    """Base of tableaus and compositions: a name, an order, and coefficients that are checked at construction."""
 
     name: str
     order: int
@@ -68,8 +68,8 @@ class Coefficients:
         return f"{type(self).__name__}({self.name}, order {self.order}, {self.stages} stages)"
 
 
-class Rows(NamedTuple):
-    """Stages to run: a (n, n), strictly lower triangular, and c (n,)."""
+class StageRows(NamedTuple):
+    """StageRows to run: a (n, n), strictly lower triangular, and c (n,)."""
 
     a: Any
     c: Any
@@ -106,7 +106,7 @@ class ButcherTableau(Coefficients):
     b_embedded: Any = None
     second_embedded_order: int | None = None
     b_second_embedded: Any = None
-    counted: Rows = dataclasses.field(init=False)
+    counted: StageRows = dataclasses.field(init=False)
 
     def __post_init__(self) -> None:
         b = self._read("b")
@@ -131,15 +131,15 @@ class ButcherTableau(Coefficients):
         if self.b_second_embedded is not None and self.b_embedded is None:
             raise self._error("a second embedded solution needs a first one")
         n = int(np.flatnonzero(b)[-1]) + 1
-        self._set(counted=Rows(self.a[:n, :n], self.c[:n]))
+        self._set(counted=StageRows(self.a[:n, :n], self.c[:n]))
 
     @property
-    def to_the_end(self) -> Rows:
+    def to_the_end(self) -> StageRows:
         """All stages, and as the last one the end of the step: the tableau's own where it has one, else one more."""
         if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):
-            return Rows(self.a, self.c)
+            return StageRows(self.a, self.c)
         wider = np.pad(np.vstack([self.a, self.b]), ((0, 0), (0, 1)))
-        return Rows(wider, np.append(self.c, 1.0))
+        return StageRows(wider, np.append(self.c, 1.0))
 
     @property
     def is_pair(self) -> bool:
@@ -296,12 +296,12 @@ def _stored(kind: str) -> list[dict[str, Any]]:
     def row(text: str) -> list[float]:
         return [float(Fraction(number)) for number in text.split()]
 
-    found = []
+    tableaus = []
     for data in json.loads(Path(__file__).with_name("tableaus.json").read_text())[kind].values():
         fields = {field: row(value) if field in _WEIGHTS else value for field, value in data.items()}
         del fields["what"], fields["source"]
-        found.append(fields | {"a": [row(text) for text in data["a"]]})
-    return found
+        tableaus.append(fields | {"a": [row(text) for text in data["a"]]})
+    return tableaus
 
 
 #: Every explicit tableau, by order.

@@ -1,8 +1,9 @@
-"""The times that `integrate` takes: start, end, saved times, and fixed steps between them."""
+"""The times of an integration: start, end, saved times, limits of steps, and fixed steps between them."""
 
 from __future__ import annotations
 
-from typing import Any
+import dataclasses
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -11,9 +12,10 @@ import numpy as np
 from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
+from ..system.inputs import is_finite, need_held
 from ..units import Quantity, same_unit, seconds
-from .grid import Splits, slack, splits_of
-from .steps import FixedSteps, Saves
+from .controls import Signals
+from .loop.fixed_steps import FixedSteps, Saves, Splits, slack, splits_of
 
 
 def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
@@ -39,12 +41,12 @@ def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
 def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
     """Check saved times as far as they are known; returns whether they are. Raises InputError."""
     same_unit("save_at", save_at, seconds)
-    given = real_array("save_at", save_at)
-    if given.ndim != 1 or given.size == 0:
-        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {given.shape}")
-    if span is None or is_traced(given):
+    array = real_array("save_at", save_at)
+    if array.ndim != 1 or array.size == 0:
+        raise InputError(f"save_at expects times with shape (n,), n >= 1, got shape {array.shape}")
+    if span is None or is_traced(array):
         return False
-    times = np.asarray(given, float)
+    times = np.asarray(array, float)
     start, end = span
     if not np.isfinite(times).all():
         raise InputError(f"save_at expects finite times, got {short(times)}")
@@ -61,31 +63,22 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
 
 
 def fixed_steps(
-    t0: Any,
-    t1: Any,
-    span: Any,
-    dt: Any,
-    steps: Any,
-    save_at: Any,
-    count: Any,
-    dtype: Any,
-    *,
-    bounded: bool,
-    dense: bool,
-    watch: Any,
-    limits: Any,
+    start: Any, end: Any, span: Any, options: Any, save_at: Any, limits: Any, *, count: Any, bounded: bool, watch: Any
 ) -> FixedSteps:
-    """Equal steps from t0 to t1, (t1 - t0) / dt rounded to whole ones, at least one, or `steps` of them.
+    """Equal steps from start to end, their distance by dt rounded to whole ones, at least one, or `steps` of them.
 
     All times are those of the clock of the loop over steps, which goes forward.
 
     Args:
-        count: how many of the saved times are asked for.
-        bounded: their number is to be structure too.
-        limits: the times where a step must end, in order, the last one t1.
+        span: the times where they are known numbers.
+        options: `dt`, `steps` and `dense`.
+        limits: the times where a step must end, in order, the last one the end.
+        count: how many of the saved times are asked for; the rest is padding.
+        bounded: whether the number of steps is part of the structure.
     Raises:
         InputError: neither dt nor steps, or both, or times that are not known.
     """
+    dt, steps, dtype = options.dt, options.steps, start.dtype
     if (dt is None) == (steps is None):
         raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
     if steps is None:
@@ -99,18 +92,18 @@ def fixed_steps(
     else:
         steps = _countable(whole("steps", steps))
     array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
-    start, end = array.asarray(t0, dtype), array.asarray(t1, dtype)
+    start, end = array.asarray(start), array.asarray(end)
     h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
     splits, more = splits_of(limits[:-1], start, h, steps)
     at = None
     if save_at is not None:
         known = span is not None and not is_traced(save_at)
         at = _places(save_at, span, steps, dtype) if known else _traced_places(save_at, start, h, steps)
-        at = _beyond_jumps(at, splits, start, h)._replace(count=count)
+        at = dataclasses.replace(_beyond_jumps(at, splits, start, h), count=count)
     array = jnp if is_traced(more) else np
     # What jumps add is a number; the bound has room for all of them.
-    most = steps + np.size(limits) - 1 if bounded or dense else None
-    return FixedSteps(start, h, array.asarray(steps + more), at, most, dense, watch, splits=splits)
+    most = steps + np.size(limits) - 1 if bounded else None
+    return FixedSteps(start, h, array.asarray(steps + more), at, most, options.dense, watch, splits=splits)
 
 
 def _countable(steps: Any) -> Any:
@@ -132,7 +125,7 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
     position = (times - start) / length
     nearest = np.rint(position)
     # What counts as on the grid allows for the precision the times came in.
-    eps = float(np.finfo(given).eps) if (given := np.asarray(save_at).dtype).kind == "f" else 0.0
+    eps = float(np.finfo(dtype_in).eps) if (dtype_in := np.asarray(save_at).dtype).kind == "f" else 0.0
     near = slack(np.maximum(np.abs(times), abs(start)), length, eps) / length
     snapped = np.abs(position - nearest) <= near
     index = np.clip(np.where(snapped, nearest, np.floor(position)), 0, steps)
@@ -141,7 +134,7 @@ def _places(save_at: Any, span: Any, steps: int, dtype: Any) -> Saves:
 
 
 def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> Saves:
-    """The same where times are traced."""
+    """`_places` of traced times."""
     ts = jnp.asarray(save_at, start.dtype)
     place = (ts - start) / jnp.where(h > 0.0, h, 1.0)
     before = jnp.clip(jnp.floor(jax.lax.stop_gradient(place)), 0, max(steps - 1, 0))
@@ -149,7 +142,7 @@ def _traced_places(save_at: Any, start: Any, h: Any, steps: int) -> Saves:
 
 
 def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves:
-    """The same where jumps add steps before the saved times."""
+    """The places, moved on by the steps that jumps add before them."""
     if splits is None:
         return at
     array: Any = jnp if is_traced((at, splits, start, h)) else np
@@ -161,4 +154,90 @@ def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves
     near = slack(ts, h, float(np.finfo(times.dtype).eps))
     past = array.searchsorted(times, ts + near, side="right")
     there = array.searchsorted(times, ts - near, side="left") < past
-    return at._replace(index=at.index + past.astype(slots.dtype), on=there | at.on)
+    return dataclasses.replace(at, index=at.index + past.astype(slots.dtype), on=there | at.on)
+
+
+#: So many numbers are written in no time.
+_LIGHT = 2**15
+
+
+class Stops(NamedTuple):
+    """Where the loop over steps halts, at saved times, which a step may pass; and limits, where a step must end."""
+
+    limits: Any  # (m,) times in order, the last one the end; rates may jump there
+    ts: Any  # (n,) the saved times in order, infinite where rows stay as they are; None if no times are saved
+    count: Any  # how many of these were asked for; those that fill up the rest are at the end
+
+    @classmethod
+    def given(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
+        """The stops of limits, the last one the end, and of saved times."""
+        if save_at is None:
+            return cls(limits, None, 0)
+        array: Any = jnp if is_traced((limits, t0, save_at)) else np
+        saves, t1 = array.asarray(save_at, t0.dtype), limits[-1]
+        return cls(limits, array.where(saves < t0, t0, array.where((saves > t1) & (saves < np.inf), t1, saves)), count)
+
+    def next_limit(self, t: jax.Array) -> jax.Array:
+        """The next limit after a time."""
+        return jnp.where(self.limits > t, self.limits, self.limits[-1]).min()
+
+    def leg(self, t0: Any, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Start and length of the leg between two limits, the first one from t0."""
+        start = jnp.where(number == 0, t0, self.limits[jnp.maximum(number - 1, 0)])
+        return start, self.limits[number] - start
+
+
+def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) -> Any:
+    """(m,) the times at which a step must end, in order: jumps that a user named, those of tables, and the end.
+
+    Args:
+        t0, t1: start and end, on the clock of the loop over steps: times in s by the direction.
+    Raises:
+        InputError: jumps that are no sorted, finite times.
+    """
+    if jumps is not None:
+        same_unit("jumps", jumps, seconds)
+        array_of_jumps = real_array("jumps", jumps)
+        falls = (
+            not is_traced(array_of_jumps)
+            and array_of_jumps.ndim == 1
+            and bool((np.diff(np.asarray(array_of_jumps)) < 0).any())
+        )
+        if array_of_jumps.ndim != 1 or not is_finite(array_of_jumps) or falls:
+            raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
+        need_held("jumps", array_of_jumps, t0.dtype)
+    known = [*signals.jumps, *([] if jumps is None else [jumps])]
+    # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
+    array: Any = jnp if is_traced((t0, t1, known)) else np
+    t1 = array.asarray(t1, t0.dtype)
+
+    def inside(ts: Any) -> Any:
+        # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+        ts = direction * array.asarray(ts, t0.dtype)
+        return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
+
+    if not known:
+        return t1[None]
+    limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
+    # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
+    # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+    first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+    return 0.5 * (limits[first] + limits[last - 1])
+
+
+def room_for(count: int, width: int) -> int:
+    """How many rows of so many numbers to make room for, so that another count mostly compiles nothing anew.
+
+    Up to eight times as many where they are light, else up to twice as many.
+    """
+    room = 64
+    while room < count:
+        room *= 8 if room * width < _LIGHT else 2
+    return room
+
+
+def filled(save_at: Any, t1: Any, width: int) -> Any:
+    """Known saved times with the end behind them, as many as there is room for."""
+    times = np.asarray(save_at)
+    room, kind = room_for(len(times), width), times.dtype if times.dtype.kind == "f" else float
+    return np.append(times.astype(kind), np.full(room - len(times), float(t1), kind))

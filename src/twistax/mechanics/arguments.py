@@ -10,8 +10,8 @@ import numpy as np
 from ..checks import listed, short
 from ..errors import ModelError, ShapeError
 from ..expr import Expr, to_expr
+from ..expr.fields import ExprLike
 from ..expr.lie.base import check_element
-from ..expr.node import ExprLike
 from ..expr.transformations.rate import changing
 from ..units import Quantity, same_unit
 

@@ -15,9 +15,9 @@ import numpy as np
 
 from ..errors import ModelError, OperationError
 from ..expr import Block, Constant, Cross, Dot, Expr, Outer, Parameter, Solve, canonicalize_all
+from ..expr.fields import ExprLike
 from ..expr.lie import Act, Hat, angular, linear, wrench
 from ..expr.lie import twist as join
-from ..expr.node import ExprLike
 from ..expr.transformations.rate import changing, rates_by_name
 from ..units import kilograms, metres
 from .arguments import constant, of_shape, pose

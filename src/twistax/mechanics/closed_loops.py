@@ -22,8 +22,8 @@ import numpy as np
 from ..checks import listed
 from ..errors import ModelError
 from ..expr import Concat, Constant, Dot, Expr, Hstack, Max, Sqrt, Stack, Sum, Where
+from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, SE3AdjointDual
-from ..expr.node import ExprLike
 from .dynamics import Wrenches, bias_forces, checked, mass_matrix
 from .inertia_frames import mirrored
 from .jacobians import frame_jacobian

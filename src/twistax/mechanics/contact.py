@@ -17,8 +17,8 @@ import numpy as np
 from ..checks import number
 from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Norm, Sqrt
+from ..expr.fields import ExprLike
 from ..expr.lie import wrench
-from ..expr.node import ExprLike
 from .dynamics import checked
 from .jacobians import ALIGNED, frame_twist
 from .mechanism import Mechanism, Positions

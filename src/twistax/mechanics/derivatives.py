@@ -33,8 +33,8 @@ import numpy as np
 
 from ..errors import ModelError
 from ..expr import Concat, Constant, Cross, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
+from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
-from ..expr.node import ExprLike
 from .dynamics import Wrenches, checked, forward_dynamics, outside
 from .mechanism import Mechanism, Positions
 from .motion import ZERO, acceleration_of_base

@@ -10,7 +10,7 @@ import numpy as np
 from ..checks import reals
 from ..errors import ModelError
 from ..expr import Constant, Expr, Tanh, to_expr
-from ..expr.node import ExprLike
+from ..expr.fields import ExprLike
 from .arguments import constant, told
 
 #: Numbers only: they become bounds of states and controls.

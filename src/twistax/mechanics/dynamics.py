@@ -13,8 +13,8 @@ import numpy as np
 
 from ..errors import ModelError
 from ..expr import Block, Concat, Constant, Dot, Expr, Outer, SolvePositive
+from ..expr.fields import ExprLike
 from ..expr.lie import CoadjointAction
-from ..expr.node import ExprLike
 from .arguments import of_shape
 from .inertia_frames import in_frame, mirrored
 from .mechanism import Mechanism, Positions

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..errors import ModelError
 from ..expr import Constant, Cross, Expr, Stack
+from ..expr.fields import ExprLike
 from ..expr.lie import Adjoint, AdjointAction, Compose, Inverse, angular, linear, translation, twist
-from ..expr.node import ExprLike
 from .dynamics import checked
 from .mechanism import Mechanism, Positions
 

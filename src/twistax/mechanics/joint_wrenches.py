@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from ..expr import Expr
+from ..expr.fields import ExprLike
 from ..expr.lie import Compose, Inverse, SE3AdjointDual
-from ..expr.node import ExprLike
 from .dynamics import Wrenches, carried_wrenches, checked
 from .mechanism import Mechanism, Positions
 

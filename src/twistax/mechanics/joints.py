@@ -15,9 +15,9 @@ import numpy as np
 from ..checks import number, reals
 from ..errors import ModelError, ShapeError
 from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Solve, Stack, State, Where
+from ..expr.fields import ExprLike
 from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log, twist
 from ..expr.lie.base import unit_vector
-from ..expr.node import ExprLike
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
 from .screws import Screws, Subspaces, complement

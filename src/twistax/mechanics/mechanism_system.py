@@ -9,7 +9,7 @@ from typing import Any
 from ..checks import callable_with, listed
 from ..errors import ModelError
 from ..expr import Concat, Constant, Expr, State
-from ..expr.node import ExprLike
+from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
 from ..system import System

@@ -14,8 +14,8 @@ import numpy as np
 
 from ..errors import ModelError
 from ..expr import Constant, Dot, Expr, Stack
+from ..expr.fields import ExprLike
 from ..expr.lie import Act, CoadjointAction, translation
-from ..expr.node import ExprLike
 from .dynamics import checked, composite_inertias
 from .mechanism import Mechanism, Positions
 

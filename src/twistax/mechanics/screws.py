@@ -17,8 +17,8 @@ import dataclasses
 import numpy as np
 
 from ..expr import Expr
+from ..expr.fields import ExprLike
 from ..expr.lie import SE3Adjoint, SE3AdjointDual
-from ..expr.node import ExprLike
 from .arguments import of_shape, pose
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from ..expr import Constant, Control, Expr, Stack, State, leaves_of
-from ..expr.node import ExprLike
+from ..expr.fields import ExprLike
 from .derivatives import forward_dynamics_derivatives
 from .dynamics import Wrenches
 from .jacobians import BODY, frame_jacobian

@@ -22,29 +22,13 @@ _SETUP = "sweep.json"
 _AGREE = 1e-6
 
 
-class InMemory:
-    """Chunks that go with the sweep."""
-
-    def __init__(self) -> None:
-        self._kept: dict[int, Columns] = {}
-
-    def have(self, k: int) -> bool:
-        return k in self._kept
-
-    def keep(self, k: int, columns: Columns) -> None:
-        self._kept[k] = columns
-
-    def read(self, k: int) -> Columns:
-        return self._kept[k]
-
-
-class OnDisk:
-    """A file for each chunk, which is there as a whole or not at all.
+class Chunks:
+    """Chunks by number: in memory, or in a folder a file for each, which is there complete or not at all.
 
     Args:
-        folder: made if missing.
-        setup: what says whether chunks that are there are of this sweep.
-        chunks: how many there are.
+        folder: made if missing; None for memory.
+        setup: what says whether files that are there are of this sweep.
+        count: how many chunks there are.
         shapes: those of the columns of one of them, by number.
         compute: gives one of them, by number.
     Raises:
@@ -53,75 +37,88 @@ class OnDisk:
 
     def __init__(
         self,
-        folder: Path,
+        folder: Path | None,
         setup: dict[str, Any],
-        chunks: int,
+        count: int,
         shapes: Callable[[int], list[tuple[int, ...]]],
         compute: Callable[[int], Columns],
     ) -> None:
-        self._folder, self._shapes, self._there = folder, shapes, set[int]()
-        path = folder / _SETUP
-        try:
-            folder.mkdir(parents=True, exist_ok=True)
-            if not path.exists():
-                _whole(path, lambda file: file.write(json.dumps(setup, indent=2).encode()))
-            found = json.loads(path.read_text())
-            if not isinstance(found, dict):
-                raise ValueError(f"{_SETUP} is damaged")
-        except (OSError, ValueError) as error:
-            raise InputError(f"sweep cannot use the directory {folder}: {error}") from error
-        different = [name for name in setup if found.get(name) != setup[name]]
-        if different:
-            told = ", ".join(f"{name} {found.get(name)} there, {setup[name]} here" for name in different)
-            raise InputError(f"{folder} holds another sweep: {told}.\n  fix: give another directory, or remove it")
-        self._compare(chunks, compute)
+        self._folder, self._shapes = folder, shapes
+        self._memory: dict[int, Columns] = {}
+        self._complete: set[int] = set()
+        if folder is not None:
+            _check_setup(folder, setup)
+            self._compare(folder, count, compute)
 
-    def _compare(self, chunks: int, compute: Callable[[int], Columns]) -> None:
+    def _compare(self, folder: Path, count: int, compute: Callable[[int], Columns]) -> None:
         """One chunk that is there is computed again: the function may be another one."""
-        first = next((k for k in range(chunks) if self.have(k)), None)
+        first = next((k for k in range(count) if k in self), None)
         if first is None:
             return
-        for own, new in zip(self.read(first), compute(first), strict=True):
-            own, new = own.astype(float), new.astype(float)
+        for old, new in zip(self.read(first), compute(first), strict=True):
+            old, new = old.astype(float), new.astype(float)
             scale = np.max(np.abs(np.where(np.isfinite(new), new, 0.0)), axis=0)
-            if not np.isclose(own, new, rtol=_AGREE, atol=_AGREE * scale, equal_nan=True).all():
+            if not np.isclose(old, new, rtol=_AGREE, atol=_AGREE * scale, equal_nan=True).all():
                 raise InputError(
-                    f"{self._folder} holds results of another function: chunk {first} computed again differs.\n"
+                    f"{folder} holds results of another function: chunk {first} computed again differs.\n"
                     "  fix: give another directory, or remove that one"
                 )
 
-    def have(self, k: int) -> bool:
-        if k not in self._there and self._path(k).exists():
-            try:
-                shapes = [column.shape for column in self.read(k)]
-            except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
-                shapes = []
-            if shapes == self._shapes(k):
-                self._there.add(k)
-            else:
-                self._path(k).unlink(missing_ok=True)  # it is computed again
-        return k in self._there
+    def __contains__(self, k: int) -> bool:
+        """Whether a chunk is there. A damaged file, or one of other shapes, is removed and computed again."""
+        if k in self._complete or k in self._memory or self._folder is None or not self._path(k).exists():
+            return k in self._complete or k in self._memory
+        try:
+            shapes = [column.shape for column in self.read(k)]
+        except (OSError, EOFError, ValueError, KeyError, zipfile.BadZipFile):
+            shapes = []
+        if shapes == self._shapes(k):
+            self._complete.add(k)
+        else:
+            self._path(k).unlink(missing_ok=True)
+        return k in self._complete
 
     def keep(self, k: int, columns: Columns) -> None:
-        _whole(self._path(k), lambda file: np.savez(file, *columns))
-        self._there.add(k)
+        if self._folder is None:
+            self._memory[k] = columns
+        else:
+            _write(self._path(k), lambda file: np.savez(file, *columns))
+            self._complete.add(k)
 
     def read(self, k: int) -> Columns:
-        with np.load(self._path(k), allow_pickle=False) as found:
-            return [found[f"arr_{i}"] for i in range(len(found.files))]
+        if self._folder is None:
+            return self._memory[k]
+        with np.load(self._path(k), allow_pickle=False) as arrays:
+            return [arrays[f"arr_{i}"] for i in range(len(arrays.files))]
 
     def _path(self, k: int) -> Path:
+        assert self._folder is not None
         return self._folder / f"{k:06}.npz"
 
 
-def _whole(path: Path, write: Callable[[Any], Any]) -> None:
+def _check_setup(folder: Path, setup: dict[str, Any]) -> None:
+    """Write the setup into a new folder; raise InputError where it has another one, or cannot be used."""
+    path = folder / _SETUP
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        if not path.exists():
+            _write(path, lambda file: file.write(json.dumps(setup, indent=2).encode()))
+        there = json.loads(path.read_text())
+        if not isinstance(there, dict):
+            raise ValueError(f"{_SETUP} is damaged")
+    except (OSError, ValueError) as error:
+        raise InputError(f"sweep cannot use the directory {folder}: {error}") from error
+    different = [name for name in setup if there.get(name) != setup[name]]
+    if different:
+        values = ", ".join(f"{name} {there.get(name)} there, {setup[name]} here" for name in different)
+        raise InputError(f"{folder} holds another sweep: {values}.\n  fix: give another directory, or remove it")
+
+
+def _write(path: Path, write: Callable[[Any], Any]) -> None:
     """A file that is complete as soon as it has its name."""
-    beside = path.with_name(f".{path.name}.{os.getpid()}")
-    with beside.open("wb") as file:
+    draft = path.with_name(f".{path.name}.{os.getpid()}")
+    with draft.open("wb") as file:
         write(file)
         file.flush()
         os.fsync(file.fileno())
-    os.replace(beside, path)
-
-
-Chunks: TypeAlias = InMemory | OnDisk
+    os.replace(draft, path)

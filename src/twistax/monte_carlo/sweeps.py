@@ -19,10 +19,9 @@ from numpy.typing import NDArray
 
 from ..checks import callable_with, instance, path_of, reals, short, whole
 from ..errors import InputError
-from ..integrators import Result, Solution
-from ..integrators.steps import ended_well
+from ..integrators import Result, Solution, ended_well
 from ..progress import Progress
-from .chunks import Chunks, Columns, InMemory, OnDisk
+from .chunks import Chunks, Columns
 
 __all__ = ["Statistics", "Sweep", "sweep"]
 
@@ -46,7 +45,7 @@ class Statistics:
     def __str__(self) -> str:
         """A line for each result."""
         lines = [f"{self.count} members"]
-        columns = (jax.tree.leaves(own) for own in (self.mean, self.std, self.least, self.most))
+        columns = (jax.tree.leaves(moment) for moment in (self.mean, self.std, self.least, self.most))
         for (path, _), *values in zip(jax.tree_util.tree_leaves_with_path(self.mean), *columns, strict=True):
             texts = (np.array2string(np.asarray(value), precision=6) for value in values)
             words = ", ".join(map(" ".join, zip(("mean", "std", "least", "most"), texts, strict=True)))
@@ -55,7 +54,7 @@ class Statistics:
 
 
 class Sweep:
-    """What a sweep gave, read from its chunks when asked for.
+    """The results of a sweep, read from its chunks when asked for.
 
     Attributes:
         count: how many members there are.
@@ -67,11 +66,7 @@ class Sweep:
         self._plan, self._chunks = plan, chunks
         self.count = plan.count
         self.codes = np.concatenate([chunks.read(k)[-1] for k in range(plan.chunks)])
-        moments = _Moments(plan.shapes)
-        for k in range(plan.chunks):
-            *columns, codes = chunks.read(k)
-            moments.add([column[ended_well(codes)] for column in columns])
-        self.statistics = Statistics(moments.count, *(plan.tree(own) for own in moments.summary()))
+        self.statistics = _statistics(plan, chunks)
 
     def __repr__(self) -> str:
         return f"Sweep({self.count} members, {len(self.failed)} failed)"
@@ -85,8 +80,8 @@ class Sweep:
     @functools.cached_property
     def values(self) -> Any:
         """The results of all members, on the leading axis, those that failed too: as much memory as they take."""
-        rows = [self._chunks.read(k)[:-1] for k in range(self._plan.chunks)]
-        return self._plan.tree([np.concatenate(own) for own in zip(*rows, strict=True)])
+        chunks = [self._chunks.read(k)[:-1] for k in range(self._plan.chunks)]
+        return self._plan.tree([np.concatenate(parts) for parts in zip(*chunks, strict=True)])
 
     def percentiles(self, percent: float | int | Sequence[float | int]) -> Any:
         """Of each result over the members that did not fail, by linear interpolation; one result in memory at a time.
@@ -96,8 +91,8 @@ class Sweep:
         Raises:
             InputError: numbers outside; every member failed.
         """
-        asked = reals("percentiles", percent, InputError)
-        if not np.all((asked >= 0.0) & (asked <= 100.0)):
+        percents = reals("percentiles", percent, InputError)
+        if not np.all((percents >= 0.0) & (percents <= 100.0)):
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
         if not good.any():
@@ -106,7 +101,7 @@ class Sweep:
         def column(place: int) -> NDArray[Any]:
             return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)
 
-        return self._plan.tree([np.percentile(column(i), asked, axis=0) for i in range(self._plan.columns)])
+        return self._plan.tree([np.percentile(column(i), percents, axis=0) for i in range(self._plan.columns)])
 
     def member(self, number: int) -> Any:
         """What a member was run with.
@@ -159,27 +154,26 @@ def sweep(
         InputError: axes of different lengths, a count that is missing or given twice, several processes without a
             directory; a directory with a sweep of something else.
     """
-    own_devices = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
-    mine = [d for d in own_devices if isinstance(d, jax.Device) and d.process_index == jax.process_index()]
-    if not mine or len(set(mine)) < len(own_devices):
+    usable = jax.local_devices() if devices is None else list(devices) if np.iterable(devices) else []
+    local = {d for d in usable if isinstance(d, jax.Device) and d.process_index == jax.process_index()}
+    if not usable or len(local) < len(usable):
         raise InputError(f"sweep: devices must be a list of different devices of this process, got {short(devices)}")
-    plan = _Plan.given(run, members, count, seed, chunk, own_devices)
+    plan = _Plan.of(run, members, count, seed, chunk, usable)
     if directory is None and jax.process_count() > 1:
         raise InputError("sweep in several processes needs a directory that they share: sweep(..., directory=...)")
     instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
-    chunks: Chunks = InMemory()
-    if directory is not None:
-        chunks = OnDisk(path_of("sweep", directory), plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
+    folder = None if directory is None else path_of("sweep", directory)
+    chunks = Chunks(folder, plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
     shown = (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0
     line = Progress("sweep") if shown else None
-    own = range(jax.process_index(), plan.chunks, jax.process_count())
-    missing = [k for k in own if not chunks.have(k)]
-    before = len(own) - len(missing)
+    of_process = range(jax.process_index(), plan.chunks, jax.process_count())
+    missing = [k for k in of_process if k not in chunks]
+    before = len(of_process) - len(missing)
     for done, k in enumerate(missing, before + 1):
         chunks.keep(k, plan.compute(k))
         if line is not None:
-            line.done(done / len(own), f"{plan.count} members", before / len(own))
-    while not all(map(chunks.have, range(plan.chunks))):  # of other processes
+            line.done(done / len(of_process), f"{plan.count} members", before / len(of_process))
+    while not all(k in chunks for k in range(plan.chunks)):  # of other processes
         time.sleep(0.05)
     if line is not None:
         line.close()
@@ -197,7 +191,7 @@ class _Plan:
         self.count, self.size = count, min(size, count)
         self.chunks = -(-count // self.size)
         self._batch = -(-self.size // len(devices)) * len(devices)
-        shape = jax.eval_shape(self._one, self._given(np.zeros(1, int), one=True))
+        shape = jax.eval_shape(self._one, self._arguments(np.zeros(1, int), one=True))
         self._structure = jax.tree.structure(shape[0])
         self.shapes = [(leaf.shape, np.dtype(leaf.dtype).str) for leaf in jax.tree.leaves(shape[0])]
         self.columns = len(self.shapes)
@@ -205,14 +199,14 @@ class _Plan:
             raise InputError("sweep expects run to give a Solution or arrays, and it gives nothing")
         mapped = jax.vmap(self._one)
         if len(devices) > 1:
-            each = PartitionSpec("members")
+            shared = PartitionSpec("members")
             mesh = Mesh(np.array(devices), ("members",))
             # Unchecked, for the loops of users: these would have to say what varies between devices.
-            mapped = jax.shard_map(mapped, mesh=mesh, in_specs=each, out_specs=each, check_vma=False)
+            mapped = jax.shard_map(mapped, mesh=mesh, in_specs=shared, out_specs=shared, check_vma=False)
         self._compiled = jax.jit(mapped)
 
     @classmethod
-    def given(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
+    def of(cls, run: Any, members: Any, count: int | None, seed: int, size: int, devices: list[Any]) -> _Plan:
         callable_with("sweep", run, ["member"], InputError)
         size, count = whole("sweep: chunk", size), None if count is None else whole("sweep: count", count)
         if (seed := whole("sweep: seed", seed, 0)) >= 2**32:
@@ -246,15 +240,15 @@ class _Plan:
         return jax.tree.unflatten(self._structure, columns)
 
     def member(self, number: int) -> Any:
-        return self._member(self._given(np.array([number]), one=True))
+        return self._member(self._arguments(np.array([number]), one=True))
 
     def compute(self, k: int) -> Columns:
         """The results of a chunk."""
         numbers = k * self.size + np.arange(self._batch)
         last = min(self.count, (k + 1) * self.size) - 1
-        results, codes = self._compiled(self._given(np.minimum(numbers, last)))
-        kept = numbers <= last  # the rest fills up the batch
-        return [np.asarray(column)[kept] for column in (*jax.tree.leaves(results), codes)]
+        results, codes = self._compiled(self._arguments(np.minimum(numbers, last)))
+        is_member = numbers <= last  # others fill up the batch
+        return [np.asarray(column)[is_member] for column in (*jax.tree.leaves(results), codes)]
 
     def shapes_of(self, k: int) -> list[tuple[int, ...]]:
         """Those of the columns of a chunk."""
@@ -272,19 +266,19 @@ class _Plan:
         members = "drawn" if self._draw else digest.hexdigest()
         return {"count": self.count, "chunk": self.size, "seed": self._seed, "members": members, "results": results}
 
-    def _given(self, numbers: NDArray[Any], one: bool = False) -> Any:
+    def _arguments(self, numbers: NDArray[Any], one: bool = False) -> Any:
         """What the compiled function takes for members of these numbers; for one of them without an axis."""
-        own = numbers.astype(np.uint32) if self._draw else jax.tree.map(lambda a: a[numbers], self._arrays)
-        return jax.tree.map(lambda a: a[0], own) if one else own
+        batch = numbers.astype(np.uint32) if self._draw else jax.tree.map(lambda a: a[numbers], self._arrays)
+        return jax.tree.map(lambda a: a[0], batch) if one else batch
 
-    def _member(self, given: Any) -> Any:
-        return self._draw(jax.random.fold_in(jax.random.key(self._seed), given)) if self._draw else given
+    def _member(self, argument: Any) -> Any:
+        return self._draw(jax.random.fold_in(jax.random.key(self._seed), argument)) if self._draw else argument
 
-    def _one(self, given: Any) -> tuple[Any, jax.Array]:
+    def _one(self, argument: Any) -> tuple[Any, jax.Array]:
         """The results of one member, and the number of its `Result`."""
-        found, code = self._run(self._member(given)), jnp.asarray(Result.SUCCESS.value, jnp.int32)
-        pair = isinstance(found, tuple) and len(found) == 2 and isinstance(found[0], Solution)
-        solution, results = found if pair else (found, found)
+        output, code = self._run(self._member(argument)), jnp.asarray(Result.SUCCESS.value, jnp.int32)
+        pair = isinstance(output, tuple) and len(output) == 2 and isinstance(output[0], Solution)
+        solution, results = output if pair else (output, output)
         if isinstance(solution, Solution):
             results, code = results if pair else solution.xs, jnp.asarray(solution.code, jnp.int32)
         is_solution = lambda part: isinstance(part, Solution)  # noqa: E731
@@ -325,52 +319,46 @@ def _as_jax_has_it(value: Any) -> NDArray[Any]:
             f"sweep: members must be arrays of known numbers, got {short(value)}.\n"
             "  fix: for random keys give a function of a key, and a count; call sweep outside of jit and vmap"
         )
-    found = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
-    if array.dtype.kind in "iu" and not np.array_equal(found, array):
+    canonical = array.astype(jax.dtypes.canonicalize_dtype(array.dtype))
+    if array.dtype.kind in "iu" and not np.array_equal(canonical, array):
         raise InputError(
-            f"sweep has members that {found.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
+            f"sweep has members that {canonical.dtype} cannot hold.\n  fix: jax.config.update('jax_enable_x64', True)"
         )
-    return found
+    return canonical
 
 
 # ---- statistics ------------------------------------------------------------------------------------------------------
 
 
-class _Moments:
-    """Mean, squared deviations and ends, chunk by chunk (T. F. Chan, G. H. Golub and R. J. LeVeque 1983, eq. 2.1)."""
+@np.errstate(over="ignore")  # infinite then
+def _statistics(plan: _Plan, chunks: Chunks) -> Statistics:
+    """Of the members that did not fail, chunk by chunk: first sums and ends, then squared deviations from the mean."""
 
-    def __init__(self, shapes: Sequence[tuple[tuple[int, ...], str]]) -> None:
-        self.count, self._shapes = 0, shapes
-        self._columns: list[tuple[Any, ...]] = []
+    def successes() -> Iterator[Columns]:
+        for k in range(plan.chunks):
+            *columns, codes = chunks.read(k)
+            if (good := ended_well(codes)).any():
+                yield [column[good] for column in columns]
 
-    def add(self, columns: Columns) -> None:
-        n = len(columns[0]) if columns else 0
-        if n == 0:
-            return
-        new = []
-        for column in columns:
-            with np.errstate(over="ignore"):  # infinite then
-                mean = column.mean(0, dtype=float)
-                squares = ((column - mean) ** 2).sum(0)
-            new.append((mean, squares, column.min(0), column.max(0)))
-        self._columns = list(map(self._merged(n), self._columns, new)) if self.count else new
-        self.count += n
-
-    def _merged(self, n: int) -> Callable[..., tuple[Any, ...]]:
-        share = n / (self.count + n)
-
-        def merged(one: Any, other: Any) -> tuple[Any, ...]:
-            apart = other[0] - one[0]
-            squares = one[1] + other[1] + apart**2 * self.count * share
-            return one[0] + share * apart, squares, np.minimum(one[2], other[2]), np.maximum(one[3], other[3])
-
-        return merged
-
-    def summary(self) -> Iterator[list[Any]]:
-        """Means, standard deviations, least and most; NaN where there are no members."""
-        found = self._columns if self.count else [(np.full(shape, np.nan),) * 4 for shape, _ in self._shapes]
-        for which, own in enumerate(zip(*found, strict=True)):
-            # Of one member there is no deviation.
-            yield (
-                [np.sqrt(a / (self.count - 1 if self.count > 1 else np.nan)) for a in own] if which == 1 else list(own)
-            )
+    moments: list[tuple[Any, ...]] = []
+    for columns in successes():
+        new = [(len(a), a.sum(0, dtype=float), a.min(0), a.max(0)) for a in columns]
+        moments = (
+            [
+                (n + m, total + more, np.minimum(least, low), np.maximum(most, high))
+                for (n, total, least, most), (m, more, low, high) in zip(moments, new, strict=True)
+            ]
+            if moments
+            else new
+        )
+    if not moments:
+        nan = plan.tree([np.full(shape, np.nan) for shape, _ in plan.shapes])
+        return Statistics(0, nan, nan, nan, nan)
+    count = moments[0][0]
+    means, squares = [total / count for _, total, *_ in moments], [0.0] * plan.columns
+    for columns in successes():
+        squares = [s + ((a - mean) ** 2).sum(0) for s, mean, a in zip(squares, means, columns, strict=True)]
+    # Of one member there is no deviation.
+    deviations = [np.sqrt(s / (count - 1 if count > 1 else np.nan)) for s in squares]
+    least, most = ([moment[i] for moment in moments] for i in (2, 3))
+    return Statistics(count, *map(plan.tree, (means, deviations, least, most)))

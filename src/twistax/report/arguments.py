@@ -27,11 +27,11 @@ def add_options(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help=f"{quick}the longest scenes only if asked for")
     for name, module, names, text in (
         ("scene", "..scenes", "SCENES", "only this scene"),
-        ("method", ".work_precision.contenders", "CONTENDERS", "only this method"),
+        ("method", ".work_precision.integrators", "INTEGRATORS", "only this method"),
         ("case", ".speed.cases", "CASES", "with --speed, only this function"),
         (
             "only",
-            ".sections",
+            ".registry",
             "EVERY",
             "with --stability, --figures or --optimal, only this section, with --foreign this problem",
         ),

@@ -4,7 +4,7 @@ XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless 
 The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
 to compile that way, on arrays of at most thousands of entries, and with every argument in use. Elsewhere, and under
 vmap, the function runs as it is, with the same result.
-`tests/integrators/test_small_call.py` notices if the attribute loses its effect.
+`tests/internals/test_small_call.py` notices if the attribute loses its effect.
 """
 
 from __future__ import annotations

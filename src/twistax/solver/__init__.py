@@ -1,7 +1,6 @@
 """An interior-point solver for problems in stages and a dense quadratic program, in C, and both from Python. They know
 no bodies."""
 
-from .core import Solution, StageFunctions, Stages, Status, Units, solve
+from .core import CoreSolution, CoreStatus, StageFunctions, Stages, Units, solve
 from .options import QP_SOURCES, SOURCES, Options, QPOptions
-from .python_functions import PythonFunctions
 from .qp import QPSolution, QPStatus, solve_qp

@@ -26,7 +26,7 @@ from .library import library
 from .options import Options
 
 
-class Status(enum.Enum):
+class CoreStatus(enum.Enum):
     """How a solve ended; the values are those of `twx_status` in core.h."""
 
     SOLVED = 0
@@ -78,6 +78,18 @@ class Stages:
     def points(self) -> int:
         """Entries of z, which has points in place of states."""
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
+
+    @functools.cached_property
+    def first(self) -> Array:
+        """Where each stage begins in v."""
+        widths = np.array(self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
+
+    @functools.cached_property
+    def first_point(self) -> Array:
+        """Where each stage begins in z."""
+        widths = np.array(self.point_states or self.states) + np.array(self.controls)
+        return np.asarray(np.cumsum(widths) - widths)
 
     @functools.cached_property
     def columns(self) -> list[int]:
@@ -136,7 +148,7 @@ class Units(NamedTuple):
 
 
 @dataclasses.dataclass
-class Solution:
+class CoreSolution:
     """A result, in the problem's units, and the start of a warm solve.
 
     Attributes:
@@ -152,7 +164,7 @@ class Solution:
             size of the step, trials, and a character's code that tells the kind of step.
     """
 
-    status: Status
+    status: CoreStatus
     z: Array
     v: Array
     s: Array
@@ -236,21 +248,21 @@ def as_problem(
     variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
     lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
     lengths |= {"row_size": rows, "equality_size": equalities}
-    given = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
-    given |= {
+    arrays = {name: _checked(name, a, lengths[name]) for name, a in by_name.items() if a is not None}
+    arrays |= {
         name: np.asarray(getattr(stages, name), np.int32)
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    found = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
-    for name, address in ({name: a.ctypes.data for name, a in given.items()} | functions.addresses).items():
-        setattr(found, name, address or None)
-    return Described(found, list(given.values()))
+    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
+        setattr(structure, name, address or None)
+    return Described(structure, list(arrays.values()))
 
 
 #: Called before each iteration with its number, the cost, the largest violation and the point; what is true stops the
 #: solve.
-Watch = Callable[[int, float, float, Array], Any]
+StopCheck = Callable[[int, float, float, Array], Any]
 
 
 def solve(
@@ -264,9 +276,9 @@ def solve(
     units: Units | None = None,
     largest_step: Array | None = None,
     options: Options | None = None,
-    warm: Solution | None = None,
-    watch: Watch | None = None,
-) -> Solution:
+    warm: CoreSolution | None = None,
+    should_stop: StopCheck | None = None,
+) -> CoreSolution:
     """Solve from a point.
 
     Args:
@@ -278,16 +290,16 @@ def solve(
             None.
         warm: a result whose slacks and multipliers are the first ones, within the ranges that options say: a small
             `barrier_start` and small pushes keep it near.
-        watch: called before each iteration; violations are in the core's units.
+        should_stop: called before each iteration; violations are in the core's units.
     Raises:
         TrajectoryError: arrays of other shapes, bounds that cannot be, a state after the first that bounds fix.
-        Exception: what `watch` raised.
+        Exception: what `should_stop` raised.
     """
     arrays = _start(stages, z, z if v is None else v, warm)
     described = as_problem(stages, functions, lower, upper, units or Units(), largest_step)
     statistics, problem = _Statistics(), described.structure
-    watching = _Watching(watch, statistics, stages.points)
-    for name, address in watching.addresses.items():
+    stop = _StopFunction(should_stop, statistics, stages.points)
+    for name, address in stop.addresses.items():
         setattr(problem, name, address)
     chosen = dataclasses.replace(options or Options(), warm_start=float(warm is not None)).as_structure()
     core = library()
@@ -297,36 +309,36 @@ def solve(
     multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
-    status = Status(core.solve(*references[:2], *pointers))
-    watching.check()
+    status = CoreStatus(core.solve(*references[:2], *pointers))
+    stop.check()
     functions.check()
-    if status is Status._BAD_PROBLEM:
+    if status is CoreStatus._BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return Solution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+    return CoreSolution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
-class _Watching:
+class _StopFunction:
     """The function that the core asks whether to stop. Python sees signals while it runs.
 
     Attributes:
         addresses: by the name that `twx_problem` has for it.
     """
 
-    def __init__(self, watch: Watch | None, statistics: _Statistics, points: int) -> None:
+    def __init__(self, should_stop: StopCheck | None, statistics: _Statistics, points: int) -> None:
         self._error: BaseException | None = None
         self.addresses: dict[str, int] = {}
-        if watch is None:
+        if should_stop is None:
             return
 
         def stop(_: Any, iteration: int, z: Any) -> int:
             try:
                 here = np.ctypeslib.as_array(z, (points,))
-                return int(bool(watch(iteration, statistics.cost, statistics.violation, here)))
+                return int(bool(should_stop(iteration, statistics.cost, statistics.violation, here)))
             except BaseException as error:
                 self._error = error
                 return 1
@@ -343,14 +355,13 @@ class _Watching:
 
 
 def _checked(name: str, a: Any, count: int) -> Array:
-    found = np.ascontiguousarray(a, float)
-    if found.shape != (count,):
-        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {found.shape}")
-    return found
+    array = np.ascontiguousarray(a, float)
+    if array.shape != (count,):
+        raise TrajectoryError(f"solve: {name} expects shape ({count},), got {array.shape}")
+    return array
 
 
-def _start(stages: Stages, z: Array, v: Array, warm: Solution | None) -> dict[str, Array]:
-    """The arrays that a solve works in."""
+def _start(stages: Stages, z: Array, v: Array, warm: CoreSolution | None) -> dict[str, Array]:
     sizes = {
         "z": stages.points,
         "v": stages.variables,

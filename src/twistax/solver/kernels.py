@@ -79,17 +79,23 @@ class BatchKernel:
 
     def __call__(self, rows: int, size: int, arguments: Mapping[Argument, Array]) -> Array:
         """The results (rows, size) for rows of arguments, or for one that all rows share."""
-        found = np.zeros((rows, size))
+        result = np.zeros((rows, size))
         if self._address is None or not rows:
-            return found
-        own = {} if self._numbers is None else {Argument.NUMBERS: self._numbers[None]}
-        given = {**arguments, **own}
-        arrays = [*(np.ascontiguousarray(given[k], float) for k in self._reads), found]
+            return result
+        numbers = {} if self._numbers is None else {Argument.NUMBERS: self._numbers[None]}
+        known = {**arguments, **numbers}
+        arrays = [*(np.ascontiguousarray(known[k], float) for k in self._reads), result]
         strides = [a.shape[1] if len(a) == rows > 1 else 0 for a in arrays[:-1]]
         table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides, size)
         call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(self._address)
         call(ctypes.addressof(table), 0, rows)
-        return found
+        return result
+
+    def check(self) -> None:
+        """Raise what a function that JAX runs has raised."""
+        if isinstance(self.owner, Callback) and self.owner.error is not None:
+            error, self.owner.error = self.owner.error, None
+            raise error
 
 
 class _Unbound:
@@ -142,9 +148,9 @@ class _Unbound:
     def bound(self, numbers: Array) -> BatchKernel:
         """The kernel with these numbers."""
         if self._before is not None:
-            given = [np.zeros((1, a.size)) for a in self._before.inputs]
-            given[self._place] = numbers[None]
-            numbers = by_numpy(self._before, given)[0][0]
+            inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
+            inputs[self._place] = numbers[None]
+            numbers = by_numpy(self._before, inputs)[0][0]
         return BatchKernel(*self._made, np.ascontiguousarray(numbers, float))
 
 
@@ -185,7 +191,7 @@ class SmoothKernels:
         arguments: how many entries each has; the first one is what derivatives are by.
         order: of the derivatives that are needed, 0 to 2.
         key: equal for functions that differ in their numbers alone; None: this one is like no other.
-        numbers: its numbers; other kernels of the key have others.
+        numbers: values of the numbers in its expressions; kernels of the same key differ in these.
     """
 
     def __init__(
@@ -260,8 +266,8 @@ def _bends(closed: ClosedJaxpr) -> ScalarProgram:
     return WeightedHessian(_differentiated(closed)).program
 
 
-def _second(function: Callable[..., Any], z: Any, *others: Any) -> Any:
-    *fixed, weights = others
+def _second(function: Callable[..., Any], z: Any, *rest: Any) -> Any:
+    *fixed, weights = rest
     return hessian_in_arrays(lambda z: weights @ function(z, *fixed), z)
 
 
@@ -272,7 +278,6 @@ def _is_zero(program: ScalarProgram) -> bool:
 
 
 def _rows(address: int, stride: int, shape: tuple[int, ...], first: int, end: int) -> Array:
-    """Rows of numbers in memory."""
     pointer = ctypes.cast(address + 8 * first * stride, ctypes.POINTER(ctypes.c_double))
     size = math.prod(shape)
     count = max((end - first - 1) * stride + size, 0)

@@ -64,13 +64,13 @@ class Library:
     @functools.cached_property
     def targets(self) -> tuple[str, str]:
         # XLA keeps a target as long as the process lives, and takes a name once.
-        found = []
+        targets = []
         for name in _HANDLERS:
             target = f"twistax_{name}_{fingerprint()[:16]}"
             handler = ctypes.CFUNCTYPE(_VOID_POINTER, _VOID_POINTER)(self._code.addresses[name])
             jax.ffi.register_ffi_target(target, jax.ffi.pycapsule(handler), platform="cpu")
-            found.append(target)
-        return found[0], found[1]
+            targets.append(target)
+        return targets[0], targets[1]
 
 
 @functools.cache

@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import TrajectoryError
-from .core import ProblemStructure, Stages, Status, Units, as_problem
+from .core import CoreStatus, ProblemStructure, Stages, Units, as_problem
 from .library import library
 from .options import Options
 from .processors import processors
@@ -92,7 +92,6 @@ class _Form:
         self._doubles = int(library().form_memory(ctypes.addressof(self.structure)))
 
     def _call(self, target: str, results: tuple[int, ...], *arguments: Any) -> Any:
-        """A call of a program of XLA, of arrays (count, ...)."""
         if self not in _CALLED:
             _CALLED.append(self)
             # A thread of XLA may be in the middle of a call when Python clears its modules.
@@ -116,10 +115,10 @@ class Solves(_Form):
     ) -> None:
         none = np.zeros(transcription.stages.variables)
         super().__init__(transcription, units, options, (none, none), largest_step, data)
-        own, defects = self.stages, sum(self.stages.after)
-        h, e, v = sum(own.inequalities), sum(own.equalities), own.variables
+        stages, defects = self.stages, sum(self.stages.after)
+        h, e, v = sum(stages.inequalities), sum(stages.equalities), stages.variables
         #: Entries of the arrays of a result, by name.
-        self.sizes = {"z": own.points, "v": v, "s": h, "lam": defects, "y": h, "ye": e, "zl": v, "zu": v}
+        self.sizes = {"z": stages.points, "v": v, "s": h, "lam": defects, "y": h, "ye": e, "zl": v, "zu": v}
         self.sizes |= dict.fromkeys(MEASURES, 1)
 
     def now(self, row: Array) -> Array:
@@ -178,15 +177,18 @@ class Moves(_Form):
         Raises:
             TrajectoryError: the solution is no strict minimum, or has no finite derivatives.
         """
-        found, memory = np.array(sides, float), np.empty(self._doubles)
+        moves, memory = np.array(sides, float), np.empty(self._doubles)
         address = ctypes.addressof(self.structure)
-        pointers = row.ctypes.data, found.ctypes.data, memory.ctypes.data
-        status = Status(library().linearised_members(address, 1, len(found), *pointers))
+        pointers = row.ctypes.data, moves.ctypes.data, memory.ctypes.data
+        status = CoreStatus(library().linearised_members(address, 1, len(moves), *pointers))
         self.transcription.check()
-        if status is not Status.SOLVED:
-            words = {Status.UNBOUNDED_CURVATURE: "no strict minimum", Status.NON_FINITE: "without finite derivatives"}
+        if status is not CoreStatus.SOLVED:
+            words = {
+                CoreStatus.UNBOUNDED_CURVATURE: "no strict minimum",
+                CoreStatus.NON_FINITE: "without finite derivatives",
+            }
             raise TrajectoryError(f"the solution is {words.get(status, status.name)}")
-        return found
+        return moves
 
     def __call__(self, rows: Any, side: Any) -> Any:
         """The moves for rows (..., entries) and one side each, traceable; one factor serves all sides of a row."""
@@ -203,8 +205,8 @@ class Moves(_Form):
         def batched(size: int, mapped: list[bool], rows: Any, sides: Any) -> tuple[Any, bool]:
             if not mapped[0]:  # more sides of the same solutions
                 sides = jnp.moveaxis(sides, 0, -3)
-                found = moved(rows, sides.reshape(*sides.shape[:-3], -1, sides.shape[-1]))
-                return jnp.moveaxis(found.reshape(sides.shape), -3, 0), True
+                moves = moved(rows, sides.reshape(*sides.shape[:-3], -1, sides.shape[-1]))
+                return jnp.moveaxis(moves.reshape(sides.shape), -3, 0), True
             return moved(rows, sides if mapped[1] else jnp.broadcast_to(sides, (size, *sides.shape))), True
 
         return moved(rows, side[..., None, :])[..., 0, :]

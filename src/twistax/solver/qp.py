@@ -113,9 +113,9 @@ def solve_qp(
     C: Any = None,
     row_lower: Any = None,
     row_upper: Any = None,
+    *,
     lower: Any = None,
     upper: Any = None,
-    *,
     warm: QPSolution | None = None,
     options: QPOptions | None = None,
 ) -> QPSolution:
@@ -175,7 +175,6 @@ def solve_qp(
 
 
 def _first(n: int, equalities: int, inequalities: int, warm: QPSolution | None) -> dict[str, Array]:
-    """The arrays that a solve begins with and writes."""
     sizes = {"x": n, "y": equalities, "z": inequalities, "w": n, "scales": n + equalities + inequalities}
     if warm is None:
         return {name: np.zeros(size) for name, size in sizes.items()}
@@ -209,7 +208,6 @@ def _vector(name: str, value: Any, size: int, default: float | None) -> Array:
 
 
 def _refuse(data: dict[str, Array]) -> None:
-    """The error that names what is wrong with the data."""
     for name, array in data.items():
         bound = name in ("lower", "upper", "row_lower", "row_upper")
         wrong = np.argwhere(np.isnan(array) if bound else ~np.isfinite(array))

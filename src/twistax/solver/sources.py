@@ -46,9 +46,8 @@ _INCLUDE = re.compile(r'^#include "(?P<name>\w+\.\w+)"\n', re.MULTILINE)
 
 def header() -> str:
     """The interface in C: structures, statuses and functions, with the options expanded."""
-    others = ("transcription.h", "members.h", "qp.h")
-    own = [_expanded(_read(name), drop=("core.h", *others)) for name in others]
-    return "".join([_expanded(_read("core.h")), *own])
+    after = ("transcription.h", "members.h", "qp.h")
+    return "".join([_expanded(_read("core.h")), *(_expanded(_read(name), drop=("core.h", *after)) for name in after)])
 
 
 def amalgamation() -> str:
@@ -76,5 +75,4 @@ def _read(name: str) -> str:
 
 
 def _expanded(text: str, drop: tuple[str, ...] = ()) -> str:
-    """With the project's includes in place."""
     return _INCLUDE.sub(lambda m: "" if m["name"] in drop else _read(m["name"]), text)

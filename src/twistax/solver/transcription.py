@@ -22,7 +22,7 @@ DROPPED = -1
 
 
 @dataclasses.dataclass(frozen=True)
-class Method:
+class Scheme:
     """A Runge-Kutta method of intervals, with weights of the running cost.
 
     Attributes:
@@ -60,9 +60,9 @@ class PhaseKernels:
 
     @property
     def every(self) -> list[BatchKernel]:
-        smooth = [self.rate, self.rows, self.gap, *(own for _, own in self.nodes)]
-        alone = [kernel for kernel in (self.retract, self.turn) if kernel is not None]
-        return [kernel for own in smooth for kernel in own.kernels] + alone
+        smooth = [self.rate, self.rows, self.gap, *(node for _, node in self.nodes)]
+        of_group = [kernel for kernel in (self.retract, self.turn) if kernel is not None]
+        return [kernel for function in smooth for kernel in function.kernels] + of_group
 
 
 @dataclasses.dataclass(frozen=True)
@@ -79,7 +79,7 @@ class JoinKernels:
 
 
 @dataclasses.dataclass(frozen=True)
-class Phase:
+class CorePhase:
     """A phase of a transcribed problem.
 
     Attributes:
@@ -87,7 +87,6 @@ class Phase:
         starts, widths: of intervals, shares of the duration.
         path: (intervals, substeps + 1, rows) what each path row is: NONE, an INEQUALITY or an EQUALITY.
         conditions: the same of the conditions of each node.
-        path_margins, margins: by which these are tightened.
         join: to the next phase.
         node_rows: where in the data the numbers of the nodes begin, and how many each has.
     """
@@ -95,14 +94,12 @@ class Phase:
     n: int
     m: int
     point: int
-    method: Method
+    method: Scheme
     kernels: PhaseKernels
     starts: Array
     widths: Array
     path: Array
     conditions: Sequence[Array]
-    path_margins: Array
-    margins: Sequence[Array]
     join: JoinKernels | None = None
     node_rows: tuple[int, int] = (0, 0)
 
@@ -117,16 +114,16 @@ class Phase:
 
     def rows_by_stage(self, kind: int) -> list[Array]:
         """Which rows of each stage are of a kind: of the path, then of conditions."""
-        found = [[own] for own in (self.path == kind).reshape(self.intervals, -1)] + [[np.zeros(0, bool)]]
-        for (stage, _), rows in zip(self.kernels.nodes, self.conditions):
-            found[stage].append(rows == kind)
-        return [np.concatenate(parts) for parts in found]
+        rows = [[path] for path in (self.path == kind).reshape(self.intervals, -1)] + [[np.zeros(0, bool)]]
+        for (stage, _), of_node in zip(self.kernels.nodes, self.conditions):
+            rows[stage].append(of_node == kind)
+        return [np.concatenate(parts) for parts in rows]
 
     def numbered(self, kind: int) -> tuple[Array, list[Array]]:
         """The number of each path row and condition within its stage among those of a kind, -1 where it is none."""
-        numbers = [np.where(own, np.cumsum(own) - 1, -1) for own in self.rows_by_stage(kind)]
+        numbers = [np.where(rows, np.cumsum(rows) - 1, -1) for rows in self.rows_by_stage(kind)]
         width = self.path[0].size
-        path = np.stack([own[:width] for own in numbers[:-1]]).reshape(self.path.shape)
+        path = np.stack([rows[:width] for rows in numbers[:-1]]).reshape(self.path.shape)
         used, nodes = [width] * self.intervals + [0], []
         for (stage, _), rows in zip(self.kernels.nodes, self.conditions):
             nodes.append(numbers[stage][used[stage] : used[stage] + len(rows)])
@@ -212,10 +209,10 @@ class Transcription:
             of the last Jacobians.
     """
 
-    def __init__(self, phases: Sequence[Phase], parameters: int, data: Array) -> None:
+    def __init__(self, phases: Sequence[CorePhase], parameters: int, data: Array) -> None:
         self.phases = phases
         counts = [
-            np.array([int(own.sum()) for phase in phases for own in phase.rows_by_stage(kind)], np.int64)
+            np.array([int(rows.sum()) for phase in phases for rows in phase.rows_by_stage(kind)], np.int64)
             for kind in (INEQUALITY, EQUALITY)
         ]
         self.stages = Stages(
@@ -230,12 +227,16 @@ class Transcription:
         self.first = (np.cumsum(lengths) - lengths).tolist()
         self._memory: list[Any] = []
         self._offsets = self._placed(counts)
-        places = [[phase.numbered(kind) for kind in (INEQUALITY, EQUALITY)] for phase in phases]
-        found = [self._among_all(*own) for own in zip(phases, self.first, places)]
-        self.path_places: list[Array] = [path for path, _ in found]
-        self.node_places: list[list[Array]] = [nodes for _, nodes in found]
+        numbers = [[phase.numbered(kind) for kind in (INEQUALITY, EQUALITY)] for phase in phases]
+        places = [self._among_all(*of_phase) for of_phase in zip(phases, self.first, numbers)]
+        self.path_places: list[Array] = [path for path, _ in places]
+        self.node_places: list[list[Array]] = [nodes for _, nodes in places]
         self.cost_slopes = [np.zeros((len(phase.controls), parameters)) for phase in phases]
-        self._structures = (_Phase * len(phases))(*self._described(places, data))
+        self._data = np.array(data, float)
+        #: By which rows are tightened: those of the path, then those of each node.
+        self._margins = [[np.zeros(rows.shape) for rows in (phase.path, *phase.conditions)] for phase in phases]
+        described = (self._described(k, *of_phase) for k, of_phase in enumerate(numbers))
+        self._structures = (_Phase * len(phases))(*described)
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
         self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
@@ -244,7 +245,7 @@ class Transcription:
     def set_data(self, data: Array) -> None:
         """Other numbers for the kernels."""
         self._data[:] = data
-        for structure in self._structures:  # what was integrated is for other numbers
+        for structure in self._structures:  # integrated states are out of date
             ctypes.c_double.from_address(structure.work).value = 0.0
 
     def set_margins(self, phase: int, path: Array, nodes: Sequence[Array]) -> None:
@@ -264,133 +265,118 @@ class Transcription:
 
     def set_steps(self, steps: Sequence[Array]) -> None:
         """Steps (nodes, n) of the nodes of each phase from the points that functions get."""
-        for structure, own, values in zip(self._structures, self.steps, steps):
-            if not np.array_equal(own, values):
-                own[...] = values
-                ctypes.c_double.from_address(structure.work).value = 0.0  # what was integrated is for others
+        for structure, memory, values in zip(self._structures, self.steps, steps):
+            if not np.array_equal(memory, values):
+                memory[...] = values
+                ctypes.c_double.from_address(structure.work).value = 0.0  # integrated states are out of date
 
     def states(self, phase: int, substep: int) -> Array:
         """(intervals, n) eta where a substep ends, of the point that was evaluated last."""
-        found = np.zeros((self.phases[phase].intervals, self.phases[phase].n))
-        library().phase_states(ctypes.addressof(self._structures[phase]), substep, found.ctypes.data)
-        return found
-
-    @property
-    def _kernels(self) -> list[BatchKernel]:
-        joins = [phase.join.gap.kernels for phase in self.phases if phase.join is not None]
-        return [kernel for own in [*(phase.kernels.every for phase in self.phases), *joins] for kernel in own]
+        eta = np.zeros((self.phases[phase].intervals, self.phases[phase].n))
+        library().phase_states(ctypes.addressof(self._structures[phase]), substep, eta.ctypes.data)
+        return eta
 
     @property
     def called_back(self) -> list[str]:
         """What has no native form, so that JAX runs it."""
-        found = []
+        called = dict[str, None]()
         for phase in self.phases:
-            own = phase.kernels
             groups = {
-                "rates": own.rate.kernels,
-                "path constraints or the running cost": own.rows.kernels,
-                "conditions at nodes or the final cost": [kernel for _, node in own.nodes for kernel in node.kernels],
+                "rates": [phase.kernels.rate],
+                "path constraints or the running cost": [phase.kernels.rows],
+                "conditions at nodes or the final cost": [node for _, node in phase.kernels.nodes],
             }
-            for name, kernels in groups.items():
-                if name not in found and any(isinstance(kernel.owner, Callback) for kernel in kernels):
-                    found.append(name)
-        return found
+            for name, smooth in groups.items():
+                if any(isinstance(kernel.owner, Callback) for function in smooth for kernel in function.kernels):
+                    called[name] = None
+        return list(called)
 
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
-        for kernel in self._kernels:
-            error = getattr(kernel.owner, "error", None)
-            if error is not None:
-                kernel.owner.error = None
-                raise error
+        for phase in self.phases:
+            for kernel in (*phase.kernels.every, *(phase.join.gap.kernels if phase.join else [])):
+                kernel.check()
 
     def _array(self, array: Array) -> int:
-        """The address of an array that lives as long as this."""
         array = np.ascontiguousarray(array)
         self._memory.append(array)
         return int(array.ctypes.data)
 
     def _placed(self, counts: list[Array]) -> dict[str, Array]:
-        """Where the blocks of all stages stand."""
         stages = self.stages
         columns, after = np.array(stages.columns), np.array(stages.after)
-        controls = np.array(stages.controls)
         blocks = {"h": counts[0], "e": counts[1], "c": after, "F": after * columns, "H": columns**2}
         blocks |= {"Jh": counts[0] * columns, "Je": counts[1] * columns}
-        blocks |= {"z": np.array(stages.point_states) + controls, "v": np.array(stages.states) + controls}
-        found = {name: (np.cumsum(size) - size).astype(np.int64) for name, size in blocks.items()}
-        return found | {name: own.astype(np.int32) for name, own in zip(("inequalities", "equalities"), counts)}
+        places = {name: np.cumsum(size) - size for name, size in blocks.items()}
+        places |= {"z": stages.first_point, "v": stages.first}
+        places = {name: place.astype(np.int64) for name, place in places.items()}
+        return places | {name: rows.astype(np.int32) for name, rows in zip(("inequalities", "equalities"), counts)}
 
-    def _described(self, places: list[Any], data: Array) -> list[_Phase]:
-        stages, self._data, self._margins = self.stages, np.array(data, float), list[list[Array]]()
-        at_z, at_v = stages.points - stages.parameters, stages.variables - stages.parameters
-        found = []
-        for number, (phase, first, own) in enumerate(zip(self.phases, self.first, places)):
-            part = slice(first, first + len(phase.controls))
-            method, kernels = phase.method, phase.kernels
-            inequalities, equalities = ([path, *nodes] for path, nodes in own)
-            codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
-            self._margins.append([np.array(a, float) for a in (phase.path_margins, *phase.margins)])
-            margins = [self._array(a) for a in self._margins[-1]]
-            nodes = (_Node * len(kernels.nodes))()
-            for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):
-                node.function, node.stage, node.place, node.margins = function.structure, stage, code, margin
-            self._memory.append(nodes)
-            numbers = {name: getattr(method, name) for name in ("a", "b", "c", "weights")}
-            numbers |= {"starts": phase.starts, "widths": phase.widths}
-            addresses = {name: self._array(np.asarray(a, float)) for name, a in numbers.items()}
-            sizes = (phase.n, phase.m, stages.parameters, phase.point, phase.intervals, method.substeps, len(method.b))
-            found.append(
-                _Phase(
-                    *sizes,
-                    int(method.implicit),
-                    phase.path.shape[2],
-                    len(nodes),
-                    _NEWTON,
-                    close=_CLOSE,
-                    parameters_z=at_z,
-                    parameters_v=at_v,
-                    **addresses,
-                    data=int(self._data.ctypes.data),
-                    node_rows=int(self._data.ctypes.data) + 8 * phase.node_rows[0],
-                    node_width=phase.node_rows[1],
-                    place=codes[0],
-                    margins=margins[0],
-                    at=_Offsets(**{name: self._array(own[part]) for name, own in self._offsets.items()}),
-                    **{name: getattr(kernels, name).structure for name in ("rate", "rows", "gap")},
-                    **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
-                    node=ctypes.addressof(nodes),
-                    join=self._join(number),
-                    cost_slopes=self._array(self.cost_slopes[number]),
-                )
-            )
-        return found
+    def _described(self, number: int, of_path: Any, of_nodes: Any) -> _Phase:
+        """A phase as the core reads it.
+
+        Args:
+            of_path, of_nodes: numbers of its rows among inequalities and among equalities, each (path, nodes).
+        """
+        phase, stages, margins = self.phases[number], self.stages, [self._array(a) for a in self._margins[number]]
+        method, kernels, parameters = phase.method, phase.kernels, stages.parameters
+        part = slice(self.first[number], self.first[number] + len(phase.controls))
+        inequalities, equalities = ([path, *nodes] for path, nodes in (of_path, of_nodes))
+        codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
+        nodes = (_Node * len(kernels.nodes))()
+        for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):
+            node.function, node.stage, node.place, node.margins = function.structure, stage, code, margin
+        self._memory.append(nodes)
+        numbers = {name: getattr(method, name) for name in ("a", "b", "c", "weights")}
+        numbers |= {"starts": phase.starts, "widths": phase.widths}
+        sizes = (phase.n, phase.m, parameters, phase.point, phase.intervals, method.substeps, len(method.b))
+        return _Phase(
+            *sizes,
+            int(method.implicit),
+            phase.path.shape[2],
+            len(nodes),
+            _NEWTON,
+            close=_CLOSE,
+            parameters_z=stages.points - parameters,
+            parameters_v=stages.variables - parameters,
+            **{name: self._array(np.asarray(a, float)) for name, a in numbers.items()},
+            data=int(self._data.ctypes.data),
+            node_rows=int(self._data.ctypes.data) + 8 * phase.node_rows[0],
+            node_width=phase.node_rows[1],
+            place=codes[0],
+            margins=margins[0],
+            at=_Offsets(**{name: self._array(places[part]) for name, places in self._offsets.items()}),
+            **{name: getattr(kernels, name).structure for name in ("rate", "rows", "gap")},
+            **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
+            node=ctypes.addressof(nodes),
+            join=self._join(number),
+            cost_slopes=self._array(self.cost_slopes[number]),
+        )
 
     def _join(self, number: int) -> int | None:
         join = self.phases[number].join
         if join is None:
             return None
         turn = self.phases[number + 1].kernels.turn
-        found = _Join(
+        structure = _Join(
             join.gap.structure,
             KernelStructure() if turn is None else turn.structure,
             len(join.free),
             self._array(np.asarray(join.free, np.int32)),
         )
-        self._memory.append(found)
-        return ctypes.addressof(found)
+        self._memory.append(structure)
+        return ctypes.addressof(structure)
 
-    def _among_all(self, phase: Phase, first: int, places: Any) -> tuple[Array, list[Array]]:
+    def _among_all(self, phase: CorePhase, first: int, numbers: Any) -> tuple[Array, list[Array]]:
         """Numbers among the rows of all stages."""
-        path, nodes = -np.ones(phase.path.shape, int), [-np.ones(len(own), int) for own in phase.conditions]
-        for (of_path, of_nodes), name in zip(places, ("h", "e")):
+        path, nodes = -np.ones(phase.path.shape, int), [-np.ones(len(rows), int) for rows in phase.conditions]
+        for (of_path, of_nodes), name in zip(numbers, ("h", "e")):
             before = self._offsets[name][first : first + len(phase.controls)]
             path = np.where(of_path >= 0, of_path + before[:-1, None, None], path)
-            for k, (own, (stage, _)) in enumerate(zip(of_nodes, phase.kernels.nodes)):
-                nodes[k] = np.where(own >= 0, own + before[stage], nodes[k])
+            for k, (rows, (stage, _)) in enumerate(zip(of_nodes, phase.kernels.nodes)):
+                nodes[k] = np.where(rows >= 0, rows + before[stage], nodes[k])
         return path, nodes
 
 
 def _codes(inequality: Array, equality: Array) -> Array:
-    """Numbers among inequalities and among equalities as the core reads them."""
     return np.where(inequality >= 0, inequality, np.where(equality >= 0, -2 - equality, DROPPED)).astype(np.int32)

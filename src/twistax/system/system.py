@@ -35,8 +35,7 @@ from ..expr import (
     refuse_conditions,
     to_expr,
 )
-from ..expr.fields import freeze
-from ..expr.node import ExprLike
+from ..expr.fields import ExprLike, freeze
 from ..expr.operations.soft import Asked, Soft, hard
 from ..expr.packing import pack, unpack
 from ..expr.printing.mathml import mathml

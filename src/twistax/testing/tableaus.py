@@ -16,9 +16,8 @@ import numpy as np
 from ..errors import InputError
 from ..expr import Cos, Sin, Stack, State, Time
 from ..groups import SO3, so3
-from ..integrators import RKMK, CommutatorFree, Method, integrate
-from ..integrators.commutator_free import CommutatorFreeTableau
-from ..integrators.implicit_rkmk import ImplicitRKMK
+from ..integrators import RKMK, CommutatorFree, ImplicitRKMK, Method, integrate
+from ..integrators.methods.commutator_free import CommutatorFreeTableau
 from ..integrators.tableaus import ButcherTableau, CollocationTableau
 from ..system import System
 from ..system.dynamics import Dynamics, compile

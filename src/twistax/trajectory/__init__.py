@@ -1,32 +1,27 @@
 """Trajectories: linearisation and discretisation in the tangent space, optimal control, replay."""
 
+from ..linear import Discretization, Linearization, discretize, linearize
 from ..progress import Progress
-from .accuracy import Accuracy
-from .cases import PhasedResults, TrajectoryResults
-from .controls import Held, Linear, Rate, Spline
-from .discretize import Discretization, discretize
-from .external import IPOPT, Fatrop
-from .found import Optimality
-from .functionals import Initial, Integral, Maximum, Minimum
-from .hessians import GaussNewton, QuasiNewton
-from .linearize import Linearization, linearize
-from .mesh import Mesh
-from .modes import Mode as Mode  # tx.Mode, tx.Trim and tx.trim are their home
-from .phase import Phase
-from .phased_result import PhasedResult
-from .problem import Problem
-from .refine import Meshed
-from .result import TrajectoryResult
-from .sensitivity import Solution, solution
-from .statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
-from .statement import Minimize as Minimize
-from .statement import Objective
-from .strategies import Strategy
-from .transcription import Collocation, MultipleShooting
-from .trimming import Trim as Trim
-from .trimming import trim as trim
-from .warm import WarmStart
-from .watch import Status
+from .adapters.solvers import IPOPT, Fatrop
+from .hessians.options import GaussNewton, QuasiNewton
+from .problem.controls import Held, Linear, Rate, Spline
+from .problem.functionals import Initial, Integral, Maximum, Minimum
+from .problem.phase import Phase
+from .problem.problem import Problem
+from .problem.statement import Maximize as Maximize  # tx.Maximize and tx.Minimize are their home
+from .problem.statement import Minimize as Minimize
+from .problem.statement import Objective
+from .result.many import PhasedResults, TrajectoryResults
+from .result.quality import Optimality
+from .result.refine import Meshed
+from .result.result import PhasedResult, TrajectoryResult
+from .sensitivity.solution import Solution, solution
+from .strategy.accuracy import Accuracy
+from .strategy.status import Status
+from .strategy.strategies import Strategy
+from .strategy.warm import WarmStart
+from .transcription.mesh import Mesh
+from .transcription.methods import Collocation, MultipleShooting
 
 __all__ = [
     "Accuracy",

@@ -8,9 +8,9 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..expr import Control, State
-from .controls import rate_name
-from .shooting import Shooting
-from .transcribed import Point
+from .problem.controls import rate_name
+from .transcription.points import Point
+from .transcription.shooting import Shooting
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -23,7 +23,7 @@ _ZERO = 1e-6
 #: How often what is known says more.
 _ROUNDS = 4
 #: Limits of a control that are so many times what moves a state by its size say nothing.
-_WIDE = 1e6
+_WIDE = 1e3
 
 
 class Sizes(NamedTuple):
@@ -33,6 +33,7 @@ class Sizes(NamedTuple):
     u: Array  # (m,)
     border: Array  # (g,)
     steers: Array  # (m,) whether controls move states
+    reserve: float = np.inf  # how many times as far as needed limited controls move the state that is hardest to move
 
 
 @np.errstate(all="ignore")
@@ -48,13 +49,16 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     """
     n, m = shooting.n, shooting.m
     d, u, box = np.full(n, np.nan), np.full(m, np.nan), np.full(m, np.nan)
-    most = np.full(n, np.inf)
+    most, steering = np.full(n, np.inf), np.zeros(n, bool)
     for name, part in shooting.dynamics.group.slices.items():
         leaf = cast(State, shooting.leaves[name])
-        d[part], most[part] = _of_state(leaf, point.xs[name]), _half_range(leaf)
-        if rate_name(name) in shooting.leaves:  # a continuous control: its limits say how far it goes
+        d[part], most[part] = _of_state(leaf, point.xs[name]), _most(leaf)
+        if isinstance(
+            shooting.leaves.get(rate_name(name)), Control
+        ):  # a continuous control: its limits say how far it goes
             d[part] = np.where(np.isfinite(most[part]), most[part], d[part])
-    d = np.minimum(np.where(np.isnan(d) & np.isfinite(most), most, d), most)  # NaN: not known
+            steering[part] = np.isfinite(most[part])
+    d = np.minimum(d, most)  # NaN: not known
     slices = shooting.local.controls.slices
     for name, part in slices.items():
         u[part], box[part] = _of_control(cast(Control, shooting.leaves[name]), point.us[:, part])
@@ -67,11 +71,14 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     rounding = _ROUNDING * largest
     unknown, between = np.isnan(u), _between_ends(shooting, point)
     among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
+    reserve = _reserve(d, u, box, through, reach[:, :, :n].sum(axis=0), between, steering)
     for number in range(_ROUNDS):
-        sure = d if number > 0 else np.where(between > 0.0, between, np.nan)  # at first others may be noise
+        sure = (
+            d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
+        )  # at first others may be noise
         needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
-        wide = (box >= _WIDE * needed) & np.isfinite(needed)
-        usual = np.where(np.isnan(box) | wide, np.where(np.isfinite(needed), needed, box), box)
+        is_bounded = ~np.isnan(box) & ~((box >= _WIDE * needed) & np.isfinite(needed))
+        usual = np.where(is_bounded | ~np.isfinite(needed), box, needed)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
         pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
@@ -84,6 +91,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
     b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
     d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
+    d = np.where(np.isnan(d) & np.isfinite(most), most, d)
     values = np.abs(point.us).max(axis=0, initial=0.0)
     u = np.where(np.isnan(u) & (values > 0.0), values, u)
     # A slack of what holds is rounding, and that is no size of it.
@@ -91,7 +99,19 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         u[slices[name]] = np.where(u[slices[name]] < _ZERO, np.nan, u[slices[name]])
     b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
     d, u, b = (usable(a) for a in (d, u, b))
-    return Sizes(d, u, b, (through > 0.0).any(axis=0))
+    return Sizes(d, u, b, (through > 0.0).any(axis=0), reserve)
+
+
+def _reserve(d: Array, u: Array, box: Array, through: Array, among: Array, between: Array, steering: Array) -> float:
+    """The least of what controls move states of known size by, over that size; infinite where none is moved."""
+    known = np.where(between > 0.0, between, d)
+    limited = np.nan_to_num(np.where(np.isnan(u), box, u))
+    direct, among = through @ limited, among * (1.0 - np.eye(len(d)))
+    pushed = direct
+    for _ in range(_ROUNDS):
+        pushed = direct + among @ np.where(steering, known, np.fmin(pushed, known))
+    ratios = np.where(steering, np.inf, pushed / known)
+    return float(np.nanmin(np.where(ratios > 0.0, ratios, np.inf), initial=np.inf))
 
 
 def usable(sizes: Array) -> Array:
@@ -99,11 +119,18 @@ def usable(sizes: Array) -> Array:
     return np.where((sizes > 0.0) & np.isfinite(sizes), sizes, 1.0)
 
 
-def _half_range(leaf: State) -> Array:
-    """Half the distance between two limits of a flat state; infinite where there are none, or one."""
-    if not leaf.group.flat or leaf.min is None or leaf.max is None:
-        return np.full(leaf.group.dimension, np.inf)
-    half = 0.5 * np.broadcast_to(np.ravel(np.asarray(leaf.max) - np.asarray(leaf.min)), (leaf.group.dimension,))
+def _most(leaf: State) -> Array:
+    """What a size is at most: half the distance between limits of a flat state, a turn; infinite where neither is."""
+    group = leaf.group
+    if not group.flat:
+        most = np.full(group.dimension, _TURN)
+        for piece in group.parts:
+            if piece.sized:
+                most[np.array(piece.entries)] = np.inf
+        return most
+    if leaf.min is None or leaf.max is None:
+        return np.full(group.dimension, np.inf)
+    half = 0.5 * np.broadcast_to(np.ravel(np.asarray(leaf.max) - np.asarray(leaf.min)), (group.dimension,))
     return np.where(half > 0.0, half, np.inf)
 
 

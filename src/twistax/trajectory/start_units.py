@@ -5,13 +5,16 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .evaluated import Evaluated, moved
 from .sizes import Sizes, measured_sizes
-from .staged import Staged
-from .transcribed import Point
+from .transcription.evaluation import Evaluated, moved
+from .transcription.points import Point
+from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
 _TURNED = 0.5
+#: Limited controls move the state that is hardest to move by so many of its sizes in least time, of a double integrator
+#: by 8, of a single one by 2. Durations in which they move it by more than `_RESERVE` are fitted to `_FITTING`.
+_FITTING, _RESERVE = 16.0, 100.0
 
 
 class StartUnits:
@@ -24,12 +27,15 @@ class StartUnits:
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point) -> None:
+    def __init__(self, staged: Staged, point: Point, limits: Array | None = None) -> None:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
         blocks = at.blocks(at.F, stages.after)
         self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
+        self._first = self.parts
+        if limits is not None and _reserve(self.parts) > _RESERVE:
+            self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
@@ -51,6 +57,33 @@ class StartUnits:
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
             moves = abs(there.cost[0] - at.cost[0])
         self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+
+    def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
+        """Shared unknowns of the start, with durations that limited controls need."""
+        return self._fitted(staged, point, limits, self._first)[0]
+
+    @classmethod
+    def _fitted(cls, staged: Staged, point: Point, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
+        """Durations in which limited controls move states as far as they have to go, and sizes there.
+
+        A guess of a duration may be thousands of times too long. What controls do to states over such a time says
+        nothing of the states of a trajectory, so free durations are halved until it fits.
+
+        Args:
+            limits: (g, 2) of the shared unknowns.
+            parts: sizes at the durations of the point.
+        """
+        border, (low, high), durations = staged.border, np.array(limits).T, np.asarray(point.border)
+        free = border.free & (np.arange(border.size) < border.phases) & (low < high)
+        while np.isfinite(_reserve(parts)) and _reserve(parts) > _FITTING:
+            shorter = np.where(free, np.maximum(0.5 * durations, low), durations)
+            if (shorter == durations).all():
+                break
+            durations, there = shorter, point._replace(border=shorter)
+            at = Evaluated(staged.transcription, staged.flat(there))
+            if at.differentiate():  # long steps of an unstable system may overflow
+                parts = cls._measured(staged, there, at.blocks(at.F, at.stages.after), at.c)
+        return durations, parts
 
     def distance(self, other: StartUnits) -> float:
         """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""
@@ -99,3 +132,7 @@ class StartUnits:
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
             found.append(np.concatenate([sizes.d, free]))
         return found
+
+
+def _reserve(parts: list[Sizes]) -> float:
+    return min(sizes.reserve for sizes in parts)

@@ -40,7 +40,7 @@ def systems() -> list[Any]:
     import numpy as np
 
     import twistax as tx
-    from twistax.mechanics.environment import atmosphere, earth
+    from twistax.mechanics import environment
 
     g = tx.State("g", group=tx.SE3, order=tx.ANGULAR_FIRST, initial=np.eye(4), scale=2.0)
     w = tx.State("w", shape=(6,), min=-3.0, max=[1.0, 2.0, 3.0, 4.0, 5.0, np.inf], guess=np.linspace(0.0, 1.0, 6))
@@ -48,7 +48,7 @@ def systems() -> list[Any]:
     J = tx.Parameter("J", shape=(3, 3))
     rate = tx.Concat(J @ w[:3] * k - tx.linalg.Cross(u, w[3:]), tx.Where(tx.Time() >= 1.0, w[:3], -w[3:]))
     table = tx.Interp(w[0], axes=[0.0, 1.0, 3.0, 4.0], values=[1.0, -1.0, 2.0, 2.5], kind=tx.tables.BSpline())
-    air = atmosphere.US1976.density(earth.WGS84.geodetic(g[:3, 3]).altitude)
+    air = environment.atmosphere.US1976.density(environment.earth.WGS84.geodetic(g[:3, 3]).altitude)
     whole = tx.System(
         rates={w: rate, g: w},
         outputs={"table": table, "air": air, "all": tx.Vmap(lambda p: p @ w[:3], batch=np.eye(3) * k)},

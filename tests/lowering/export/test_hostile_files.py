@@ -19,7 +19,6 @@ import pytest
 
 import twistax as tx
 from twistax.expr import all_nodes
-from twistax.system.export import saved
 
 
 @pytest.fixture
@@ -95,14 +94,6 @@ def test_sizes_that_a_file_promises_are_not_allocated(members: dict[str, bytes],
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (3_000_000_000,)})
     with pytest.raises(tx.InputError, match=r"an array of shape \(3000000000,\) in .* bytes"):
         loaded(tmp_path, {**members, "arrays/0.npy": header.getvalue() + bytes(16)})
-
-
-def test_arrays_by_columns_and_empty_ones_come_back(tmp_path: Path) -> None:
-    rng = np.random.default_rng(0)
-    for array in (np.asfortranarray(rng.normal(size=(3, 2))), np.zeros((0, 3)), np.array(2.0), np.arange(6)[::2]):
-        file = io.BytesIO()
-        np.save(file, array)
-        np.testing.assert_array_equal(saved._array(file.getvalue()), array)
 
 
 def test_every_class_that_files_may_name_is_known() -> None:

@@ -17,8 +17,9 @@ import jax
 from ...errors import OperationError
 from ...groups import LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import multiply
+from ..fields import Operand
 from ..matrices.linalg import Cross, cross_columns
-from ..node import Expr, Operand, Shape, expect
+from ..node import Expr, Shape, expect
 from ..operations.arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
 from ..printing.text import wrap_latex
 from .base import (

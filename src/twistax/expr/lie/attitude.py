@@ -16,7 +16,8 @@ from ...groups import pose as pose_of_numbers
 from ...groups import quaternion as quaternion_of_numbers
 from ...groups.euler_angles import ROLL_PITCH_YAW
 from ...groups.pose import one_attitude
-from ..node import Expr, ExprLike, Operand, to_expr
+from ..fields import ExprLike, Operand
+from ..node import Expr, to_expr
 from ..operations.array import Stack
 from .base import check_element
 from .elements import Pose, SO3Exp, parts_of_pose

@@ -13,8 +13,9 @@ from ...errors import ModelError, OperationError, ShapeError
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import element_defect
 from ..canonical import fold
+from ..fields import ExprLike, Operand
 from ..leaves import Constant, State
-from ..node import Expr, ExprLike, Operand, Shape, expect
+from ..node import Expr, Shape, expect
 from ..operations.arithmetic import is_constant
 
 _SIX = ((6,), (6, 6))

@@ -17,9 +17,10 @@ import numpy as np
 
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..canonical import fold
+from ..fields import ExprLike, Operand
 from ..leaves import Constant
 from ..matrices.linalg import Cross
-from ..node import Expr, ExprLike, Operand, Shape, expect
+from ..node import Expr, Shape, expect
 from ..operations.arithmetic import Mul, Neg, is_constant, is_identity, zeros_of
 from ..operations.array import Index
 from ..printing.text import number_latex

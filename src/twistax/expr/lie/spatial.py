@@ -8,7 +8,8 @@ import jax.numpy as jnp
 from ...groups import quaternion_product, rotation_from_quaternion, so3
 from ...groups.arrays import matrix, unpack
 from ...groups.quaternions import from_rotation
-from ..node import Expr, Operand
+from ..fields import Operand
+from ..node import Expr
 from .base import check_element
 
 _HINT = "a quaternion is w, x, y, z"

@@ -10,7 +10,8 @@ import numpy as np
 
 from ...errors import ModelError, ShapeError
 from ..bases import expect_square
-from ..node import Expr, Operand, Shape
+from ..fields import Operand
+from ..node import Expr, Shape
 
 #: The smallest pivot that a matrix of n rows can be trusted with, and the largest that may be round-off alone, both in
 #: units of n times the machine's precision and of the first pivot.

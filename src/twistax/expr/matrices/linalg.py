@@ -11,7 +11,8 @@ import numpy as np
 from ...errors import ModelError, ShapeError
 from ...groups.arrays import cross, unpack, vector
 from ..bases import expect_square
-from ..node import Expr, ExprLike, Numbers, Operand, Shape, expect
+from ..fields import ExprLike, Operand
+from ..node import Expr, Numbers, Shape, expect
 from ..operations.arithmetic import Div, Neg, is_constant, zeros_of
 from ..operations.elementwise import Abs, absolute
 

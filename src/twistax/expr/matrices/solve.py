@@ -14,9 +14,10 @@ import numpy as np
 from ...errors import ShapeError
 from ...groups.arrays import multiply
 from ..bases import expect_square
+from ..fields import Operand
 from ..graph import leaves_of
 from ..leaves import Constant, Parameter
-from ..node import Expr, Operand, Shape
+from ..node import Expr, Shape
 from ..operations.arithmetic import Div, MatMul, is_identity
 from .linalg import Diag
 

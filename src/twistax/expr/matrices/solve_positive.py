@@ -13,7 +13,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..bases import expect_square
-from ..node import Expr, Operand, Shape
+from ..fields import Operand
+from ..node import Expr, Shape
 from .solve import LinearSystem
 
 

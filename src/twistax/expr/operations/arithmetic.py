@@ -14,8 +14,9 @@ import numpy as np
 from ...errors import ModelError, OperationError, ShapeError
 from ...groups.arrays import multiply
 from ..bases import Chained, Entrywise, align, broadcast
+from ..fields import Operand, Operands
 from ..leaves import Constant
-from ..node import Expr, Numbers, Operand, Operands, Shape
+from ..node import Expr, Numbers, Shape
 from ..printing.text import wrap_latex
 
 _VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5

@@ -11,8 +11,9 @@ import numpy as np
 
 from ...errors import ModelError, OperationError, ShapeError
 from ..bases import Variadic
+from ..fields import ExprLike, Operand, Operands
 from ..leaves import Constant
-from ..node import Expr, ExprLike, Numbers, Operand, Operands, Shape
+from ..node import Expr, Numbers, Shape
 from ..printing.text import matrix_latex, wrap, wrap_latex
 
 

@@ -13,8 +13,9 @@ import numpy as np
 
 from ...errors import OperationError, ShapeError
 from ..bases import Chained, Entrywise, Variadic, align, broadcast
+from ..fields import ExprLike, Operand, Operands
 from ..leaves import Constant
-from ..node import Expr, ExprLike, Operand, Operands, Shape, to_expr
+from ..node import Expr, Shape, to_expr
 from .arithmetic import rebuilt, zeros_of
 
 _VALUES = {"a": [1.0, -2.0, 0.5], "s": 0.25}

@@ -8,8 +8,8 @@ import jax
 import jax.numpy as jnp
 
 from ..bases import Entrywise, align
-from ..fields import positive
-from ..node import Expr, Operand
+from ..fields import Operand, positive
+from ..node import Expr
 from .arithmetic import Neg
 
 _ANY, _POSITIVE = {"operand": [1.0, -2.0, 0.0]}, {"operand": [1.0, 2.5, 0.1]}

@@ -12,8 +12,9 @@ import numpy as np
 from ...checks import short
 from ...errors import ModelError, ShapeError
 from ..bases import Variadic, broadcast
+from ..fields import ExprLike, Operand, Operands
 from ..leaves import Constant
-from ..node import Expr, ExprLike, Operand, Operands, Shape
+from ..node import Expr, Shape
 from .kinds import BSpline, Clamped, Extrapolated, Linear, Lookup, MonotoneCubic, Refused, linear, pieces
 
 _KNOTS, _TABLE = np.array([0.0, 1.0, 3.0, 4.0, 6.0]), np.array([1.0, -1.0, 2.0, 2.5, 0.0])

@@ -11,9 +11,10 @@ import numpy as np
 
 from ...errors import ModelError, OperationError, ShapeError
 from ...groups import Group
+from ..fields import ExprLike
 from ..graph import evaluate_all, leaves_of, postorder, substitute
 from ..leaves import Constant, Control, Leaf, State, Time
-from ..node import Expr, ExprLike, Shape, expect, to_expr, to_numbers
+from ..node import Expr, Shape, expect, to_expr, to_numbers
 
 
 class _Placeholder(Leaf):

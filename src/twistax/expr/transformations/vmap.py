@@ -12,9 +12,10 @@ import numpy as np
 
 from ...checks import callable_with, whole
 from ...errors import ModelError, OperationError, ShapeError
+from ..fields import Operands
 from ..graph import evaluate_all, leaves_of, substitute
 from ..leaves import Leaf
-from ..node import Expr, Operands, Shape, to_expr, to_numbers
+from ..node import Expr, Shape, to_expr, to_numbers
 from ..operations.arithmetic import Constraint
 
 #: The placeholders of the Vmaps that are being built around the current one.

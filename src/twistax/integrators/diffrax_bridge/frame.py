@@ -17,11 +17,12 @@ from ...errors import ModelError
 from ...jax_inside import wrapped_terms
 from ...scalar.small_call import small_call
 from ...system.dynamics import Arrays, Dynamics, need_compiled
-from ..ambient import Ambient, Arguments, read_arguments
-from ..charts import Blocks, Chart, StateCoordinates, coordinates_of
-from ..rkmk import stage_slopes
-from ..steps import all_finite
-from ..tableaus import Rows, lower_triangle
+from ..ambient import AmbientSystem, Arguments, read_arguments
+from ..charts.chart import Chart, coordinates_of
+from ..charts.coordinates import Blocks, StateCoordinates
+from ..loop.loop import all_finite
+from ..methods.rkmk import stage_slopes
+from ..tableaus import StageRows, lower_triangle
 
 
 class LieTerm(diffrax.AbstractTerm):
@@ -57,7 +58,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """Says what is wrong with a term, where diffrax would only say that it does not fit."""
+    """Names what is wrong with a term, which diffrax does not."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))
@@ -67,18 +68,18 @@ class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
     """What `LieSolver` takes: a term of `lie_term`, or a MultiTerm of such. Others raise ModelError with the reason."""
 
 
-class Part(NamedTuple):
+class DirectedSystem(NamedTuple):
     """One system among the terms, and the sense of time: 1, or -1 where diffrax integrates backwards."""
 
     dynamics: Dynamics
     direction: Any
 
 
-def parts_of(terms: Any) -> tuple[Part, ...]:
+def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
     """The systems in what diffrax passes to a solver or a controller. Raises ModelError for other terms."""
     WrapTerm, AdjointTerm = wrapped_terms()
 
-    def part(term: Any) -> Part:
+    def part(term: Any) -> DirectedSystem:
         direction: Any = 1
         while isinstance(term, WrapTerm):
             direction, term = direction * term.direction, term.term
@@ -96,13 +97,13 @@ def parts_of(terms: Any) -> tuple[Part, ...]:
                 "  fix: diffeqsolve(tx.diffrax.lie_term(dynamics), tx.diffrax.LieSolver(...), ...); with a plain term "
                 "take a plain solver and diffrax.PIDController"
             )
-        return Part(term.dynamics, direction)
+        return DirectedSystem(term.dynamics, direction)
 
     return tuple(map(part, terms.terms if isinstance(terms, diffrax.MultiTerm) else (terms,)))
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class ChartedSystem:
     """A system in a chart, the coordinates around the start of a step. A value; numbers travel as flat vectors."""
 
     dynamics: Dynamics
@@ -113,13 +114,13 @@ class Frame:
         return coordinates_of(self.chart, self.dynamics.group)
 
     @property
-    def ambient(self) -> Ambient:
+    def ambient(self) -> AmbientSystem:
         """The state in its matrices, for errors and plain rates."""
-        return Ambient(self.dynamics, quaternion=False)
+        return AmbientSystem(self.dynamics, quaternion=False)
 
-    def rate(self, dynamics: Dynamics, given: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
+    def rate(self, dynamics: Dynamics, arguments: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
         """The rate at given.t and given.x for controls within the step from t to t + h."""
-        rates = given.rates(dynamics, t, h)
+        rates = arguments.rates(dynamics, t, h)
         return self.local.rate({name: rate.reshape(-1) for name, rate in rates.items()})
 
     def packed(self, x: Arrays) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
@@ -136,7 +137,7 @@ class Frame:
         return {name: jnp.where(good, a, jnp.inf) for name, a in self.ambient.rates(x, velocities).items()}
 
     def deviations(self, x: Mapping[str, Any], errors: Mapping[str, Any]) -> Blocks:
-        """The deviations again, from what `errors` made of them."""
+        """The deviations, the inverse of `errors`."""
         groups, parts = self.dynamics.group.factors, self.local.parts
         return {
             name: parts[name].rate(group.body_velocity(x[name], errors[name]).reshape(group.tangent_shape))
@@ -155,7 +156,7 @@ class Stepped(NamedTuple):
 
 
 def explicit_step(
-    frame: Frame, tableau: diffrax.ButcherTableau, given: Arguments, h: jax.Array, rate: jax.Array | None
+    frame: ChartedSystem, tableau: diffrax.ButcherTableau, arguments: Arguments, h: jax.Array, rate: jax.Array | None
 ) -> Stepped:
     """The step of an explicit Runge-Kutta solver of diffrax, as one small function where that is known to work.
 
@@ -163,13 +164,13 @@ def explicit_step(
     the last stage is handed on as a body velocity, which needs no change of chart; `rate`, where it is known, is that
     at the start, flat. Traceable.
     """
-    stages, local = Rows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
+    stages, local = StageRows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
-    def plainly(given: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
-        start = local.enter(given.x)
+    def plainly(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
+        start = local.enter(arguments.x)
 
         def rate_of(time: jax.Array, y: Blocks) -> Blocks:
-            return frame.rate(frame.dynamics, given._replace(t=time, x=local.value(y)), given.t, h)
+            return frame.rate(frame.dynamics, dataclasses.replace(arguments, t=time, x=local.value(y)), arguments.t, h)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, jax.Array]:
             moved = local.move(start, z)
@@ -177,12 +178,14 @@ def explicit_step(
             return local.slope(z, moved, rate), ravel_pytree(rate)[0]
 
         if known is None:
-            first = rate_of(given.t, start)
+            first = rate_of(arguments.t, start)
         else:
             groups = frame.dynamics.group.factors
             still = {name: jnp.zeros(group.dimension, known.dtype) for name, group in groups.items()}
             first = ravel_pytree(local.rate(still))[1](known)
-        slopes, last = stage_slopes(stages, slope, local.first_slope(start, first), ravel_pytree(first)[0], given.t, h)
+        slopes, last = stage_slopes(
+            stages, slope, local.first_slope(start, first), ravel_pytree(first)[0], arguments.t, h
+        )
         z = slopes.combine(tableau.b_sol, h)
         end = local.settle(local.move(start, z))
         x = local.value(end)
@@ -191,4 +194,4 @@ def explicit_step(
 
     step = jax.custom_jvp(lambda *operands: small_call(plainly, *operands))
     step.defjvp(lambda primals, tangents: jax.jvp(plainly, primals, tangents))
-    return step(given, h, rate)
+    return step(arguments, h, rate)

@@ -19,13 +19,13 @@ from ...errors import InputError, ModelError
 from ...jax_inside import any_of_batch, wrapped_terms
 from ...system.dynamics import Arrays, Dynamics, need_compiled
 from ..ambient import Arguments, read_arguments
-from ..charts import Blocks, Chart, Exponential, SplitExponential, chart_of
+from ..charts.chart import Chart, Exponential, SplitExponential, chart_of
+from ..charts.coordinates import Blocks
 from ..method import Stepper
-from ..rkmk import RKMK
-from ..step_control import StepControl, first_step
+from ..methods.rkmk import RKMK
+from ..step_control import StepControl, Tolerances, tolerances_of
 from ..tableaus import EULER
-from ..tolerances import Tolerances, tolerances_of
-from .frame import Frame, LieTerms, Part, explicit_step, parts_of
+from .frame import ChartedSystem, DirectedSystem, LieTerms, explicit_step, parts_of
 
 
 class LieInterpolation(diffrax.AbstractLocalInterpolation):
@@ -35,7 +35,7 @@ class LieInterpolation(diffrax.AbstractLocalInterpolation):
     t1: Any  # type: ignore[misc]
     start: Any
     coordinates: diffrax.AbstractLocalInterpolation
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
     def evaluate(self, t0: Any, t1: Any = None, left: bool = True) -> Arrays:
         """The state at t0, in its group. Raises InputError for an increment, which has no meaning on a group."""
@@ -54,7 +54,7 @@ class _Interpolate:
     """Makes the interpolation of one step. A value, as diffrax keeps it as structure."""
 
     coordinates: Any
-    frame: Frame
+    frame: ChartedSystem
 
     def __call__(self, *, t0: Any, t1: Any, start: Any, within: Any) -> LieInterpolation:
         return LieInterpolation(t0, t1, start, self.coordinates(t0=t0, t1=t1, **within), self.frame)
@@ -89,14 +89,14 @@ class LieSolver(diffrax.AbstractWrappedSolver):
     """
 
     solver: Any  # type: ignore[misc]
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
     def __init__(self, solver: diffrax.AbstractSolver, dynamics: Dynamics, chart: Chart | None = None) -> None:
         _check(solver, dynamics, chart)
         self.solver = solver
         order: Any = solver.order(None) if _is_explicit(solver) else None
         default = Exponential(commutators=None if order is None else max(1, order - 2))
-        self.frame = Frame(dynamics, default if chart is None else chart)
+        self.frame = ChartedSystem(dynamics, default if chart is None else chart)
         _ = self.frame.ambient  # refuses groups without matrices, by name
 
     # What diffrax asks for, partly of the wrapped solver.
@@ -118,64 +118,65 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return self.solver.error_order(terms)
 
     def func(self, terms: Any, t0: Any, y0: Mapping[str, Any], args: Any) -> Arrays:
-        """The rates of the entries of y0, matrices changing as matrices do; for what diffrax measures with them."""
+        """The rates of the entries of y0, matrices as matrices."""
         parts = self._parts(terms)
-        given = read_arguments(self.frame.dynamics, parts[0].direction * t0, y0, args)
-        found = [given.rates(part.dynamics) for part in parts]
-        return self.frame.ambient.rates(given.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *found))
+        arguments = read_arguments(self.frame.dynamics, parts[0].direction * t0, y0, args)
+        rates = [arguments.rates(part.dynamics) for part in parts]
+        return self.frame.ambient.rates(arguments.x, jax.tree.map(lambda *parts: sum(parts[1:], parts[0]), *rates))
 
     def init(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> Any:
-        """What a step hands to the next: the rate there, as a body velocity, or the wrapped solver's state."""
-        given, h = self._begin(terms, t0, t1, y0, args)
+        """The solver state: the rate at the start, as a body velocity, or the state of the wrapped solver."""
+        arguments, h = self._begin(terms, t0, t1, y0, args)
         if not _is_explicit(self.solver):
-            return self.solver.init(self._in_chart(terms, given, h), t0, t1, self.frame.packed(given.x)[0], None)
-        return self._rate(given, h) if self._hands_on(given) else None
+            return self.solver.init(
+                self._in_chart(terms, arguments, h), t0, t1, self.frame.packed(arguments.x)[0], None
+            )
+        return self._rate(arguments, h) if self._hands_on(arguments) else None
 
     def step(
         self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any, solver_state: Any, made_jump: Any
     ) -> tuple[Arrays, Arrays | None, dict[str, Any], Any, Any]:
         """One step in the chart around y0."""
-        given, h = self._begin(terms, t0, t1, y0, args)
+        arguments, h = self._begin(terms, t0, t1, y0, args)
         if not _is_explicit(self.solver):
-            return self._wrapped_step(terms, given, h, t0, t1, solver_state, made_jump)
+            return self._wrapped_step(terms, arguments, h, t0, t1, solver_state, made_jump)
         rate = solver_state
         if rate is not None and made_jump is not False:
             anew = any_of_batch(made_jump)
-            rate = jax.lax.cond(anew, lambda: self._rate(given, h), lambda: solver_state)
-        done = explicit_step(self.frame, self.solver.tableau, given, h, rate)
+            rate = jax.lax.cond(anew, lambda: self._rate(arguments, h), lambda: solver_state)
+        done = explicit_step(self.frame, self.solver.tableau, arguments, h, rate)
         within = {"y0": jnp.zeros_like(done.z), "y1": done.z, "k": done.k}
-        handed = done.rate if self._hands_on(given) else None
-        return done.x, done.error, {"start": given.x, "within": within}, handed, diffrax.RESULTS.successful
+        handed = done.rate if self._hands_on(arguments) else None
+        return done.x, done.error, {"start": arguments.x, "within": within}, handed, diffrax.RESULTS.successful
 
     def _wrapped_step(
-        self, terms: Any, given: Arguments, h: jax.Array, t0: Any, t1: Any, state: Any, made_jump: Any
+        self, terms: Any, arguments: Arguments, h: jax.Array, t0: Any, t1: Any, state: Any, made_jump: Any
     ) -> tuple[Arrays, Arrays | None, dict[str, Any], Any, Any]:
         """A step of the wrapped solver itself, on the coordinates."""
         frame, local = self.frame, self.frame.local
         # A table may jump where a step begins, and the last slope is that before the jump.
-        made_jump = True if given.signals.jumps else made_jump
-        inner, (origin, read) = self._in_chart(terms, given, h), frame.packed(given.x)
+        made_jump = True if arguments.signals.jumps else made_jump
+        inner, (origin, read) = self._in_chart(terms, arguments, h), frame.packed(arguments.x)
         z, e, within, state, result = self.solver.step(inner, t0, t1, origin, None, state, made_jump)
         moved = read(z)
-        end = local.settle(local.move(local.enter(given.x), moved))
+        end = local.settle(local.move(local.enter(arguments.x), moved))
         x = local.value(end)
         error = None if e is None else frame.errors(x, end, read(e))
         if state is not None:
             first, slope = state
-            state = first, jax.tree.map(lambda f: self._carried(given.x, moved, end, f), slope)
-        return x, error, {"start": given.x, "within": within}, state, result
+            state = first, jax.tree.map(lambda f: self._carried(arguments.x, moved, end, f), slope)
+        return x, error, {"start": arguments.x, "within": within}, state, result
 
-    def _in_chart(self, terms: Any, given: Arguments, h: jax.Array) -> Any:
-        """The terms in coordinates around the start of a step."""
+    def _in_chart(self, terms: Any, arguments: Arguments, h: jax.Array) -> Any:
         frame, local = self.frame, self.frame.local
-        start, read = local.enter(given.x), frame.packed(given.x)[1]
+        start, read = local.enter(arguments.x), frame.packed(arguments.x)[1]
 
-        def in_chart(part: Part) -> Any:
+        def in_chart(part: DirectedSystem) -> Any:
             def slope(t: Any, z: jax.Array, args: None) -> jax.Array:
                 blocks = read(z)
                 moved = local.move(start, blocks)
-                at = given._replace(t=jnp.asarray(t, z.dtype), x=local.value(moved))
-                return ravel_pytree(local.slope(blocks, moved, frame.rate(part.dynamics, at, given.t, h)))[0]
+                at = dataclasses.replace(arguments, t=jnp.asarray(t, z.dtype), x=local.value(moved))
+                return ravel_pytree(local.slope(blocks, moved, frame.rate(part.dynamics, at, arguments.t, h)))[0]
 
             return wrapped_terms()[0](diffrax.ODETerm(slope), part.direction)
 
@@ -193,21 +194,20 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         omega = {name: group.right_jacobian(eta[name]) @ slopes[name] for name, group in groups.items()}
         return ravel_pytree(local.first_slope(end, local.rate(omega)))[0]
 
-    def _rate(self, given: Arguments, h: jax.Array) -> jax.Array:
-        """The rate at the start of a step, flat."""
-        return ravel_pytree(self.frame.rate(self.frame.dynamics, given, given.t, h))[0]
+    def _rate(self, arguments: Arguments, h: jax.Array) -> jax.Array:
+        return ravel_pytree(self.frame.rate(self.frame.dynamics, arguments, arguments.t, h))[0]
 
-    def _hands_on(self, given: Arguments) -> bool:
+    def _hands_on(self, arguments: Arguments) -> bool:
         """Whether the last stage of a step is the first of the next; not where a table may jump in between."""
-        return bool(self.solver.tableau.fsal) and not given.signals.jumps
+        return bool(self.solver.tableau.fsal) and not arguments.signals.jumps
 
     def _begin(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> tuple[Arguments, jax.Array]:
         """The arguments where a step begins, and its length, negative where diffrax integrates backwards."""
         direction = self._parts(terms)[0].direction
-        given = read_arguments(self.frame.dynamics, direction * t0, y0, args)
-        return given, jnp.asarray(direction * (t1 - t0), given.t.dtype)
+        arguments = read_arguments(self.frame.dynamics, direction * t0, y0, args)
+        return arguments, jnp.asarray(direction * (t1 - t0), arguments.t.dtype)
 
-    def _parts(self, terms: Any) -> tuple[Part, ...]:
+    def _parts(self, terms: Any) -> tuple[DirectedSystem, ...]:
         """The systems among the terms. Raises ModelError where they are not those the solver takes."""
         parts = parts_of(terms)
         tableau = getattr(getattr(self.solver, "solver", self.solver), "tableau", None)
@@ -230,7 +230,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
 
 def _is_explicit(solver: Any) -> bool:
-    """Whether the solver's tableau is all there is to it."""
+    """Whether the solver is fully described by an explicit tableau."""
     if not isinstance(solver, diffrax.AbstractERK) or isinstance(solver, diffrax.HalfSolver):
         return False
     return isinstance(solver.tableau, diffrax.ButcherTableau) and not solver.tableau.c1
@@ -261,11 +261,11 @@ def _check(solver: Any, dynamics: Any, chart: Any) -> None:
 
 
 class _State(eqx.Module):
-    """What the controller remembers: the PID controller's state, and what the first call learned of the system."""
+    """The state of the PID controller, the tolerances and the system in its chart."""
 
     pid: Any
     tolerances: Tolerances
-    frame: Frame = eqx.field(static=True)
+    frame: ChartedSystem = eqx.field(static=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -310,19 +310,19 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
                 "  fix: wrap the other way round: tx.diffrax.LieSolver(diffrax.HalfSolver(...), dynamics)"
             )
         dynamics, direction = parts[0]
-        given = read_arguments(dynamics, direction * t0, y0, args)
-        dtype = jnp.result_type(*given.x.values())
+        arguments = read_arguments(dynamics, direction * t0, y0, args)
+        dtype = jnp.result_type(*arguments.x.values())
         tolerances = tolerances_of(dynamics, self.rtol, self.allowed, dtype)
-        frame = Frame(dynamics, Exponential())
+        frame = ChartedSystem(dynamics, Exponential())
         if dt0 is None:
-            room = jnp.asarray(direction * (t1 - t0), given.t.dtype)
+            room = jnp.asarray(direction * (t1 - t0), arguments.t.dtype)
             length, method = jnp.abs(room), _Probe(EULER, frame.chart, 1 if error_order is None else error_order)
-            stepper = Stepper(dynamics, method, given.signals, given.params)
-            y = frame.local.enter(given.x)
-            rate = stepper.rate(given.t, y, jnp.sign(room) * 1e-6 * length)
-            h = first_step(stepper, tolerances, given.t, y, rate, 1e-3 * length, length)
+            stepper = Stepper(dynamics, method, arguments.signals, arguments.params)
+            y = frame.local.enter(arguments.x)
+            rate = stepper.rate(arguments.t, y, jnp.sign(room) * 1e-6 * length)
+            h = stepper.first_step(tolerances, arguments.t, y, rate, 1e-3 * length, length)
             dt0 = jax.lax.stop_gradient(jnp.minimum(h, length)).astype(jnp.result_type(t0))
-        t_end, pid = self.pid.init(terms, t0, t1, given.x, dt0, args, func, error_order)
+        t_end, pid = self.pid.init(terms, t0, t1, arguments.x, dt0, args, func, error_order)
         return t_end, _State(pid, tolerances, frame)
 
     def adapt_step_size(
@@ -336,8 +336,8 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
             scaled = state.tolerances.scaled(local, e, local.enter(before), local.enter(after))
             scaled = jnp.where(jnp.isfinite(scaled), scaled, jnp.inf)
         nothing = jnp.zeros(state.frame.dynamics.dimension, y0[next(iter(y0))].dtype)
-        found = self.pid.adapt_step_size(t0, t1, nothing, nothing, args, scaled, error_order, state.pid)
-        keep, start, end, jumped, pid, result = found
+        results = self.pid.adapt_step_size(t0, t1, nothing, nothing, args, scaled, error_order, state.pid)
+        keep, start, end, jumped, pid, result = results
         return keep, start, end, jumped, _State(pid, state.tolerances, state.frame), result
 
 
@@ -393,7 +393,7 @@ def controller(
     number("rtol", rtol, "a number from 0 on", lambda value: 0.0 <= value < np.inf)
     allowed = rtol if atol is None else atol
     smallest = functools.reduce(jnp.minimum, [jnp.min(real_array("atol", leaf)) for leaf in jax.tree.leaves(allowed)])
-    found = LieController(rtol, smallest, pid.norm, allowed, pid)
+    control = LieController(rtol, smallest, pid.norm, allowed, pid)
     if step_ts is None and jump_ts is None:
-        return found
-    return diffrax.ClipStepSizeController(found, step_ts=step_ts, jump_ts=jump_ts)
+        return control
+    return diffrax.ClipStepSizeController(control, step_ts=step_ts, jump_ts=jump_ts)

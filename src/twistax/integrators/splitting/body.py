@@ -13,10 +13,11 @@ import numpy as np
 
 from ...errors import ModelError
 from ...expr import Constant, Expr, Inputs, Parameter, State, evaluate_all, leaves_of, to_expr
-from ...groups import Group, SpecialEuclidean, quaternions, se3, so3
+from ...groups import Group, quaternions, se3, so3
 from ...groups.arrays import Components, add, scale, vector
 from ...system.dynamics import Arrays, Dynamics
-from ..charts import Ambient, Blocks, Coordinates, StoredState, conjugate, tightened
+from ..charts.chart import Ambient, conjugate, tightened
+from ..charts.coordinates import Blocks, Coordinates, StoredState
 from .inertia import BodyInertia, arrays, rigid, rotational
 
 
@@ -200,9 +201,9 @@ class FreeBody(FreeMotion):
                 f"{self!r}: state {self.position!r} is no rotation or pose, it lives on {group.name}.\n"
                 "  fix: a point is a tx.FreeParticle(position, velocity)"
             )
-        found, wanted = dynamics.group.factors[self.velocity].shape, (group.dimension,)
-        if found != wanted:
-            raise ModelError(f"{self!r}: state {self.velocity!r} must have shape {wanted}, it has {found}")
+        shape, wanted = dynamics.group.factors[self.velocity].shape, (group.dimension,)
+        if shape != wanted:
+            raise ModelError(f"{self!r}: state {self.velocity!r} must have shape {wanted}, it has {shape}")
         known = {leaf.name for leaf in dynamics.parameters}
         for name in self.parameters:
             if name not in known:
@@ -227,10 +228,10 @@ class FreeBody(FreeMotion):
         M = jnp.asarray(_evaluated(self._source(dynamics), params), velocity.dtype)
         M = M if M.ndim == 2 else jnp.diag(M)
         twist = jnp.linalg.solve(M, velocity) if self._is_momentum else velocity
-        if isinstance(group, SpecialEuclidean):
-            order = group.order
-            body, momentum = order.to_linear_first(twist), order.to_linear_first(M @ twist)
-            turning = order.from_linear_first(-se3.coad(body, momentum))
+        if group.dimension == 6:
+            body, momentum = group.to_linear_first(twist), group.to_linear_first(M @ twist)
+            # Swapping the two parts undoes itself.
+            turning = group.to_linear_first(-se3.coad(body, momentum))
         else:
             turning = -so3.coad(twist, M @ twist)
         change = turning if self._is_momentum else jnp.linalg.solve(M, turning)
@@ -240,10 +241,10 @@ class FreeBody(FreeMotion):
         group, source = dynamics.group.factors[self.position], self._source(dynamics)
         default = None
         if not isinstance(source, Constant):
-            own = {leaf.name: leaf.value for leaf in leaves_of(source) if isinstance(leaf, Parameter)}
-            if all(value is not None for value in own.values()):
+            values = {leaf.name: leaf.value for leaf in leaves_of(source) if isinstance(leaf, Parameter)}
+            if all(value is not None for value in values.values()):
                 with jax.ensure_compile_time_eval():
-                    default = np.asarray(_evaluated(source, own), np.float64)
+                    default = np.asarray(_evaluated(source, values), np.float64)
         inertia = self._body_inertia(group, _evaluated(source, params), default)
         return _BodyFlows((self.position, self.velocity), group, inertia, self._is_momentum)
 
@@ -256,17 +257,17 @@ class FreeBody(FreeMotion):
     def _body_inertia(self, group: Group, value: Any, default: np.ndarray | None) -> BodyInertia:
         """The inertia from its value, constant or traced, and its default where there is one."""
         place = f"{self!r}: inertia"
-        if not isinstance(group, SpecialEuclidean):
+        if group.dimension == 3:
             return rotational(place, value, default)
-        if not group.order.linear_leads:
+        if group.angular[0]:
             value, default = (None if a is None else _swapped(a) for a in (value, default))
         return rigid(place, value, default)
 
 
-def _inertia_of(given: Any) -> tuple[Expr, tuple[str, ...]]:
+def _inertia_of(inertia: Any) -> tuple[Expr, tuple[str, ...]]:
     """The inertia as an expression, and the names of its parameters."""
     try:
-        expr = to_expr(given)
+        expr = to_expr(inertia)
     except ModelError as error:
         raise ModelError(
             f"FreeBody expects inertia to be numbers, a Parameter or its name: {error}\n"
@@ -275,7 +276,7 @@ def _inertia_of(given: Any) -> tuple[Expr, tuple[str, ...]]:
     leaves = list(leaves_of(expr))
     names = tuple(leaf.name for leaf in leaves if isinstance(leaf, Parameter))
     if not (isinstance(expr, Constant) or names) or not all(isinstance(a, (Parameter, Constant)) for a in leaves):
-        raise ModelError(f"FreeBody expects inertia to be an array or an expression of parameters, got {given!r}")
+        raise ModelError(f"FreeBody expects inertia to be an array or an expression of parameters, got {inertia!r}")
     if isinstance(expr, Constant) and not np.isfinite(expr.value).all():
         raise ModelError("FreeBody expects a finite inertia")
     return expr, names
@@ -302,12 +303,12 @@ class _BodyFlows(Flows):
     The centre of an attitude is the origin of its frame. Momenta and the centre of mass are in world axes.
     """
 
-    def __init__(self, names: tuple[str, str], group: Group, own: BodyInertia, is_momentum: bool) -> None:
+    def __init__(self, names: tuple[str, str], group: Group, inertia: BodyInertia, is_momentum: bool) -> None:
         self.position, self.velocity = names
-        self.group, self.own, self.part = group, own, Ambient().coordinates(group)
+        self.group, self.own, self.part = group, inertia, Ambient().coordinates(group)
         # From the second state, or its rate at rest, to momenta in body axes, and back.
-        self.into = own.centered if is_momentum else own.momenta
-        self.out = own.about_origin if is_momentum else own.velocity
+        self.into = inertia.centered if is_momentum else inertia.momenta
+        self.out = inertia.about_origin if is_momentum else inertia.velocity
 
     def enter(self, x: Arrays) -> Blocks:
         pose = self.part.enter(x[self.position])
@@ -317,10 +318,9 @@ class _BodyFlows(Flows):
 
     def value(self, y: Blocks) -> Arrays:
         q, momenta = y[self.position][:4], value(y[self.velocity])
-        own = vector(self.out(_turned(conjugate(q), momenta)))
-        if isinstance(self.group, SpecialEuclidean):
-            own = self.group.order.from_linear_first(own)
-        return {self.position: self._pose(y), self.velocity: own}
+        velocity = vector(self.out(_turned(conjugate(q), momenta)))
+        # Swapping the two parts undoes itself.
+        return {self.position: self._pose(y), self.velocity: self.group.to_linear_first(velocity)}
 
     def at_rest(self, y: Blocks) -> Arrays:
         pose = self._pose(y)
@@ -377,7 +377,7 @@ def increased(total: Components, increments: Components) -> Components:
 
     Source: Hairer, Lubich, Wanner, Geometric Numerical Integration (2006), section VIII.5 (compensated summation).
     """
-    values, lost = value(total), total[len(total) // 2 :]
-    wanted = tuple(d + e for d, e in zip(increments, lost, strict=True))
+    values, rounding = value(total), total[len(total) // 2 :]
+    wanted = tuple(d + e for d, e in zip(increments, rounding, strict=True))
     new = tuple(x + d for x, d in zip(values, wanted, strict=True))
     return (*new, *(d - (y - x) for d, y, x in zip(wanted, new, values, strict=True)))

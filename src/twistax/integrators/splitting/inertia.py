@@ -14,7 +14,7 @@ import numpy as np
 from ...errors import ModelError
 from ...groups import quaternions
 from ...groups.arrays import Components, add, cross, dot, matrix, scale, unpack, vector
-from ..charts import conjugate
+from ..charts.chart import conjugate
 
 #: A constant, which costs nothing where it is zero, or a traced number.
 Number: TypeAlias = jax.Array | float
@@ -42,7 +42,7 @@ def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
 
 
 @dataclasses.dataclass(frozen=True)
-class Frame:
+class BodyAxes:
     """Axes of a body, and which part each plays.
 
     The two with the nearest moments are `like` and `rest`: in a symmetric body `rest` then moves nothing.
@@ -54,7 +54,7 @@ class Frame:
     rest: int
 
     @classmethod
-    def of(cls, tensor: np.ndarray | None) -> Frame:
+    def of(cls, tensor: np.ndarray | None) -> BodyAxes:
         """The principal axes of an inertia tensor (3, 3); the body's own where nothing is known."""
         if tensor is None:
             return cls(np.eye(3), 2, 0, 1)
@@ -76,8 +76,8 @@ class _Axis:
 
     def flow(self, q: Components, L: Components, dt: jax.Array) -> Components:
         """The attitude dt later; L is the momentum in world axes."""
-        own = quaternions.rotate(conjugate(q), L)
-        half = 0.5 * dt * self.strength * _weighted(self.n, own)
+        momentum = quaternions.rotate(conjugate(q), L)
+        half = 0.5 * dt * self.strength * _weighted(self.n, momentum)
         return quaternions.product(q, (jnp.cos(half), *scale(jnp.sin(half), arrays(self.n, half))))
 
 
@@ -97,34 +97,37 @@ class Spin:
     inverse: Rows
     isotropic: Number  # k
     main: _Axis | None  # the axis of the symmetric part, None for a sphere
-    others: tuple[_Axis, ...]
+    other_axes: tuple[_Axis, ...]
 
     @classmethod
     def of(cls, tensor: np.ndarray) -> Spin:
         """Of a constant tensor (3, 3), symmetric and positive."""
-        frame = Frame.of(tensor)
+        frame = BodyAxes.of(tensor)
         inverse = np.linalg.inv(tensor)
-        along = np.einsum("ij,ik,kj->j", frame.axes, inverse, frame.axes)
-        k = float(along[frame.like])
-        small = 4.0 * np.finfo(float).eps * np.abs(along).max()
+        about_axes = np.einsum("ij,ik,kj->j", frame.axes, inverse, frame.axes)
+        k = float(about_axes[frame.like])
+        small = 4.0 * np.finfo(float).eps * np.abs(about_axes).max()
 
         def axis(number: int) -> _Axis | None:
-            strength = float(along[number]) - k
+            strength = float(about_axes[number]) - k
             return _Axis(frame.axes[:, number].tolist(), strength) if abs(strength) > small else None
 
         rest = axis(frame.rest)
         return cls(tensor.tolist(), inverse.tolist(), k, axis(frame.main), () if rest is None else (rest,))
 
     @classmethod
-    def of_moments(cls, moments: Components, frame: Frame) -> Spin:
+    def of_moments(cls, moments: Components, frame: BodyAxes) -> Spin:
         """Of traced moments about the body's own axes, which are those of the frame."""
         inverse, eye = [1.0 / moment for moment in moments], np.eye(3).tolist()
         main, rest = (_Axis(eye[i], inverse[i] - inverse[frame.like]) for i in (frame.main, frame.rest))
-        J, J_inv = ([[a if i == j else 0.0 for j in range(3)] for i, a in enumerate(own)] for own in (moments, inverse))
+        J, J_inv = (
+            [[a if i == j else 0.0 for j in range(3)] for i, a in enumerate(diagonal)]
+            for diagonal in (moments, inverse)
+        )
         return cls(J, J_inv, inverse[frame.like], main, (rest,))
 
     @classmethod
-    def of_traced(cls, tensor: jax.Array, frame: Frame) -> Spin:
+    def of_traced(cls, tensor: jax.Array, frame: BodyAxes) -> Spin:
         """Of a traced tensor (3, 3), symmetric and positive, whose principal axes are near those of the frame, or not.
 
         What is not on the diagonal in the frame's axes is shared between axes in pairs:
@@ -145,8 +148,8 @@ class Spin:
             n = (frame.axes[:, i] + frame.axes[:, j]) / np.sqrt(2.0)
             return _Axis(n.tolist(), 2.0 * turned[i, j])
 
-        others = (single(frame.rest), single(frame.like), *(pair(i, j) for i, j in combinations(range(3), 2)))
-        return cls(rows, [unpack(row) for row in inverse], k, single(frame.main), others)
+        other_axes = (single(frame.rest), single(frame.like), *(pair(i, j) for i, j in combinations(range(3), 2)))
+        return cls(rows, [unpack(row) for row in inverse], k, single(frame.main), other_axes)
 
     def symmetric(self, q: Components, L: Components, dt: jax.Array) -> Components:
         """The attitude dt later by the symmetric part; L is the momentum in world axes. For any dt."""
@@ -155,11 +158,11 @@ class Spin:
 
     def others_flow(self, q: Components, L: Components, dt: jax.Array, backwards: bool) -> Components:
         """The attitude after dt by every other part, one after the other."""
-        if len(self.others) < 2:
-            return self.others[0].flow(q, L, dt) if self.others else q
+        if len(self.other_axes) < 2:
+            return self.other_axes[0].flow(q, L, dt) if self.other_axes else q
         # A loop: unrolled, derivatives of so many rotations in a row take minutes to compile.
-        directions = jnp.asarray(np.array([axis.n for axis in self.others]), dt.dtype)
-        strengths = vector(arrays([axis.strength for axis in self.others], dt))
+        directions = jnp.asarray(np.array([axis.n for axis in self.other_axes]), dt.dtype)
+        strengths = vector(arrays([axis.strength for axis in self.other_axes], dt))
 
         def turn(q: Components, entry: tuple[jax.Array, jax.Array]) -> tuple[Components, None]:
             return _Axis(unpack(entry[0]), entry[1]).flow(q, L, dt), None
@@ -214,8 +217,8 @@ def rotational(place: str, value: np.ndarray | jax.Array, default: np.ndarray | 
         _check_tensor(place, tensor)
         return BodyInertia(Spin.of(tensor))
     if value.ndim == 1:
-        return BodyInertia(Spin.of_moments(unpack(value), Frame.of(default)))
-    return BodyInertia(Spin.of_traced(value, Frame.of(default)))
+        return BodyInertia(Spin.of_moments(unpack(value), BodyAxes.of(default)))
+    return BodyInertia(Spin.of_traced(value, BodyAxes.of(default)))
 
 
 def rigid(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None) -> BodyInertia:
@@ -236,7 +239,9 @@ def rigid(place: str, value: np.ndarray | jax.Array, default: np.ndarray | None)
         return BodyInertia(Spin.of(tensor), float(m), tuple(c.tolist()))
     # Nothing can be raised here; NaN ends an integration at its first step.
     m = jnp.where(off <= _ROUND_OFF * jnp.abs(value).max(), m, jnp.nan)
-    return BodyInertia(Spin.of_traced(tensor, Frame.of(None if default is None else _parts(default)[2])), m, unpack(c))
+    return BodyInertia(
+        Spin.of_traced(tensor, BodyAxes.of(None if default is None else _parts(default)[2])), m, unpack(c)
+    )
 
 
 def _parts(M: Any) -> tuple[Any, Any, Any, Any]:

@@ -16,7 +16,7 @@ from ...checks import instance
 from ...errors import ModelError
 from ...expr import Parameter
 from ...system.dynamics import Arrays, Dynamics
-from ..charts import Blocks, StoredState
+from ..charts.coordinates import Blocks, StoredState
 from ..method import Method, VectorField
 from .body import Flows, FreeMotion
 from .compositions import Composition
@@ -161,9 +161,9 @@ def _check(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
     with jax.ensure_compile_time_eval():
         compare = jax.jit(lambda *draw: _compared(dynamics, motions, *draw))
         for _ in range(_DRAWS):
-            found = jax.device_get(compare(*_drawn(dynamics, rng)))
+            rates = jax.device_get(compare(*_drawn(dynamics, rng)))
             for motion in motions:
-                _judge(motion, found)
+                _judge(motion, rates)
 
 
 def _compared(
@@ -179,7 +179,7 @@ def _compared(
 
     def free(velocities: Arrays, params: Arrays) -> Arrays:
         rates = [motion.rates(dynamics, x | velocities, params) for motion in motions]
-        return {name: rate for own in rates for name, rate in own.items()}
+        return {name: rate for rate_of_motion in rates for name, rate in rate_of_motion.items()}
 
     def slopes(rates: Any, velocities: Arrays, params: Arrays) -> dict[str, Any]:
         """The derivatives of the rates of velocities by all velocities, a matrix each."""
@@ -197,16 +197,16 @@ def _compared(
     }
 
 
-def _judge(motion: FreeMotion, found: dict[str, Any]) -> None:
+def _judge(motion: FreeMotion, compared: dict[str, Any]) -> None:
     position, velocity = motion.position, motion.velocity
-    ours, theirs = (rates[position] for rates in found["position"])
+    ours, theirs = (rates[position] for rates in compared["position"])
     tolerance = float(np.sqrt(np.finfo(theirs.dtype).eps))
     if not np.abs(ours - theirs).max() <= tolerance * np.abs(theirs).max():
         raise ModelError(
             f"Splitting: the rate of {position!r} is not the velocity of {motion!r}.\n"
             f"  fix: for a FreeBody it is the body velocity, or J^-1 or M^-1 times the body momentum; {_OTHERWISE}"
         )
-    system, free, rest = (found[kind][velocity] for kind in ("system", "free", "rest"))
+    system, free, rest = (compared[kind][velocity] for kind in ("system", "free", "rest"))
     size = max(np.abs(free).max(), np.abs(system).max())
     if not np.isfinite(size):
         raise ModelError(
@@ -225,7 +225,7 @@ def _judge(motion: FreeMotion, found: dict[str, Any]) -> None:
             f"motion (relative difference {off / size:.1e}): another inertia, or a force that depends on velocities.\n"
             f"  fix: give the inertia of the system, in its axes; {_OTHERWISE}"
         )
-    if found["change"] and np.abs(found["change"][velocity]).max() > tolerance * size:
+    if compared["change"] and np.abs(compared["change"][velocity]).max() > tolerance * size:
         raise ModelError(
             f"Splitting: the inertia of {motion!r} depends on parameters of the system that it does not name.\n"
             "  fix: give inertia as the Parameter, its name, or an expression of parameters; or fold them into the "
@@ -241,7 +241,7 @@ def _drawn(dynamics: Dynamics, rng: np.random.Generator) -> tuple[Any, ...]:
     }
     u = {control.name: rng.normal(size=control.shape) for control in dynamics.controls}
     params = {parameter.name: _near(parameter, rng) for parameter in dynamics.parameters}
-    direction = {name: np.where(own == 0.0, 1.0, own) * rng.normal(size=own.shape) for name, own in params.items()}
+    direction = {name: np.where(a == 0.0, 1.0, a) * rng.normal(size=a.shape) for name, a in params.items()}
     drawn = (rng.uniform(0.0, 2.0), d, u, params, direction)
     return jax.tree.map(lambda value: jnp.asarray(value, jax.dtypes.canonicalize_dtype(float)), drawn)
 

@@ -12,8 +12,7 @@ from ...checks import reals
 from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.bases import Entrywise
-from ...expr.fields import positive
-from ...expr.node import ExprLike, Operand
+from ...expr.fields import ExprLike, Operand, positive
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 

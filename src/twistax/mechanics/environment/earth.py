@@ -24,9 +24,8 @@ from ...checks import number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
 from ...expr.bases import Entrywise
-from ...expr.fields import positive
+from ...expr.fields import ExprLike, Operand, positive
 from ...expr.lie import AxisRotation
-from ...expr.node import ExprLike, Operand
 from ..arguments import of_shape
 
 __all__ = ["WGS84", "Ellipsoid", "Geodetic", "Meridian", "OffPole", "east_north_up", "north_east_down"]

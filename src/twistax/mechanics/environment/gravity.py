@@ -10,8 +10,7 @@ import numpy as np
 from ...checks import number
 from ...errors import ModelError
 from ...expr import Constant, Cross, Dot, Expr, Sqrt
-from ...expr.fields import positive
-from ...expr.node import ExprLike
+from ...expr.fields import ExprLike, positive
 from ..arguments import of_shape
 
 __all__ = ["EARTH_J2", "EARTH_POINT_MASS", "J2", "PointMass", "gradient_torque"]

@@ -14,8 +14,7 @@ from jax import Array
 from ...checks import listed, number, short, whole
 from ...errors import ModelError
 from ...expr import Expr
-from ...expr.fields import positive
-from ...expr.node import ExprLike, Operand
+from ...expr.fields import ExprLike, Operand, positive
 from ..arguments import of_shape
 
 __all__ = ["EGM2008", "HarmonicPull", "Harmonics"]

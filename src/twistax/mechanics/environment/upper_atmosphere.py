@@ -17,7 +17,7 @@ import numpy as np
 from ...checks import reals
 from ...errors import ModelError
 from ...expr import Cinterp, Exp, Expr, Max, Min, Sqrt, Where, to_expr
-from ...expr.node import ExprLike
+from ...expr.fields import ExprLike
 from .atmosphere import US1976, LayeredAtmosphere
 
 __all__ = ["US1976_TO_1000_KM", "UpperAtmosphere"]

@@ -15,8 +15,8 @@ import numpy as np
 from ...checks import callable_with, number
 from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Constant, Cos, Cross, Dot, Expr, Max, Norm, Sin, Sqrt, Where
+from ...expr.fields import ExprLike
 from ...expr.lie import wrench
-from ...expr.node import ExprLike
 from ...units import metres
 from ..arguments import of_kind, of_shape
 from .planets import Air

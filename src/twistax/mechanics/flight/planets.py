@@ -11,8 +11,8 @@ from typing import Protocol, TypeAlias, runtime_checkable
 
 from ...errors import ModelError
 from ...expr import Concat, Constant, Cos, Expr, Sin, Tan, to_expr
+from ...expr.fields import ExprLike
 from ...expr.lie import Pose, rotation
-from ...expr.node import ExprLike
 from ..arguments import of_shape
 from ..environment import earth, gravity
 from ..environment.upper_atmosphere import US1976_TO_1000_KM

@@ -12,8 +12,8 @@ import numpy as np
 from ...checks import number, short
 from ...errors import ModelError
 from ...expr import Constant, Cross, Expr
+from ...expr.fields import ExprLike
 from ...expr.lie import angular, wrench
-from ...expr.node import ExprLike
 from ...units import kilograms, metres, newtons, same_unit, seconds
 from ..arguments import of_kind, of_shape
 from ..bodies import SpatialInertia

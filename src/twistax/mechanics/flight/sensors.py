@@ -8,9 +8,9 @@ from typing import NamedTuple
 import numpy as np
 
 from ...expr import Cross, Expr
+from ...expr.fields import ExprLike
 from ...expr.lie import angular, linear
 from ...expr.lie.base import check_element
-from ...expr.node import ExprLike
 from ...units import metres, radians, seconds
 from ..arguments import of_kind, of_shape
 from .air_data import AirData

@@ -24,8 +24,8 @@ from ...expr import (
     substitute,
     to_expr,
 )
+from ...expr.fields import ExprLike
 from ...expr.lie import EulerRotation, Pose
-from ...expr.node import ExprLike
 from ...jax_inside import is_traced
 from ...units import Quantity, metres, radians, same_unit, seconds, taken
 from ..arguments import of_kind

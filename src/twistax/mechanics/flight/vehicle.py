@@ -11,8 +11,8 @@ import numpy as np
 from ...checks import callable_with, listed
 from ...errors import ModelError
 from ...expr import Concat, Expr, Norm, State, Time, Where
+from ...expr.fields import ExprLike
 from ...expr.lie import EulerAngles, angular, linear
-from ...expr.node import ExprLike
 from ...groups import SE3
 from ...system import System
 from ..arguments import of_kind, of_shape

@@ -8,7 +8,7 @@ from pathlib import Path
 
 from ...checks import path_of
 from ...errors import ModelError
-from ...expr.node import ExprLike
+from ...expr.fields import ExprLike
 from ..mechanism import Mechanism
 from .choices import Choices
 from .mjcf import Mjcf

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from ..checks import needed
+from ..harness.expected import needed
 from .statement import Foreign, Phased, Points, coefficients
 
 #: Functions are expanded into scalar expressions, which makes IPOPT several times as fast. Its other defaults stay.

@@ -9,10 +9,12 @@ from collections.abc import Callable, Mapping
 from statistics import median
 from typing import Any
 
-from ..checks import Report, at_most, between, judged
-from ..page import texts
-from ..rows import DONE, Row, now, number
-from ..timing import Tell
+from ..harness.expected import at_most, between, judged
+from ..harness.page import texts
+from ..harness.report import Report
+from ..harness.rows import DONE, now, number
+from ..harness.rows import ReportRow as Row
+from ..harness.timing import ProgressCallback as Tell
 from .run import SAME, Side, apart, in_words, ipopt, ours
 from .statement import Foreign, Phased
 

@@ -13,8 +13,8 @@ from typing import Any, ClassVar
 
 import numpy as np
 
-from ..checks import Absent
-from ..rows import first_line
+from ..harness.expected import Absent
+from ..harness.rows import first_line
 from .ipopt import stated
 from .statement import Foreign, Phased
 

@@ -28,13 +28,13 @@ def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
     length = 5.0
     inertia = ((length - rho) ** 3 + rho**3) / 3.0
     heavy = (length, inertia * tx.Sin(phi) ** 2, inertia)
-    moves: dict[Any, Any] = dict(zip(places, rates)) | {rate: u[k] / heavy[k] for k, rate in enumerate(rates)}
+    rates_of: dict[Any, Any] = dict(zip(places, rates)) | {rate: u[k] / heavy[k] for k, rate in enumerate(rates)}
     still: dict[Any, Any] = dict.fromkeys(rates, 0.0)
     start, goal = (
-        dict(zip(places, own)) for own in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
+        dict(zip(places, values)) for values in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
     )
     options |= {"nodes": nodes, "initial": still | start, "final": still | goal}
-    return stated(moves, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)
+    return stated(rates_of, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)
 
 
 def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
@@ -43,8 +43,8 @@ def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
     x, y, vx, vy = (tx.State(name) for name in ("x", "y", "vx", "vy"))
     angle = tx.Control("angle", min=-math.pi / 2.0, max=math.pi / 2.0)
     rates: dict[Any, Any] = {x: vx, y: vy, vx: size * tx.Cos(angle), vy: size * tx.Sin(angle)}
-    rest: dict[Any, Any] = dict.fromkeys((x, y, vx, vy), 0.0)
-    options |= {"nodes": nodes, "initial": rest, "final": {y: height, vx: speed, vy: 0.0}, "controls": Linear()}
+    zero: dict[Any, Any] = dict.fromkeys((x, y, vx, vy), 0.0)
+    options |= {"nodes": nodes, "initial": zero, "final": {y: height, vx: speed, vy: 0.0}, "controls": Linear()}
     return stated(rates, tx.Minimize(tx.Time()), final_time=(0.1, 10.0), **options)
 
 

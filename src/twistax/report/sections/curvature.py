@@ -1,4 +1,4 @@
-"""Whether a stationary point is a minimum: dense, in NumPy, by none of what the solver does."""
+"""Whether a stationary point is a minimum, by dense eigenvalues in NumPy, without code of the solver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...jax_inside import in_double
-from ...trajectory.program import Program
+from ...trajectory.adapters.program import NonlinearProgram
 
 #: A scaled multiplier above this binds if it is larger than its slack; a curvature below this counts as zero.
 _BINDS, _FLAT = 1e-6, 1e-6
@@ -27,12 +27,14 @@ def reduced_bends(result: Any) -> Array:
     problem, warm = result.problem, result.warm
     with in_double():
         given = problem.started().given
-        core = problem._core(1e-6, warm.point, given)
-        program: Program = core.made.setdefault("second order", Program(core.staged, given, with_copies=False))
+        core = problem.core(1e-6, warm.point, given)
+        program: NonlinearProgram = core.made.setdefault(
+            "second order", NonlinearProgram(core.staged, given, with_copies=False)
+        )
         x, lower, upper, of_bounds, of_rows = program.start(warm, given, core.units(warm.point, given))
         _, g = program.values(x)
-        _, slopes = program.slopes(x)
-        bends = program.bend(x, 1.0, of_rows)
+        _, slopes = program.first_derivatives(x)
+        bends = program.lagrangian_hessian(x, 1.0, of_rows)
     J, H = np.zeros((program.count, program.size)), np.zeros((program.size, program.size))
     J[program.jacobian.rows, program.jacobian.columns] = slopes
     H[program.hessian.rows, program.hessian.columns] = bends

@@ -11,7 +11,6 @@ import twistax as tx
 
 from ...mechanics import chain_models, inverse_dynamics
 from ...trajectory import Linear, Phase, Problem
-from ...trajectory.phases import PhasedProblem
 
 #: Of the Delta III: gravity, radius, spin and air of the Earth, reference area, drag; SI.
 _MU, _RADIUS, _SPIN, _G0 = 3.986012e14, 6378145.0, 7.29211585e-5, 9.80665
@@ -46,17 +45,17 @@ _SPEEDS = np.array([400.0, 1e3, 2.2e3, 5e3, 1e4])
 def _path(start: Any, periapsis: Any, ends: Any, nodes: int) -> list[Any]:
     """Places, velocities and angles of thrust of that ascent between two times."""
     times = np.linspace(ends[0], ends[1], nodes)
-    height, way, speed = (np.interp(times, _ENDS, a)[:, None] for a in (_HEIGHTS, _WAYS, _SPEEDS))
+    height, share, speed = (np.interp(times, _ENDS, a)[:, None] for a in (_HEIGHTS, _WAYS, _SPEEDS))
     up, last = (a / np.linalg.norm(a) for a in (np.asarray(start), np.asarray(periapsis[0])))
     across = np.cross(np.cross(up, last), up)
     across /= np.linalg.norm(across)
-    angle = way * np.arccos(up @ last)
-    along = np.cos(angle) * across - np.sin(angle) * up
+    angle = share * np.arccos(up @ last)
+    forward = np.cos(angle) * across - np.sin(angle) * up
     place = (_RADIUS + height) * (np.cos(angle) * up + np.sin(angle) * across)
-    return [place, speed * along, 2.2 * times / _ENDS[-1], 0.5 - 0.8 * times / _ENDS[-1]]
+    return [place, speed * forward, 2.2 * times / _ENDS[-1], 0.5 - 0.8 * times / _ENDS[-1]]
 
 
-def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedProblem:
+def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> Problem:
     """The mass that a Delta III brings into a transfer orbit, in four phases: six boosters, three more, two stages.
 
     The direction of thrust is two angles, linear between nodes. Source: Benson, A Gauss pseudospectral transcription
@@ -116,7 +115,7 @@ def delta_iii(nodes: tuple[int, ...] = (6, 6, 6, 11), **options: Any) -> PhasedP
         for number, (system, time, _) in enumerate(stages)
     ]
     links = [{m: m - dropped} for _, _, dropped in stages[:-1]]
-    return PhasedProblem(phases, links=links, free=[anomaly])
+    return Problem(phases, links=links, free=[anomaly])
 
 
 #: Centres and radii of spheres, m.
@@ -175,11 +174,11 @@ def chain_of_masses(count: int = 10, nodes: int = 21) -> Problem:
 
     Source: Wirsching, Bock, Diehl, Fast NMPC of a chain of masses connected by springs (2006), its masses and lengths.
     """
-    mass, rest, goal = 0.033, 0.033, np.array([1.0, 0.0, 0.0])
+    mass, length, goal = 0.033, 0.033, np.array([1.0, 0.0, 0.0])
     x, v = tx.State("x", shape=(3 * count,)), tx.State("v", shape=(3 * count,))
     end, u = tx.State("end", shape=(3,)), tx.Control("u", shape=(3,), min=-1.0, max=1.0)
     places: list[Any] = [np.zeros(3), *(x[3 * k : 3 * k + 3] for k in range(count)), end]
-    pulls = [(1.0 - rest / tx.linalg.Norm(b - a)) * (b - a) for a, b in itertools.pairwise(places)]
+    pulls = [(1.0 - length / tx.linalg.Norm(b - a)) * (b - a) for a, b in itertools.pairwise(places)]
     falls = [(b - a) / mass - np.array([0.0, 0.0, 9.81]) for a, b in itertools.pairwise(pulls)]
     line = np.linspace(0.0, 1.0, count + 2)[1:-1, None] * goal
     start: dict[Any, Any] = {x: line.ravel(), v: np.zeros(3 * count), end: goal + np.array([0.0, 0.5, 0.0])}

@@ -1,4 +1,4 @@
-"""How near SOLVED comes to known optima, on given meshes and on refined ones, and the same by IPOPT and Fatrop."""
+"""Distances of solved problems from known optima, on fixed and refined meshes; solves by IPOPT and Fatrop."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ import numpy as np
 import twistax as tx
 
 from ...trajectory import IPOPT, Fatrop, Linear, Mesh, Problem, TrajectoryResult
-from ..checks import Absent, Check, Section, at_most, between, needed, slow
+from ..harness.expected import Absent, at_most, between, needed
+from ..harness.measurement import Section, slow, table
+from ..harness.timing import printed
 from . import cops, flights, problems
-from .costs import printed
 from .problems import FIVE_SWITCHES, Known
 
 #: Solves of which the fastest counts, starts tried, and the relative difference of costs of one optimum.
@@ -24,7 +25,7 @@ _REPEATS, _STARTS, _SAME = 5, 8, 1e-4
 
 
 def _beyond(result: TrajectoryResult) -> float:
-    """The largest violation between nodes over the size of what is limited."""
+    """The largest violation of a limit between nodes, relative to the size of what is limited."""
     return max(result.between_nodes.values(), default=0.0)
 
 
@@ -45,7 +46,7 @@ _KNOWN: dict[str, Known] = {
 _FLAT = "from where a constraint has no slope: cost"
 
 OPTIMA: Section = [
-    *(slow(f"{name}: from the optimum", "relative", at_most(it.bar), it.apart) for name, it in _KNOWN.items()),
+    *(slow(f"{name}: from the optimum", "relative", at_most(it.bar), it.error) for name, it in _KNOWN.items()),
     *(slow(f"{name}: iterations", "steps", between(), lambda k=it: k.result.iterations) for name, it in _KNOWN.items()),
     slow(_FLAT, "least is 0", at_most(1e-9), lambda: problems.no_slope().solve().cost),
 ]
@@ -71,26 +72,25 @@ _HELD: dict[str, tuple[Callable[[], Any], float, float]] = {
     "quadrotor past three spheres: 1.489138 s, 31 nodes": (flights.quadrotor, 1.489138, 1e-5),
     "Panda from shelf to shelf: 0.860227 s, 41 nodes": (flights.panda, 0.860227, 1e-5),
 }
-PROBLEMS = {name: Known(*each, {"guesses": _STARTS}) for name, each in _HELD.items()}
+PROBLEMS = {name: Known(*fields, {"guesses": _STARTS}) for name, fields in _HELD.items()}
 
 
 def _reached(it: Known) -> float:
-    """How many starts are SOLVED at the best cost."""
+    """The number of starts that are SOLVED at the best cost."""
     best = it.result
     same = [abs(cost / best.cost - 1.0) <= _SAME for status, cost, *_ in best.tries if status is best.status]
     return float(sum(same)) if best.solved else 0.0
 
 
-def _published(name: str, it: Known) -> list[Check]:
-    return [
-        slow(name, "apart", at_most(it.bar), it.apart),
-        slow(name, "starts that reach it, of 8", between(), _reached, it),
-        slow(name, "beyond limits between nodes", between(), lambda: _beyond(it.plain)),
-        slow(name, "compile, s", between(), lambda: it.result.compile_seconds),
-    ]
-
-
-PUBLISHED: Section = [check for name, it in PROBLEMS.items() for check in _published(name, it)]
+PUBLISHED: Section = table(
+    PROBLEMS,
+    {
+        "apart": (lambda it: at_most(it.bar), Known.error),
+        "starts that reach it, of 8": (between(), _reached),
+        "beyond limits between nodes": (between(), lambda it: _beyond(it.plain)),
+        "compile, s": (between(), lambda it: it.result.compile_seconds),
+    },
+)
 
 # ---- on refined meshes -----------------------------------------------------------------------------------------------
 
@@ -116,18 +116,19 @@ KNOWN: dict[str, Known] = {
 }
 
 
-def _on_meshes(name: str, it: Known) -> list[Check]:
-    error = lambda: float(np.max(it.result.meshes[-1].error))  # noqa: E731
-    return [
-        slow(name, "apart", at_most(it.bar), it.apart),
-        slow(name, "meshes", between(), lambda: len(it.result.meshes)),
-        slow(name, "nodes of the last", between(), lambda: it.result.meshes[-1].nodes),
-        slow(name, "largest error of an interval", at_most(it.options["refine"]), error),
-        slow(name, "beyond limits between nodes", between(), lambda: _beyond(it.result)),
-    ]
-
-
-REFINED: Section = [check for name, it in KNOWN.items() for check in _on_meshes(name, it)]
+REFINED: Section = table(
+    KNOWN,
+    {
+        "apart": (lambda it: at_most(it.bar), Known.error),
+        "meshes": (between(), lambda it: len(it.result.meshes)),
+        "nodes of the last": (between(), lambda it: it.result.meshes[-1].nodes),
+        "largest error of an interval": (
+            lambda it: at_most(it.options["refine"]),
+            lambda it: np.max(it.result.meshes[-1].error),
+        ),
+        "beyond limits between nodes": (between(), lambda it: _beyond(it.result)),
+    },
+)
 
 # ---- beside other solvers --------------------------------------------------------------------------------------------
 
@@ -141,15 +142,15 @@ def _tried(name: str, by: str) -> TrajectoryResult:
     """The fastest of several equal solves, after one that compiles and may hang; that one unless it is SOLVED."""
     kind, problem = _SOLVERS[by], PROBLEMS[name].problem
     first = problem.solve(solver=kind and kind(max_seconds=_LONGEST))
-    found: list[TrajectoryResult] = []
+    repeats: list[TrajectoryResult] = []
     begin = time.perf_counter()
-    while first.solved and len(found) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
-        found.append(problem.solve(solver=kind and kind(max_seconds=None)))
-    return min(found, key=lambda result: result.solve_seconds, default=first)
+    while first.solved and len(repeats) < _REPEATS and time.perf_counter() - begin < _TOGETHER:
+        repeats.append(problem.solve(solver=kind and kind(max_seconds=None)))
+    return min(repeats, key=lambda result: result.solve_seconds, default=first)
 
 
 def _timed(name: str, by: str) -> TrajectoryResult:
-    """Raises Absent unless SOLVED."""
+    """The solve of a problem by a solver. Raises Absent unless it is SOLVED."""
     if _SOLVERS[by] is not None:
         needed("casadi")
     result = _tried(name, by)
@@ -158,14 +159,8 @@ def _timed(name: str, by: str) -> TrajectoryResult:
     return result
 
 
-def _iterations(name: str, by: str) -> float:
-    return float(_timed(name, by).iterations)
-
-
-def _milliseconds(name: str, by: str) -> float:
-    return 1e3 * _timed(name, by).solve_seconds
-
-
+_iterations = lambda name, by: _timed(name, by).iterations  # noqa: E731
+_milliseconds = lambda name, by: 1e3 * _timed(name, by).solve_seconds  # noqa: E731
 SOLVERS: Section = [
     slow(name, f"{by}, {unit}", between(), measure, name, by, place=(by, float(row)) if unit == "ms" else None)
     for row, name in enumerate(PROBLEMS, 1)
@@ -176,17 +171,17 @@ SOLVERS: Section = [
 
 def _ratios(measure: Callable[[str, str], float], of: Callable[[Sequence[float]], float]) -> float:
     """Ours over IPOPT's, where both are SOLVED at the same cost."""
-    found = []
+    ratios = []
     for name in PROBLEMS:
         try:
             ours, theirs = _timed(name, "twistax"), _timed(name, "IPOPT")
         except Absent:
             continue
         if abs(ours.cost / theirs.cost - 1.0) <= _SAME:
-            found.append(measure(name, "twistax") / measure(name, "IPOPT"))
-    if not found:
+            ratios.append(measure(name, "twistax") / measure(name, "IPOPT"))
+    if not ratios:
         raise Absent("IPOPT solved none of them")
-    return of(found)
+    return of(ratios)
 
 
 RATIOS: Section = [
@@ -221,7 +216,7 @@ def _integrators() -> tuple[Problem, str, Any]:
 
 
 def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
-    """Seconds of a case by `solve_many` over those of one alone: a problem, a state, and where it starts."""
+    """The time of a case in `solve_many` over that of a single solve."""
     problem, state, starts = made()
     some = starts[:: len(starts) // _ALONE]
     problem.solve_many(initial={state: starts})  # as many rows as these compile, and what is rare
@@ -237,27 +232,24 @@ def _at_once(made: Callable[[], tuple[Problem, str, Any]]) -> float:
     return share
 
 
-def _first_solve(problem: str, cached: bool) -> float:
-    """Seconds of processor time of the first solve of a process, the median of three that are not the first one."""
-    code = _FIRST_SOLVE.format(problem)
-    with tempfile.TemporaryDirectory() as folder:
-        own = {"JAX_COMPILATION_CACHE_DIR": folder} if cached else {}
-        printed(code, **own)
-        return statistics.median(printed(code, **own) for _ in range(3))
+def _first_solve(problem: str, cache: str = "", processes: int = 4) -> float:
+    """Seconds of processor time of the first solve of a process, the median of some processes after the first one.
 
-
-def _nothing_there(problem: str) -> float:
-    """The same of a process that finds no kernels on the disk."""
+    The variable `cache` of the environment names an empty folder.
+    """
     with tempfile.TemporaryDirectory() as folder:
-        return printed(_FIRST_SOLVE.format(problem), TWISTAX_CACHE=folder)
+        environment = {cache: folder} if cache else {}
+        seconds = [printed(_FIRST_SOLVE.format(problem), **environment) for _ in range(processes)]
+        return statistics.median(seconds[1:] or seconds)
 
 
 _FIRST, _CHAIN = (f"first solve of a process, {it}" for it in ("quadrotor of 25 nodes", "ten masses, 63 states"))
+_QUADROTOR, _MASSES, _XLA_CACHE = "quadrotor(25)", "chain_of_masses()", "JAX_COMPILATION_CACHE_DIR"
 TIMES: Section = [
     slow("64 quadrotors of 20 nodes by solve_many", "a case over one alone", at_most(0.3), _at_once, _quadrotors),
     slow("1,024 double integrators by solve_many", "a case over one alone", at_most(0.3), _at_once, _integrators),
-    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", False),
-    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, "quadrotor(25)", True),
-    slow(_CHAIN, "processor time, nothing on the disk, s", at_most(15.0), _nothing_there, "chain_of_masses()"),
-    slow(_CHAIN, "processor time, kernels on the disk, s", at_most(15.0), _first_solve, "chain_of_masses()", False),
+    slow(_FIRST, "processor time, kernels on the disk, s", at_most(3.0), _first_solve, _QUADROTOR),
+    slow(_FIRST, "the same with JAX's cache on the disk, s", at_most(3.0), _first_solve, _QUADROTOR, _XLA_CACHE),
+    slow(_CHAIN, "processor time, nothing on the disk, s", at_most(15.0), _first_solve, _MASSES, "TWISTAX_CACHE", 1),
+    slow(_CHAIN, "processor time, kernels on the disk, s", at_most(15.0), _first_solve, _MASSES),
 ]

@@ -18,7 +18,7 @@ from ...trajectory import Linear, Problem
 
 @dataclasses.dataclass(frozen=True)
 class Known:
-    """A problem, maybe of phases, its optimum, how near to it is asked for, and options of its one solve."""
+    """A problem with its known optimum, the largest relative error allowed, and options of its solve."""
 
     make: Callable[..., Any]
     optimum: float
@@ -27,26 +27,26 @@ class Known:
 
     @cached_property
     def problem(self) -> Any:
-        """Compiled."""
+        """The problem, compiled when first used."""
         return self.make()
 
     @cached_property
     def plain(self) -> Any:
-        """From the guess of the problem alone."""
+        """The result from the guess of the problem, without options."""
         return self.problem.solve()
 
     @cached_property
     def result(self) -> Any:
-        """With the options."""
+        """The result with the options."""
         return self.problem.solve(**self.options)
 
-    def apart(self) -> float:
+    def error(self) -> float:
         """The relative difference of the result from the optimum; NaN unless SOLVED."""
         return abs(self.result.cost / self.optimum - 1.0) if self.result.solved else math.nan
 
 
 def stated(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
-    """The problem of a system that has these rates and constraints."""
+    """A problem of a system with these rates and constraints."""
     system = tx.System(rates=dict(rates), constraints=list(constraints))
     return Problem(tx.compile(system), objective, **options)
 
@@ -107,8 +107,8 @@ FIVE_SWITCHES = (0.44543899494481, 0.73066364883654)
 def reorientation(nodes: Any = 51, **options: Any) -> Problem:
     """Fastest half turn of a ball with three torques. Source: Bilimoria and Wie, J. Guidance 16 (1993)."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
-    u, rest = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
-    options |= {"nodes": nodes, "initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
+    u, zero = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
+    options |= {"nodes": nodes, "initial": {R: np.eye(3), w: zero}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: zero}}
     return stated({R: w, w: u}, tx.Minimize(tx.Time()), final_time=(1.0, 6.0), **options)
 
 
@@ -142,8 +142,8 @@ def rendezvous(form: str, nodes: Any = 31, **options: Any) -> Problem:
         "norm below a slack": (size <= s, s),
         "squares below a slack": (u @ u <= s * s, s),
     }[form]
-    start, rest = {x: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]}, {x: np.zeros(3), v: np.zeros(3)}
-    options |= {"nodes": nodes, "final_time": 8.0, "initial": start, "final": rest}
+    start, end = {x: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]}, {x: np.zeros(3), v: np.zeros(3)}
+    options |= {"nodes": nodes, "final_time": 8.0, "initial": start, "final": end}
     return stated({x: v, v: u}, tx.Minimize(running=cost), [limit], **options)
 
 
@@ -154,7 +154,7 @@ def hypersensitive(**options: Any) -> Problem:
     optimum is the integral of sqrt(x^6 + x^2) - x^3 up to 1.5 and of sqrt(x^6 + x^2) + x^3 up to 1.
     """
     x, u = tx.State("x"), tx.Control("u")
-    options |= {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}}
+    options = {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}} | options
     return stated({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
 
 

@@ -8,7 +8,8 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 from ...trajectory import Strategy
-from ..checks import Check, Section, between, slow
+from ..harness.expected import between
+from ..harness.measurement import Measurement, Section, slow
 from .optimal import PROBLEMS
 
 #: Starts of each problem: its guess, and that guess perturbed. The relative difference of costs of one optimum.
@@ -45,7 +46,7 @@ def _count(used: Sequence[Strategy]) -> _Count:
     return count
 
 
-def _rows(name: str, used: tuple[Strategy, ...]) -> list[Check]:
+def _rows(name: str, used: tuple[Strategy, ...]) -> list[Measurement]:
     whole = len(PROBLEMS) * len(_SEEDS)
     return [
         slow(name, f"SOLVED, of {whole}", between(), lambda: float(_count(used).solved)),

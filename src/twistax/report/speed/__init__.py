@@ -1,1 +1,1 @@
-"""What one evaluation of dynamics costs, ours and those of others, checked against each other first."""
+"""What one evaluation of dynamics costs, by this package and by others, whose results are compared first."""

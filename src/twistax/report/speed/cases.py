@@ -23,8 +23,8 @@ Inputs = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Case:
-    """A function of three vectors to one. Derivatives are by the first two."""
+class EvaluatedFunction:
+    """A function of three vectors to one, as a system of the package and by hand. Derivatives are by the first two."""
 
     name: str  # on the command line
     title: str  # on the page
@@ -48,7 +48,7 @@ class Case:
         return a, b, c
 
     def run_by(self, dynamics: tx.Dynamics) -> Callable[..., list[Any]]:
-        """The function as the compiled system has it."""
+        """The function, evaluated by a compiled system."""
         return lambda *points: list(map(dynamics(0.0, *self.inputs(*points)).__getitem__, self.rates))
 
 
@@ -76,7 +76,7 @@ def body_by_hand(xp: Any, M: Array, mass: float, moment: Array, y: Any, V: Any, 
 
 
 def rnea_by_hand(xp: Any, links: Links, q: Any, qd: Any, qdd: Any) -> Any:
-    """The forces of the motors (n,): RNEA."""
+    """The motor forces (n,) by the recursive Newton-Euler algorithm."""
     S = xp.asarray(_AXIS)
     V, A = xp.asarray(np.zeros(6)), xp.asarray([0.0, 0.0, 9.81, 0.0, 0.0, 0.0])
     X, f = [], []
@@ -93,7 +93,7 @@ def rnea_by_hand(xp: Any, links: Links, q: Any, qd: Any, qdd: Any) -> Any:
 
 
 def aba_by_hand(xp: Any, links: Links, q: Any, qd: Any, tau: Any) -> Any:
-    """The accelerations of the joints (n,): ABA."""
+    """The joint accelerations (n,) by the articulated-body algorithm."""
     S = xp.asarray(_AXIS)
     V = xp.asarray(np.zeros(6))
     X, c, I, p = [], [], [], []
@@ -149,7 +149,7 @@ _BODY = SpatialInertia(mass=MASS, center_of_mass=CENTER, inertia=_TENSOR)
 
 @functools.cache
 def inertia() -> Array:
-    """M (6, 6) of the free body."""
+    """The spatial inertia (6, 6) of the free body."""
     return numbers(_BODY.matrix)
 
 
@@ -164,7 +164,7 @@ def _free_body() -> tx.System:
     return tx.System(rates={y: moved, V: _BODY.acceleration(V, wrench)})
 
 
-FREE_BODY = Case(
+FREE_BODY = EvaluatedFunction(
     "free-body",
     "free body, 13 states",
     *((7, 6, 6), 13, ("y", "V"), ("x",)),
@@ -181,8 +181,8 @@ def _numbers_of(chain: Chain) -> list[tuple[Any, Any]]:
     ]
 
 
-def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> Case:
-    """Of positions, velocities and accelerations of a chain the forces of its motors, or the other way round."""
+def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> EvaluatedFunction:
+    """Inverse dynamics of a chain, or its forward dynamics."""
     chain = functools.cache(model)  # made when first asked for: the command line only needs names
     links = functools.cache(lambda: _numbers_of(chain()))
     ours: Any = inverse_dynamics if inverse else forward_dynamics
@@ -193,7 +193,7 @@ def _of_chain(name: str, n: int, model: Callable[[], Chain], inverse: bool) -> C
         third = tx.Parameter("third", shape=(n,), value=np.zeros(n))
         return tx.System(rates={qd: ours(chain(), q, qd, third)}, parameters=[third])
 
-    return Case(
+    return EvaluatedFunction(
         f"{name.lower()}-{n}",
         f"{name}, {n} links",
         *((n, n, n), n, ("qd",), ("u", "x")),
@@ -208,4 +208,4 @@ _MODELS: dict[int, Callable[[], Chain]] = {7: chain_models.panda, 30: functools.
 _CHAINS = [_of_chain(k, n, model, k == "RNEA") for n, model in _MODELS.items() for k in ("RNEA", "ABA")]
 
 #: By name.
-CASES: dict[str, Case] = {case.name: case for case in (FREE_BODY, *_CHAINS)}
+CASES: dict[str, EvaluatedFunction] = {case.name: case for case in (FREE_BODY, *_CHAINS)}

@@ -1,1 +1,1 @@
-"""Error against run time: scenes by methods, measured together, with a page in words."""
+"""Error against run time: the report of scenes with known answers by integrators, ours and diffrax's."""

@@ -49,7 +49,7 @@ _ON_DEMAND = tuple(
         "mechanics.environment.atmosphere",
         "mechanics.environment.earth",
         "mechanics.environment.harmonics",
-        "trajectory.functionals",
+        "trajectory.problem.functionals",
     )
 )
 #: Where the values of fields are defined that are no groups and no backends.

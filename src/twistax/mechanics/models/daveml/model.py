@@ -12,7 +12,7 @@ import numpy as np
 from ....checks import listed, number, path_of
 from ....errors import ModelError, TwistaxError
 from ....expr import Constant, Expr, State, to_expr
-from ....expr.node import ExprLike
+from ....expr.fields import ExprLike
 from ....jax_inside import in_double
 from ....system.lower import lower
 from ..xml_file import Element, read_xml

@@ -1,0 +1,3 @@
+"""Events: conditions along an integration, and the search for their roots."""
+
+from .conditions import AtStart, Event

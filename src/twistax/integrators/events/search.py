@@ -1,0 +1,303 @@
+"""The search of a step for the roots of event conditions."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...scalar.small_call import held, small_call
+from ..loop.kernels import Packed, in_one, opened, shared_kernel
+from ..loop.outcome import Halt, Result, Watched
+from ..method import Stepper
+from .conditions import Advance, Watch
+from .crossings import CrossingTable, Row, row_of, state_of
+from .root_finding import Bracket, ExtremumSearch, near_zero
+
+#: Places within a step at which a method without a polynomial is looked at, by shorter steps.
+_FEW = 3
+
+
+class Stride(NamedTuple):
+    """A step that was taken."""
+
+    steps: jax.Array  # the accepted steps before
+    t: jax.Array
+    h: jax.Array
+    y: Packed  # the stored state where it begins
+    end: Packed  # and where it ends
+    inside: Any  # its slopes; None where the method has no polynomial
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _Job:
+    """A search between two neighbouring places, for a root, or for an extremum past zero and then both roots."""
+
+    item: Any  # of the pair and the condition; beyond all of them where nothing is left
+    looks: Any  # whether it is an extremum
+    visits: Any  # whether the root is known, and the state there is wanted
+    sign: Any  # of the condition where the part begins
+    low: Any  # where a part with a root begins and ends
+    high: Any
+    rest: Any  # where the part after it ends, with another root; negative: there is none
+    widened: Any  # -1, 1: it is what lies beside a part, before or after it; 0: a part
+    extremum: Any
+    bracket: Any
+
+    @property
+    def place(self) -> jax.Array:
+        """Where the condition is to be evaluated."""
+        root = jnp.where(self.visits, self.bracket.root, self.bracket.place)
+        return jnp.where(self.looks, self.extremum.place, root)
+
+
+class _Samples(NamedTuple):
+    """The conditions along a step, at k + 1 places at equal distances, and what may be crossed between them."""
+
+    values: jax.Array  # (k + 1, m)
+    suspects: jax.Array  # (k, m) whether a condition may come to zero between two places, and go back
+    tips: jax.Array  # (k, m) where its extremum lies then, as a share
+    flags: jax.Array  # (k m,) whether there may be a crossing
+
+    @classmethod
+    def of(cls, watch: Watch, values: jax.Array) -> _Samples:
+        suspects, tips = near_zero(values)
+        return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _PackedJob:
+    """A job, packed for a loop."""
+
+    job: Any  # packed
+    place: Any  # where the condition is to be evaluated for it
+    left: Any  # whether anything is left
+
+
+class _Root(NamedTuple):
+    """Whether the last place is a root of a condition, and of which."""
+
+    stops: jax.Array  # whether it is there, of an event that ends the integration
+    crosses: jax.Array  # whether it is there, of one that does not
+    which: jax.Array
+    rises: jax.Array
+
+
+class _Halted(NamedTuple):
+    """Where the loop over steps halts, as far as is known, with the packed state there."""
+
+    halt: Halt
+    y: jax.Array
+
+    def or_earlier(self, here: jax.Array, result: Result, which: jax.Array, s: jax.Array, y: jax.Array) -> _Halted:
+        """The earlier one of this and another halt, if there is one; at the same time an event comes first."""
+        code = jnp.full_like(which, result.value)
+        same = (s == self.halt.s) & (code < self.halt.code)
+        sooner = here & ((s < self.halt.s) | same)
+        other = _Halted(Halt(code, which, s), y)
+        halted: _Halted = jax.tree.map(lambda a, b: jnp.where(sooner, a, b), other, self)
+        return halted
+
+
+def find_crossings(
+    watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, known: Watched, taken: Any, ends: Any
+) -> Watched:
+    """The state of the events after a step.
+
+    Args:
+        taken: whether the step counts.
+        ends: whether it is the first step, and whether it is the last one.
+    """
+    t, h, y = stride.t, stride.h, stride.y
+    inside, cost = stride.inside, stepper.method.evaluations_of(stepper.dynamics)
+    if inside is None:
+
+        def at(share: jax.Array) -> jax.Array:
+            moved = advance(share * h)
+            return shared_kernel(Watch.values, watch, stepper, t, h, t + share * h, moved)
+
+        inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
+        known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
+    states = y, stride.end, inside
+    samples, after, first = shared_kernel(_first, watch, stepper, t, h, states, known.values, ends)
+    before = None if known.crossed is None else known.crossed.used
+
+    def goes_on(now: tuple[_PackedJob, Watched]) -> jax.Array:
+        return now[0].left
+
+    def one(now: tuple[_PackedJob, Watched]) -> tuple[_PackedJob, Watched]:
+        task, known = now
+        known = dataclasses.replace(known, evaluations=known.evaluations + cost)
+        halted = _Halted(known.halt, known.y)
+        # Hundreds of scalars: as part of the loop they take XLA longer than all else.
+        inputs = (samples, task, halted), (stride.steps, y), advance(task.place)
+        following, halted, row, crosses = shared_kernel(_next, watch, stepper, t, h, *inputs)
+        if known.crossed is not None:
+            nothing = known.crossed, row, jnp.asarray(False)
+            crossed, left_out, full = jax.lax.cond(
+                crosses, lambda: small_call(CrossingTable.with_one, known.crossed, row, before), lambda: nothing
+            )
+            known = dataclasses.replace(known, crossed=crossed)
+            halted = halted.or_earlier(full, Result.MAX_CROSSINGS, *state_of(left_out))
+        return following, dataclasses.replace(known, halt=halted.halt, y=halted.y)
+
+    # A loop, not a branch: of a batch it runs only while one of its members needs it.
+    start = dataclasses.replace(first, left=first.left & taken), known
+    _, known = jax.lax.while_loop(goes_on, one, start)
+    return dataclasses.replace(known, values=jnp.where(taken, after, known.values))
+
+
+def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
+    """The number of the result, where the conditions halt the integration."""
+    return jnp.where(halt.code != Result.SUCCESS.value, halt.code, code)
+
+
+def _first(
+    watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
+) -> tuple[_Samples, jax.Array, _PackedJob]:
+    """The conditions along a step and at its end, as of `Watch.seen`, and the first search."""
+    values, after = watch.seen(stepper, t, h, states, old, ends)
+    samples = held(_Samples.of(watch, values))
+    return samples, after, _Search(watch, t, h, samples).first()
+
+
+def _next(
+    watch: Watch,
+    stepper: Stepper,
+    t: jax.Array,
+    h: jax.Array,
+    search: tuple[_Samples, _PackedJob, _Halted],
+    start: tuple[jax.Array, Packed],
+    moved: Packed,
+) -> tuple[_PackedJob, _Halted, Row | None, jax.Array]:
+    """The next search after the step to the place of a task was taken, and where the loop halts.
+
+    Args:
+        start: the accepted steps before, and the state where the step begins.
+    Returns:
+        Also the row of a crossing, where there are any, and whether it is there.
+    """
+    (samples, task, halted), (steps, y) = search, start
+    place = task.place
+    moved = Packed(jnp.where(place > 0.0, moved.flat, y.flat), moved.read)
+    values = watch.values(stepper, t, h, t + place, moved)
+    following, root = _Search(watch, t, h, samples).after(opened(task.job), values, halted.halt.s)
+    if any(watch.terminal):
+        halted = halted.or_earlier(root.stops, Result.EVENT, root.which, place, moved.flat)
+    row = None if all(watch.terminal) else row_of(steps, t, h, place, moved.flat, root.which, root.rises)
+    return following, halted, row, root.crosses
+
+
+class _Search:
+    """The search for all crossings in a step, by parts of it taken again.
+
+    It takes a part of the step in each pass of one loop: a compiled step is large.
+    """
+
+    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, samples: _Samples) -> None:
+        self.watch, self.h = watch, h
+        self.values, self.suspects, self.tips, self.flags = samples
+        self.pairs, self.width = self.tips.shape
+        self.spacing = h / self.pairs
+        self.finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
+        # Of each item its pair and its condition, and of what stands for none those of the last pair: kernels do not
+        # divide whole numbers.
+        pairs, numbers = np.divmod(np.arange(self.flags.size + 1), self.width)
+        self.rows, self.numbers = jnp.asarray(np.minimum(pairs, self.pairs - 1)), jnp.asarray(numbers)
+        self.senses = jnp.asarray(np.asarray(watch.senses, h.dtype))
+
+    def first(self) -> _PackedJob:
+        """The first search."""
+        index = self._next_item(jnp.zeros((), int) - 1)
+        return self._task(self._job(index, *self._pair(index)))
+
+    def _task(self, job: _Job) -> _PackedJob:
+        return _PackedJob(in_one(job, self.h.dtype), job.place, job.item < self.flags.size)
+
+    def _next_item(self, index: jax.Array) -> jax.Array:
+        """The next pair of places and condition that may have a crossing."""
+        every = jnp.arange(self.flags.size)
+        return jnp.where(self.flags & (every > index), every, self.flags.size).min()
+
+    def _pair(self, index: jax.Array) -> tuple[jax.Array, ...]:
+        """Of a pair and a condition: whether to look for an extremum, the sign where it begins, both ends, no rest."""
+        row, number = self.rows[index], self.numbers[index]
+        low, high = self._at(row), self._at(row + 1)
+        return self.suspects[row, number], jnp.sign(self.values[row, number]), low, high, -jnp.ones_like(high)
+
+    def _at(self, row: jax.Array) -> jax.Array:
+        """The place of a row, as a time since the start of the step."""
+        return jnp.where(row >= self.pairs, self.h, row.astype(self.spacing.dtype) * self.spacing)
+
+    def _job(
+        self, index: jax.Array, looks: jax.Array, sign: jax.Array, low: jax.Array, high: jax.Array, rest: jax.Array
+    ) -> _Job:
+        row, number = self.rows[index], self.numbers[index]
+        ends = self.values[row, number], self.values[row + 1, number]
+        place, none = self._at(row) + self.tips[row, number] * self.spacing, jnp.zeros((), int)
+        extremum = ExtremumSearch((low, ends[0]), (place, ends[0]), (high, ends[1]), place, none > 0, none)
+        bracket = Bracket.between(low, high, sign, -sign, self.finest)
+        return _Job(index, looks, none > 0, sign, low, high, rest, none, extremum, bracket)
+
+    def after(self, job: _Job, values: jax.Array, end: jax.Array) -> tuple[_PackedJob, _Root]:
+        """The next search, from the values of all conditions at the place of a job, and the root there.
+
+        Args:
+            end: how far into the step the integration ends, as far as is known.
+        """
+        h, number = self.h, self.numbers[job.item]
+        place, value = held((job.place, values[number]))
+        job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
+
+        # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
+        low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
+        at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
+        # Beside a part, where it closed on the end next to that, the root is there.
+        missed = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
+        closed = ~job.looks & ~job.visits & job.bracket.done
+        widens = closed & missed & (job.widened == 0)
+        # The state at the root is known where that is the last place.
+        visits = closed & ~missed & (job.bracket.root != place)
+        done = job.visits | jnp.where(job.looks, job.extremum.done, closed & ~widens & ~visits)
+        here = job.visits | (closed & ~missed & ~visits)
+        terminal = jnp.asarray(np.array(self.watch.terminal))[number]
+        done, widens, visits, here = held((done, widens, visits, here))
+        root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
+
+        # Up to an extremum the condition goes the way that its sign says, then back.
+        tip, wanted = job.extremum.middle[0], self.senses[number]
+        first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
+        extremum_found = job.looks & job.extremum.past
+        half, follows = 0.5 * self.spacing, self._next_item(job.item)
+        # What begins where the integration has ended is not looked at.
+        over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
+        follows = held(jnp.where(over, self.flags.size, follows))
+        none = -jnp.ones_like(h)
+        parts = [
+            (widens, (job.item, job.looks, job.sign, *self._next_to(job, at_low, half), job.rest)),
+            (
+                extremum_found & first,
+                (job.item, ~extremum_found, job.sign, job.low, tip, jnp.where(second, job.high, none)),
+            ),
+            (extremum_found & second, (job.item, ~extremum_found, -job.sign, tip, job.high, none)),
+            (~job.looks & (job.rest > job.high), (job.item, job.looks, -job.sign, job.high, job.rest, none)),
+        ]
+        chosen: Any = (follows, *self._pair(follows))
+        for condition, part in reversed(parts):
+            chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
+        widened = jnp.where(widens, jnp.where(at_low, -1, 1), 0)
+        another = dataclasses.replace(self._job(*held(chosen)), widened=widened)
+        job = jax.tree.map(
+            lambda a, b: jnp.where(done | widens, a, b), another, dataclasses.replace(job, visits=visits)
+        )
+        return self._task(job), root
+
+    def _next_to(self, job: _Job, at_low: jax.Array, half: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The half of a pair next to a part."""
+        low = jnp.where(at_low, jnp.maximum(job.low - half, 0.0), job.high)
+        return low, jnp.where(at_low, job.low, jnp.minimum(job.high + half, self.h))

@@ -1,0 +1,1 @@
+"""The loop over steps: fixed or chosen by tolerances, with saved times and events, as one compiled function."""

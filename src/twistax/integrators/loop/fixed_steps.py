@@ -1,0 +1,324 @@
+"""Equal steps, split at the times where rates may jump, so that no step has a jump inside."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...errors import InputError
+from ...jax_inside import is_traced
+from ..charts.coordinates import Blocks
+from ..controls import row_at
+from ..events.search import Stride, halted_code
+from ..method import StepAttempt, Stepper
+from .kernels import Packed, kernel_steps
+from .loop import Steps, Visits, all_finite, put, rows, zeros_like
+from .outcome import LoopOutcome, Result, Run, Saved, StepPart, Watched
+from .progress_callback import Meter
+
+#: A time this close to the end of a step, in steps, counts as on it: far more than round-off, far less than anyone
+#: means.
+SNAP = 1e-9
+
+
+def slack(times: Any, h: Any, eps: float) -> Any:
+    """How far from the end of a step of length h times count as on it, in s: times may be rounded too.
+
+    Args:
+        eps: the relative spacing of floating-point numbers in the precision of the times.
+    """
+    array: Any = jnp if is_traced((times, h)) else np
+    return array.maximum(SNAP * h, 4.0 * eps * abs(times))
+
+
+class Splits(NamedTuple):
+    """Where jumps lie in a sequence of steps: inside of an equal step, which they split, or at its end."""
+
+    slots: Any  # (m,) in order: the number of the step that begins at each jump; beyond all steps for those left out
+    times: Any  # (m,) the jumps
+    added: Any  # (m,) the steps that the jumps up to and including this one add
+
+
+class Grid(NamedTuple):
+    """Steps from t0 of length h, split at jumps. A pytree: other numbers are another input of the same program.
+
+    Step k begins at $t0 + (k - a) h$, with a the number of steps that jumps have added before it, or at a jump. A jump
+    that lies at the end of an equal step replaces that end, so that derivatives with respect to its time are right.
+    """
+
+    t0: Any
+    h: Any
+    splits: Splits | None = None
+
+    def begin(self, k: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The start of step k, computed afresh so that it does not drift; whether it is a jump."""
+        if self.splits is None:
+            return self.t0 + k.astype(self.t0.dtype) * self.h, jnp.zeros(jnp.shape(k), bool)
+        slots, times, added = map(jnp.asarray, self.splits)
+        row = row_at(slots, k)
+        last = jnp.maximum(row, 0)
+        before = jnp.where(row < 0, 0, added[last])
+        at_jump = (row >= 0) & (slots[last] == k)
+        return jnp.where(at_jump, times[last], self.t0 + (k - before).astype(self.t0.dtype) * self.h), at_jump
+
+    def step(self, k: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Start and length of step k."""
+        t, from_jump = self.begin(k)
+        if self.splits is None:
+            return t, self.h
+        end, to_jump = self.begin(k + 1)
+        return t, jnp.where(from_jump | to_jump, end - t, self.h)
+
+    def attempt(self, stepper: Stepper, k: jax.Array, state: tuple[Any, Any, Any]) -> StepAttempt:
+        """Step k from a stored state, with what the method carries, and slopes where the step is sampled.
+
+        The loop takes it, and kernels are made of it.
+        """
+        (t, h), (y, carry, slopes) = self.step(k), state
+        return stepper.follow(t, y, carry, h, slopes is not None)
+
+    def one_step(self, t: jax.Array, h: jax.Array) -> Grid:
+        """A grid of the same structure whose first step is that of length h from t."""
+        if self.splits is None:
+            return Grid(t, h)
+        slots = jnp.asarray(self.splits.slots)
+        return Grid(
+            t, h, Splits(jnp.full_like(slots, jnp.iinfo(slots.dtype).max), self.splits.times, self.splits.added)
+        )
+
+
+def splits_of(limits: Any, t0: Any, h: Any, steps: int) -> tuple[Splits | None, Any]:
+    """The splits of equal steps at sorted times inside of [t0, t0 + steps h], and how many steps they add.
+
+    Times at the ends of the whole split nothing. None where there are no times.
+    """
+    if not np.size(limits):
+        return None, 0
+    array: Any = jnp if is_traced((limits, t0, h)) else np
+    kind = jax.dtypes.canonicalize_dtype(int)
+    fixed = jax.lax.stop_gradient((limits, t0, h)) if array is jnp else (limits, t0, h)
+    times, start, length = (array.asarray(value) for value in fixed)
+    length = array.where(length > 0.0, length, 1.0)
+    near = slack(times, length, float(np.finfo(times.dtype).eps)) / length
+    place = (times - start) / length
+    nearest = array.rint(place)
+    on_end = abs(place - nearest) <= near
+    end = array.where(on_end, nearest, array.ceil(place))
+    again = (array.diff(end) == 0.0) & on_end[1:] & on_end[:-1] | (array.diff(place) <= near[1:])
+    again = array.append(array.zeros(1, bool), again)
+    present = (end > 0.0) & ((end < steps) | (~on_end & (end <= steps))) & ~again
+    added = array.cumsum(present & ~on_end).astype(kind)
+    # Of those that add a step the ones before count, and the equal steps up to the jump.
+    slots = end.astype(kind) + array.where(on_end, added, added - 1)
+    slots = array.where(present, slots, np.iinfo(kind).max)
+    order = array.argsort(slots, **({"stable": True} if array is jnp else {"kind": "stable"}))
+    return Splits(slots[order], array.asarray(limits)[order], added[order]), added[-1]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Saves:
+    """Saved times: each lies `share` of an equal step after step `index` begins, unless that begins at a jump."""
+
+    ts: Any  # (n,) the times
+    index: Any  # (n,) whole steps before each
+    share: Any  # (n,) in [0, 1]
+    on: Any  # (n,) whether it is where step `index` begins
+    count: Any  # how many were asked for; padding is at the end
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class _State:
+    """What the loop carries."""
+
+    steps: Any  # taken so far
+    y: Any
+    carry: Any
+    evaluations: Any
+    code: Any  # the number of the result so far
+    every: Any  # the states so far if kept
+    slopes: Any  # those of the last step, where there are events and the method has any
+    watched: Any
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FixedSteps(Steps):
+    """Equal steps from t0, split at jumps; the loop ends at the start of a step that fails."""
+
+    t0: Any
+    h: Any  # the length of an equal step
+    steps: Any  # the number of steps, those that jumps add included
+    at: Any  # the `Saves`, where the saved times fall; None where there are none
+    #: The number of steps as structure, which derivatives and dense output need; else None.
+    most: int | None = dataclasses.field(metadata={"static": True})
+    dense: bool = dataclasses.field(metadata={"static": True})
+    watch: Any = None
+    meter: Meter | None = None
+    splits: Splits | None = None  # at jumps
+
+    too_long = (
+        "the step {h:.6g} s is too long for rates this fast, or the solution itself grows without bound",
+        "try a smaller dt",
+    )
+    not_solved = (
+        "rates change too much within the step of {h:.6g} s for Newton's method, or they jump",
+        "try a smaller dt, or steps chosen by tolerances: rtol=..., atol=...",
+    )
+
+    @property
+    def bound(self) -> int:
+        if self.most is None:
+            raise InputError(
+                "a derivative is asked for of an integration whose inputs look like plain numbers: does u close over a "
+                "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
+            )
+        return self.most
+
+    @property
+    def grid(self) -> Grid:
+        """Where steps begin."""
+        return Grid(jnp.asarray(self.t0), jnp.asarray(self.h), self.splits)
+
+    def inputs(self, y: Blocks) -> tuple[Blocks, jax.Array]:
+        stops = self.steps[None]
+        if self.at is not None:
+            stops = jnp.concatenate([self.at.index.astype(stops.dtype), stops])
+        return y, stops
+
+    def begin(
+        self, stepper: Stepper, inputs: tuple[Blocks, jax.Array], record: bool
+    ) -> tuple[_State, Visits | jax.Array]:
+        y, stops = inputs
+        every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
+        zero, carry, slopes = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y), None
+        if self.watch is not None:
+            t, h = self.grid.step(jnp.zeros((), int))
+            slopes = zeros_like(lambda: stepper.follow(t, y, carry, h, sampled=True).slopes)
+        state = _State(zero, y, carry, zero, jnp.zeros((), int), every, slopes, None)
+        if self.at is None:
+            return state, stops[0]
+        return state, Visits(stops, self.at.count, (y, jnp.zeros((), bool)))
+
+    def first_step(self, state: _State) -> tuple[jax.Array, jax.Array]:
+        return self.grid.step(state.steps)
+
+    def going(self, state: _State, stop: Any, most: Any) -> jax.Array:
+        return (state.steps < (stop if most is None else most)) & (state.code == Result.SUCCESS.value)
+
+    def one_step(self, stepper: Stepper, state: _State) -> _State:
+        """The next step; the state stays where it fails."""
+        attempt = self.grid.attempt(stepper, state.steps, (state.y, state.carry, state.slopes))
+        good = all_finite(attempt.y)
+        code = jnp.where(good, Result.SUCCESS.value, Result.NON_FINITE.value)
+        if attempt.solved is not None:
+            good = good & attempt.solved
+            code = jnp.where(attempt.solved, code, Result.NEWTON_FAILED.value)
+        y = jax.tree.map(lambda new, old: jnp.where(good, new, old), attempt.y, state.y)
+        steps = state.steps + good.astype(state.steps.dtype)
+        return _State(
+            steps=steps,
+            y=y,
+            carry=attempt.carry,
+            evaluations=state.evaluations + attempt.evaluations,
+            code=code,
+            every=None if state.every is None else put(state.every, steps, y),
+            slopes=state.slopes and attempt.slopes,
+            watched=state.watched,
+        )
+
+    def kernel(self, stepper: Stepper, state: _State, stop: Any, most: Any) -> Callable[..., _State] | None:
+        number = jnp.zeros_like(state.steps)
+        kernel = None
+        if state.every is None:
+            kernel = kernel_steps(stepper, self.grid, number, (state.y, state.carry, state.slopes))
+        if kernel is None:
+            return None
+
+        def run(state: _State, one: bool) -> _State:
+            end = state.steps + 1 if one else stop if most is None else most
+            # A loop that halted already stays as it is.
+            end = end if one else jnp.where(state.code == Result.SUCCESS.value, end, state.steps)
+            (y, carry, slopes), steps = kernel.run(
+                stepper, self.grid, state.steps, end, (state.y, state.carry, state.slopes)
+            )
+            halted = steps < end
+            tried = steps - state.steps + halted.astype(steps.dtype)
+            evaluations = state.evaluations + tried * kernel.evaluations
+            code = jnp.where(halted, Result.NON_FINITE.value, state.code)
+            return dataclasses.replace(
+                state, steps=steps, y=y, carry=carry, slopes=slopes, evaluations=evaluations, code=code
+            )
+
+        return run
+
+    def advance(self, stepper: Stepper, state: _State, h: jax.Array) -> Packed:
+        t, _ = self.grid.step(state.steps)
+        number, carry = jnp.zeros_like(state.steps), stepper.method.before(stepper.dynamics, state.y)
+        grid, start = self.grid.one_step(t, h), (state.y, carry, state.slopes)
+        kernel = kernel_steps(stepper, grid, number, start)
+        if kernel is None:
+            return Packed.of(stepper.advance(t, state.y, h))
+        (moved, _, _), count = kernel.run(stepper, grid, number, number + 1, start)
+        packed = Packed.of(moved)
+        return Packed(jnp.where(count > 0, packed.flat, jnp.nan), packed.read)
+
+    def stride(self, before: _State, after: _State) -> tuple[Stride, Any, tuple[Any, Any]]:
+        t, h = self.grid.step(before.steps)
+        stride = Stride(before.steps, t, h, Packed.of(before.y), Packed.of(after.y), after.slopes)
+        return stride, after.steps > before.steps, (before.steps == 0, before.steps + 1 == self.steps)
+
+    def halted(self, stepper: Stepper, before: _State, after: _State, watched: Watched, h: jax.Array) -> _State:
+        code = halted_code(watched.halt, after.code)
+        hit = code != after.code
+        steps, y = jax.tree.map(lambda a, b: jnp.where(hit, a, b), (before.steps, before.y), (after.steps, after.y))
+        return dataclasses.replace(after, steps=steps, y=y, code=code, watched=watched)
+
+    def row_at(self, state: _State, stop: Any) -> tuple[Blocks, jax.Array]:
+        return state.y, state.code == Result.SUCCESS.value
+
+    def parts_of_progress(self, stepper: Stepper, stop: jax.Array) -> tuple[Any, Any, Callable[[_State], Any]]:
+        def reached(state: _State) -> tuple[jax.Array, jax.Array, jax.Array]:
+            steps = jnp.where(state.code == Result.SUCCESS.value, state.steps, jnp.iinfo(state.steps.dtype).max)
+            return steps, stepper.clock(self.grid.begin(state.steps)[0]), state.steps / jnp.maximum(self.steps, 1)
+
+        return stop, jnp.maximum(self.steps // 100, 1).astype(stop.dtype), reached
+
+    def result(self, state: _State, saved: Any) -> Run:
+        evaluations, watched = state.evaluations, state.watched
+        if watched is not None:
+            evaluations = evaluations + watched.evaluations
+            watched = watched.after_loop(Packed.of(state.y).read, state.steps)
+        outcome = LoopOutcome(state.code, state.steps, state.steps, evaluations, *self.grid.step(state.steps))
+        trail = None if state.every is None else self.trail(None, state.steps, state.every)
+        rows_saved = None
+        if self.at is not None:
+            starts, reached = jax.tree.map(lambda a: a[:-1], saved)
+            requested = jnp.arange(len(reached)) < self.at.count
+            times = self.grid.begin(self.at.index)[0]
+            rows_saved = Saved(self.at.index, times, starts, reached & requested, requested)
+        return Run(state.y, outcome, rows_saved, None, trail, watched)
+
+    def steps_of(self, path: None) -> StepPart:
+        t, h = self.grid.step(jnp.arange(self.bound))
+        return StepPart(t, jnp.broadcast_to(h, t.shape))
+
+    def parts(self, path: None, saved: Saved) -> StepPart:
+        t, from_jump = self.grid.begin(saved.steps)
+        h = self.at.share * self.h
+        if self.splits is not None:
+            since = self.saved_times - t
+            # Nothing is left to do where a saved time is a jump, but the jump may move.
+            since = since - jnp.where(self.at.on, jax.lax.stop_gradient(since), 0.0)
+            h = jnp.where(from_jump, since, h)
+        return StepPart(t, h)
+
+    @property
+    def saved_times(self) -> jax.Array:
+        return jnp.asarray(self.at.ts)

@@ -1,0 +1,235 @@
+"""Kernels: the loop over steps in one, and single steps for derivatives, where the backend of the system makes them.
+
+Each is made once for a structure and types of its inputs, and kept with the system; None where there is none.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable
+from typing import Any, NamedTuple, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from jax.flatten_util import ravel_pytree
+
+from ...scalar.jax_primitive import Derived, call_program
+from ...scalar.loops import Filling, Repeated, repeat
+from ...scalar.small_call import inside_small_call, small_call
+from ..charts.coordinates import Blocks
+from ..method import Carry, StepAttempt, Stepper
+
+Now = TypeVar("Now")
+Result = TypeVar("Result")
+Tree = TypeVar("Tree")
+
+#: States of more numbers are left to XLA, whose vectors run along them.
+_WIDEST = 400
+
+
+@dataclasses.dataclass(frozen=True)
+class _Unpacked:
+    """Reads a flat array as the pytree it was made of."""
+
+    structure: Any
+    types: tuple[jax.ShapeDtypeStruct, ...]
+
+    def __call__(self, flat: jax.Array) -> Any:
+        ends = np.cumsum([0, *(shape.size for shape in self.types)])
+        parts = [flat[a:b].reshape(shape.shape) for a, b, shape in zip(ends, ends[1:], self.types, strict=False)]
+        leaves = [part.astype(shape.dtype) for part, shape in zip(parts, self.types, strict=True)]
+        return jax.tree.unflatten(self.structure, leaves)
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Packed:
+    """A pytree in one array: XLA would compile a piece of code for each of many scalars."""
+
+    flat: jax.Array
+    read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
+
+    @classmethod
+    def of(cls, tree: Any) -> Packed:
+        return cls(*ravel_pytree(tree))
+
+    def open(self) -> Any:
+        """The pytree."""
+        return self.read(self.flat)
+
+
+def opened(tree: Any) -> Any:
+    """The pytree, whether it is packed or not."""
+    return tree.open() if isinstance(tree, Packed) else tree
+
+
+def in_one(tree: Tree, dtype: Any) -> Any:
+    """The pytree of numbers, small whole ones and truth values, in one array of a type; in small functions as it is."""
+    if inside_small_call():
+        return tree
+    leaves, structure = jax.tree.flatten(tree)
+    flat = jnp.concatenate([jnp.asarray(leaf).reshape(-1).astype(dtype) for leaf in leaves])
+    return Packed(flat, _Unpacked(structure, _types(leaves)))
+
+
+def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:
+    """The kernel of the key from the cache of the system; None for states that are too wide."""
+    if sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST:
+        return None
+    return stepper.dynamics._functions.steps.get(key, make)
+
+
+def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:
+    return tuple(jax.ShapeDtypeStruct(jnp.shape(leaf), jnp.result_type(leaf)) for leaf in leaves)
+
+
+class KernelSteps(NamedTuple):
+    """Steps of fixed lengths of a method on a system, with inputs of some types, all in one call."""
+
+    repeated: Repeated  # the step on flat arrays
+    evaluations: int  # of the right-hand side in a step
+
+    def run(
+        self, stepper: Stepper, grid: Any, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
+    ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
+        leaves, structure = jax.tree.flatten(state)
+        results, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
+        return jax.tree.unflatten(structure, results), count
+
+
+def kernel_steps(
+    stepper: Stepper, grid: Any, number: jax.Array, state: tuple[Blocks, Carry, Any]
+) -> KernelSteps | None:
+    """Steps of a grid in one kernel; `number` is that of a step, for its type.
+
+    Args:
+        state: the stored state, what the method carries, and the slopes of the last step, where steps are sampled.
+    """
+    leaves, structure = jax.tree.flatten((number, (grid, stepper), state))
+    types, count = _types(leaves), len(jax.tree.leaves(state))
+
+    def make() -> KernelSteps | None:
+        attempts: list[StepAttempt] = []
+
+        def step(*leaves: jax.Array) -> list[jax.Array]:
+            k, (grid, stepper), state = jax.tree.unflatten(structure, leaves)
+            attempts.append(grid.attempt(stepper.in_arrays, k, state))
+            return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
+
+        repeated = stepper.dynamics.backend.repeated(step, types, count)
+        # A step that solves equations may fail, which a kernel does not see.
+        if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
+            return None
+        return KernelSteps(repeated, attempts[-1].evaluations)
+
+    return _made(stepper, state[:2], (kernel_steps, structure, types), make)
+
+
+def kernel_tries(
+    one_try: Callable[[Any, Stepper, Now], tuple[Now, jax.Array, Any]],
+    row: Callable[[Any, jax.Array], jax.Array],
+    inputs: Any,
+    stepper: Stepper,
+    now: Now,
+    state_of: Callable[[Now], Any] = lambda now: now,
+) -> Callable[[Now, jax.Array, jax.Array, Filling | None], tuple[Now, Filling | None]] | None:
+    """A loop over now = one_try(given, stepper, now) in one kernel.
+
+    Its arguments are now, the first try, the stop, and the rows that it fills on the way, if any are asked for.
+    Traceable, batched by vmap, not differentiable. Whole numbers are carried as floating-point ones.
+
+    Args:
+        one_try: also says whether another one follows, and what rows are made of, the time reached first; None: the
+            method has none. What it does depends on the structure of its inputs alone.
+        row: of what a try left and a time up to there.
+        state_of: what of it says whether the state is too wide for a kernel.
+    """
+    fixed, structure = jax.tree.flatten((inputs, stepper))
+    state, form = jax.tree.flatten(now)
+    types, kinds = _types([*fixed, *state]), [jnp.result_type(leaf) for leaf in state]
+    dtype = next(kind for kind in kinds if jnp.issubdtype(kind, jnp.floating))
+
+    def cast(leaves: Any) -> Now:
+        return jax.tree.unflatten(form, [a.astype(kind) for a, kind in zip(leaves, kinds, strict=True)])
+
+    def make() -> Repeated | None:
+        records: list[Any] = []
+
+        def iteration(_: jax.Array, *leaves: jax.Array) -> list[jax.Array]:
+            inputs, stepper = jax.tree.unflatten(structure, leaves[: len(fixed)])
+            now, more, record = one_try(inputs, stepper.in_arrays, cast(leaves[len(fixed) :]))
+            records.append(jax.tree.structure(record))
+            return [*(leaf.astype(dtype) for leaf in jax.tree.leaves(now)), more, *jax.tree.leaves(record)]
+
+        def one_row(*leaves: jax.Array) -> list[jax.Array]:
+            return [row(jax.tree.unflatten(records[-1], leaves[:-1]), leaves[-1])]
+
+        shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *types[: len(fixed)]]
+        shapes += [jax.ShapeDtypeStruct(shape.shape, dtype) for shape in types[len(fixed) :]]
+        return stepper.dynamics.backend.repeated(iteration, shapes, len(state), one_row)
+
+    repeated: Repeated | None = _made(stepper, state_of(now), (kernel_tries, structure, form, types), make)
+    if repeated is None:
+        return None
+    nothing = None
+    if repeated.row is not None:
+        width = repeated.row.outputs[0].size
+        nothing = Filling(jnp.full(1, jnp.inf, dtype), jnp.zeros((1, width), dtype), jnp.zeros((), int))
+
+    def run(now: Now, first: jax.Array, stop: jax.Array, rows: Filling | None) -> tuple[Now, Filling | None]:
+        state = [jnp.asarray(leaf, dtype) for leaf in jax.tree.leaves(now)]
+        results, _, filled = repeat(repeated, first, stop, fixed, state, nothing if rows is None else rows)
+        return cast(results), None if rows is None else filled
+
+    return run
+
+
+def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
+    """function(of, stepper, *rest), which stands beside loops in kernels, as a kernel that all its places share.
+
+    XLA would compile it for each place. Where there is no kernel it is one small function.
+
+    Args:
+        function: a value; what it does depends on the structure of its arguments alone. Traceable.
+    """
+    if inside_small_call():
+        return function(of, stepper, *rest)
+    leaves, structure = jax.tree.flatten((of, stepper, rest))
+    types = _types(leaves)
+
+    def make() -> tuple[Derived, Any] | None:
+        shapes: list[Any] = []
+
+        def flat(*leaves: jax.Array) -> list[jax.Array]:
+            of, stepper, rest = jax.tree.unflatten(structure, leaves)
+            results, shape = jax.tree.flatten(function(of, stepper.in_arrays, *rest))
+            shapes.append(shape)
+            return results
+
+        program = stepper.dynamics.backend.beside(flat, types)
+        return None if program is None else (program, shapes[-1])
+
+    made = _made(stepper, rest, (shared_kernel, function, structure, types), make)
+    if made is None:
+        return small_call(function, of, stepper.beside_loops, *rest)
+    program, shape = made
+    return jax.tree.unflatten(shape, call_program(program, *leaves))
+
+
+def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+    """`stepper.advance`, for loops that are differentiated: a program is compiled faster, and runs as one function."""
+    leaves, structure = jax.tree.flatten((stepper, t, y, h))
+    types = _types(leaves)
+
+    def step(*leaves: jax.Array) -> list[jax.Array]:
+        stepper, t, y, h = jax.tree.unflatten(structure, leaves)
+        return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
+
+    program: Derived | None = _made(
+        stepper, y, (advance_again, structure, types), lambda: stepper.dynamics.backend.step(step, types)
+    )
+    if program is None:
+        return stepper.advance(t, y, h)
+    return jax.tree.unflatten(jax.tree.structure(y), call_program(program, *leaves))

@@ -1,0 +1,240 @@
+"""The loop over steps, one for fixed steps and for steps chosen by tolerances: stops, saved times, events, progress."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from jax.flatten_util import ravel_pytree
+
+from ...scalar.small_call import small_call
+from ...system.dynamics import Arrays
+from ..charts.coordinates import Blocks
+from ..events.search import Stride, find_crossings, halted_code
+from ..method import Stepper
+from .kernels import Packed
+from .outcome import Result, Run, Saved, StepPart, Trail, Watched
+from .progress_callback import Meter
+
+
+class Visits(NamedTuple):
+    """Where the loop stops to save: one stop for each saved time, and then the end."""
+
+    stops: Any  # (n + 1,) in order, in the unit of the steps; saved times and their padding, then the end
+    count: Any  # how many saved times are asked for; the rest is padding
+    like: Any  # of the shape of what is saved at a stop
+
+
+class Steps(ABC):
+    """The steps of an integration, and the loop that takes them.
+
+    Subclasses say how long steps are. A pytree: times and tolerances are inputs, rules and bounds are structure. What
+    the loop carries is a dataclass of the subclass with the fields `y`, `code` and `watched`.
+    """
+
+    t0: Any  # the start
+    dense: bool  # whether the starts of all steps are kept
+    watch: Any  # the `Watch`, the conditions of events
+    meter: Meter | None  # the progress callback
+    #: Whether `run` returns the states at saved times, not those before them, up to an event.
+    finds_rows: bool = False
+    #: Cause and fix, with the length h of the step: of an end that is not finite, where nothing else is known; of the
+    #: equations of an implicit step that could not be solved.
+    too_long: tuple[str, str]
+    not_solved: tuple[str, str]
+
+    # ---- the loop ----------------------------------------------------------------------------------------------------
+
+    def run(self, stepper: Stepper, y: Blocks, record: bool) -> Run:
+        """Take all steps; `record` keeps the path, for a known bound. Traceable, not differentiable in reverse."""
+        inputs = self.inputs(y)
+        state, saved = small_call(lambda steps, *rest: steps.all_steps(*rest, record), self, stepper, inputs)
+        return self.result(state, saved)
+
+    def all_steps(self, stepper: Stepper, inputs: Any, record: bool) -> tuple[Any, Any]:
+        """What the loop carries at the end, and what is saved at every stop."""
+        state, visits = self.begin(stepper, inputs, record)
+        if self.watch is not None:
+            advance = functools.partial(self.advance, stepper, state)
+            watched = self.watch.begin(advance, stepper, *self.first_step(state), _packed(state.y))
+            state = dataclasses.replace(state, watched=watched, code=halted_code(watched.halt, state.code))
+
+        if not isinstance(visits, Visits):
+            return self._to(stepper, state, visits), None
+
+        def visit(state: Any, stop: jax.Array) -> tuple[Any, Any]:
+            state = self._to(stepper, state, stop)
+            return state, self.row_at(state, stop)
+
+        # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
+        return first_rows(visit, state, visits.stops, visits.count + 1, visits.like)
+
+    def _to(self, stepper: Stepper, state: Any, stop: Any) -> Any:
+        """On to a stop, with calls of the progress callback on the way."""
+        if self.meter is None:
+            return self._steps_to(stepper, stop, state, None)
+        steps_to = functools.partial(self._steps_to, stepper, stop)
+        return self.meter.loop(steps_to, state, *self.parts_of_progress(stepper, stop))
+
+    def _steps_to(self, stepper: Stepper, stop: Any, state: Any, most: Any) -> Any:
+        """Steps to a stop, or until `most` were tried; in a kernel where there is one."""
+        watched = state.watched is not None
+        kernel = self.kernel(stepper, state, stop, most)
+        if kernel is not None and not watched and self.in_one_kernel:
+            return kernel(state, one=False)
+
+        def one_round(state: Any) -> Any:
+            kernel = self.kernel(stepper, state, stop, most)
+            after = self.one_step(stepper, state) if kernel is None else kernel(state, one=watched)
+            return self._with_events(stepper, state, after) if watched else after
+
+        return jax.lax.while_loop(lambda state: self.going(state, stop, most), one_round, state)
+
+    def _with_events(self, stepper: Stepper, before: Any, after: Any) -> Any:
+        """After a step, or as before it where it meets an event that ends the integration."""
+        stride, taken, ends = self.stride(before, after)
+        advance = functools.partial(self.advance, stepper, before)
+        watched = find_crossings(self.watch, advance, stepper, stride, before.watched, taken, ends)
+        return self.halted(stepper, before, after, watched, stride.h)
+
+    # ---- what a subclass says of its steps ---------------------------------------------------------------------------
+
+    @property
+    @abstractmethod
+    def bound(self) -> int:
+        """How many accepted steps there are at most, a plain number, for derivatives and dense output."""
+
+    @property
+    def in_one_kernel(self) -> bool:
+        """Whether a kernel takes all steps to a stop in one call."""
+        return True
+
+    @abstractmethod
+    def inputs(self, y: Blocks) -> Any:
+        """What `begin` is given, from the stored state at the start."""
+
+    @abstractmethod
+    def begin(self, stepper: Stepper, inputs: Any, record: bool) -> tuple[Any, Visits | Any]:
+        """What the loop carries before its first step; the stops at saved times, or the end alone."""
+
+    @abstractmethod
+    def first_step(self, state: Any) -> tuple[jax.Array, jax.Array]:
+        """Start and length of the first step."""
+
+    @abstractmethod
+    def going(self, state: Any, stop: Any, most: Any) -> jax.Array:
+        """Whether another step follows on the way to a stop; with `most` as many tries are allowed at most."""
+
+    @abstractmethod
+    def one_step(self, stepper: Stepper, state: Any) -> Any:
+        """The next step, or a try of it."""
+
+    @abstractmethod
+    def kernel(self, stepper: Stepper, state: Any, stop: Any, most: Any) -> Callable[..., Any] | None:
+        """A kernel of `one_step`: kernel(state, one) takes one step, or all to the stop. None where there is none."""
+
+    @abstractmethod
+    def advance(self, stepper: Stepper, state: Any, h: jax.Array) -> Packed:
+        """The packed state after one more step of another length, by the kernel of the loop where it has one."""
+
+    @abstractmethod
+    def stride(self, before: Any, after: Any) -> tuple[Stride, Any, tuple[Any, Any]]:
+        """The step between two states; whether it was taken; whether it is the first one and the last one."""
+
+    @abstractmethod
+    def halted(self, stepper: Stepper, before: Any, after: Any, watched: Watched, h: jax.Array) -> Any:
+        """The state after a step of length h, or before it where a condition halts the loop."""
+
+    @abstractmethod
+    def row_at(self, state: Any, stop: Any) -> Any:
+        """What is saved at a stop."""
+
+    @abstractmethod
+    def parts_of_progress(self, stepper: Stepper, stop: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
+        """For `Meter.loop`: the last count of steps, steps between two calls, and how far a state is."""
+
+    @abstractmethod
+    def result(self, state: Any, saved: Any) -> Run:
+        """What the loop returns, from what it carries at its end and what it saved."""
+
+    # ---- the same steps again, for saved times, derivatives and failures ---------------------------------------------
+
+    @abstractmethod
+    def steps_of(self, path: Any) -> StepPart:
+        """All steps, (bound,), those beyond the end without meaning; differentiable with respect to the times."""
+
+    @abstractmethod
+    def parts(self, path: Any, saved: Saved) -> StepPart:
+        """The parts of steps to all saved times, (n,), zero where a step ends; without a path as the loop left them."""
+
+    @property
+    @abstractmethod
+    def saved_times(self) -> jax.Array:
+        """(n,) the saved times; differentiable."""
+
+    def errors_by_state(self, stepper: Stepper, t: jax.Array, h: jax.Array, x: Arrays) -> dict[str, jax.Array]:
+        """The largest error of each state in a step from x, in units of what is allowed; empty where none is known.
+
+        Traceable.
+        """
+        return {}
+
+    def trail(self, path: Any, steps: jax.Array, every: Blocks) -> Trail:
+        """The starts of all steps, from the stored states before each and after the last."""
+        known = self.steps_of(path)
+        ends = jnp.concatenate([known.t[:1], known.t + known.h])
+        return Trail(jnp.where(jnp.arange(ends.size) <= steps, ends, jnp.inf), every, steps)
+
+
+def _packed(y: Any) -> Packed:
+    return y if isinstance(y, Packed) else Packed.of(y)
+
+
+def ended_well(code: Any) -> Any:
+    """Whether numbers of a `Result` are no failures."""
+    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
+
+
+# ---- tables that the loop fills ------------------------------------------------------------------------------------
+
+
+def rows(like: Any, count: int) -> Any:
+    """Zeros with a leading axis in front of every leaf of a pytree."""
+    return jax.tree.map(lambda a: jnp.zeros((count, *a.shape), a.dtype), like)
+
+
+def put(table: Any, row: Any, value: Any) -> Any:
+    """The table with one row of every leaf set."""
+    return jax.tree.map(lambda a, b: a.at[row].set(jnp.asarray(b, a.dtype)), table, value)
+
+
+def first_rows(step: Callable[[Any, Any], Any], start: Any, inputs: Any, count: Any, like: Any) -> tuple[Any, Any]:
+    """`jax.lax.scan`, which ends after `count` of the rows of its inputs.
+
+    Args:
+        like: the result of a row. Results of rows that are not visited are zero.
+    """
+
+    def one(carried: tuple[jax.Array, Any, Any]) -> tuple[jax.Array, Any, Any]:
+        k, state, results = carried
+        state, result = step(state, jax.tree.map(lambda a: a[k], inputs))
+        return k + 1, state, put(results, k, result)
+
+    results = rows(like, jax.tree.leaves(inputs)[0].shape[0])
+    carried = jax.lax.while_loop(lambda carried: carried[0] < count, one, (jnp.zeros((), int), start, results))
+    return carried[1], carried[2]
+
+
+def zeros_like(function: Any) -> Any:
+    """Zeros of the shapes of what a function would return."""
+    return jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), jax.eval_shape(function))
+
+
+def all_finite(tree: Any) -> jax.Array:
+    """Whether every entry is finite. One reduction: XLA would compute a chain of tests again at every reader."""
+    return jnp.isfinite(ravel_pytree(tree)[0]).all()

@@ -1,0 +1,382 @@
+"""A whole rollout as one function of its inputs: fast forward, differentiable both ways."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...jax_inside import any_of_batch, batched_branches_transpose, is_traced
+from ...scalar.small_call import small_call
+from ...system.dynamics import Arrays
+from ..charts.coordinates import Blocks
+from ..events.crossings import crossing_rows
+from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
+from ..method import Stepper, jitted
+from .kernels import Packed, advance_again, opened, shared_kernel
+from .loop import Steps, all_finite, ended_well, first_rows
+from .outcome import LoopOutcome, Result, Run, Saved, StepPart
+from .unreached import nan_unless, zero_of
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class RolloutResult:
+    """The result of the loop over steps."""
+
+    #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
+    xs: Any
+    end: Any  # the state they reached; None: that of the only row
+    reached: Any  # (n,) whether they came so far; None without saved times
+    outcome: Any  # how they went, a `LoopOutcome`, those of saved times included in the evaluations
+    trail: Any  # where it is kept
+    event: Any  # the number of the event that ended it, -1 for none; None where none is watched for
+    at_start: Any = None  # (m,) whether each condition was zero or past it at the start
+    crossings: Any = None  # of events that do not end it, where there are any
+
+
+def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> RolloutResult:
+    """Take all steps from the state x, compiled as one small function where that is known to work.
+
+    Its derivatives, of any order and both ways, are those of the same steps taken again with bounded memory: lengths
+    that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
+    all times are right.
+    """
+    return unpacked(jitted(packed_rollout, stepper, steps, x))
+
+
+def packed_rollout() -> Callable[[Stepper, Steps, Arrays], tuple[Any, ...]]:
+    """Makes a rollout whose result is a tuple of few arrays, for `unpacked`: JAX takes 2 us for each array."""
+    rollout = differentiable()
+
+    def packed(stepper: Stepper, steps: Steps, x: Arrays) -> tuple[Any, ...]:
+        r = rollout(stepper, steps, x)
+        counts = jnp.stack([r.outcome.code, r.outcome.tried, r.outcome.accepted, r.outcome.evaluations])
+        times = jnp.stack([r.outcome.t, r.outcome.h])
+        end = None if r.reached is None else r.end
+        return r.xs, end, r.reached, (counts, times), r.trail, r.event, r.at_start, r.crossings
+
+    return packed
+
+
+def unpacked(values: tuple[Any, ...]) -> RolloutResult:
+    """The result of a `packed_rollout`, its outcome in numbers of NumPy where they are known."""
+    xs, end, reached, outcome, *rest = values
+    array: Any = jnp if is_traced(outcome) else np
+    counts, times = map(array.asarray, outcome)
+    return RolloutResult(xs, end, reached, LoopOutcome(*counts, *times), *rest)
+
+
+def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
+    @jax.custom_jvp
+    def taken(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
+        # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
+        return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+
+    def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
+        return _differentiated(primals, tangents)
+
+    taken.defjvp(along, symbolic_zeros=True)
+    return lambda stepper, steps, x: taken(steps, stepper, x)
+
+
+def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
+    """The result, batched where an input is: JAX expects the batch axes of a function in its derivative too."""
+    firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
+    never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
+    return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
+
+
+def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
+    # Without a path saved times lie as the loop left them.
+    run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
+    meeting, moved = None, None
+    if run.watched is not None:
+        meeting = Meeting.of(run)
+        moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, opened(run.end))
+
+    if run.saved is None:
+        result = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
+    elif steps.finds_rows and meeting is None:
+        return _with_rows(steps, stepper, x, run)
+    else:
+
+        def to_saves(saved: Saved, parts: StepPart) -> Blocks:
+            return small_call(_one_by_one, stepper, saved.y, parts, saved.requested.sum())
+
+        result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_conditions(stepper, run, result, functools.partial(small_call, crossing_rows))
+
+
+def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: Any = crossing_rows) -> RolloutResult:
+    """With the crossings, and which conditions were met at the start."""
+    if run.watched is None:
+        return result
+    crossed = run.watched.crossed
+    crossings = None if crossed is None else rows(stepper, crossed)
+    return dataclasses.replace(result, at_start=run.watched.met, crossings=crossings)
+
+
+def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutResult:
+    """With the saved states that the loop over steps found.
+
+    A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
+    10 us.
+    """
+    result = small_call(_to_saved_times, steps, stepper, x, dataclasses.replace(run, saved=None), None, None)
+    saved, outcome = run.saved, result.outcome
+    assert saved is not None
+
+    def row(y: Blocks, t: jax.Array) -> tuple[jax.Array, jax.Array, Arrays]:
+        return shared_kernel(_row, None, stepper, x, Packed.of(y), t, steps.t0, outcome.t)
+
+    reached, not_finite, xs = jax.vmap(row)(saved.y, saved.t)
+    not_finite = (outcome.code == Result.SUCCESS.value) & not_finite.any()
+    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    return dataclasses.replace(result, xs=xs, reached=reached, outcome=dataclasses.replace(outcome, code=code))
+
+
+def _row(
+    _: None, stepper: Stepper, x: Arrays, y: Packed, t: jax.Array, t0: jax.Array, end: jax.Array
+) -> tuple[jax.Array, jax.Array, Arrays]:
+    """Whether a saved time was reached, whether it was lost though the steps came so far, and the values there."""
+    within = t <= end
+    reached = within & all_finite(y.flat)
+    values = _or_start(stepper.stored.value(y.open()), t <= t0, x)
+    return reached, within & ~reached, jax.tree.map(lambda a: jnp.where(reached, a, jnp.nan), values)
+
+
+def _one_by_one(stepper: Stepper, ys: Blocks, parts: StepPart, count: jax.Array) -> Blocks:
+    """The states at the ends of the first `count` parts of steps, one after the other.
+
+    As one small function: in a loop of XLA a kernel for each takes longer to call than to run.
+    """
+
+    def save(_: None, entry: tuple[Blocks, StepPart]) -> tuple[None, Blocks]:
+        y, part = entry
+        return None, jax.lax.cond(part.h > 0.0, lambda y: stepper.advance(part.t, y, part.h), lambda y: y, y)
+
+    return first_rows(save, None, (ys, parts), count, jax.tree.map(lambda a: a[0], ys))[1]
+
+
+def _to_saved_times(
+    steps: Steps,
+    stepper: Stepper,
+    x: Arrays,
+    run: Run,
+    meeting: Meeting | None,
+    moved: Any,
+    advance_all: Callable[[Saved, StepPart], Blocks] | None = None,
+) -> RolloutResult:
+    """The states at the saved times and at the event, from those before."""
+    parts = None if run.saved is None else steps.parts(run.path, run.saved)
+    saved, moved, end = run.saved, opened(moved), opened(run.end)
+    run = dataclasses.replace(run, end=end)
+    if meeting is not None and moved is not None:
+        halted, run, end = run, cut_at(moved, run, meeting), moved
+        if saved is not None and parts is not None:
+            saved, parts = saved_before(saved, parts, steps.saved_times, halted, meeting)
+    stored, outcome = stepper.stored, run.outcome
+    end = _or_start(stored.value(end), outcome.accepted == 0, x)
+    event = None if meeting is None else meeting.event
+    if saved is None or parts is None or advance_all is None:
+        return RolloutResult({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
+    # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
+    parts = dataclasses.replace(parts, h=jnp.where(saved.reached, parts.h, 0.0))
+    ys = advance_all(saved, parts)
+    reached = saved.reached & jax.vmap(all_finite)(ys)
+    at_start = (saved.steps == 0) & (jax.lax.stop_gradient(parts.h) <= 0.0)
+    xs = _or_start(jax.vmap(stored.value)(ys), at_start, x)
+    xs = jax.tree.map(lambda a: jnp.where(wide(reached, a), a, jnp.nan), xs)
+    counts = (parts.h > 0.0).sum() * stepper.method.evaluations_of(stepper.dynamics)
+    not_finite = (outcome.code == Result.SUCCESS.value) & (saved.requested & ~reached).any()
+    code = jnp.where(not_finite, Result.NON_FINITE.value, outcome.code)
+    outcome = dataclasses.replace(outcome, evaluations=outcome.evaluations + counts, code=code)
+    return RolloutResult(xs, end, reached, outcome, run.trail, event)
+
+
+def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
+    """The values, or the exact start where no step was taken; derivatives stay."""
+    result = {}
+    for name, value in values.items():
+        known = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
+        start = known + (value - jax.lax.stop_gradient(value))
+        result[name] = jnp.where(wide(still, value), start, value)
+    return result
+
+
+def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
+    """Flags of rows with as many axes as the array."""
+    return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
+
+
+# ---- derivatives --------------------------------------------------------------------------------------------------
+
+
+def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
+    steps, stepper, x = jax.lax.stop_gradient(primals)
+    run = steps.run(stepper, stepper.stored.enter(x), record=True)
+    known = None if run.watched is None else Meeting.of(run)
+    leaves, structure = jax.tree.flatten(primals)
+    slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
+    moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
+
+    def again(values: list[Any]) -> RolloutResult:
+        inputs = list(leaves)
+        for i, value in zip(moving, values, strict=True):
+            inputs[i] = value
+        steps, stepper, x = jax.tree.unflatten(structure, inputs)
+        return _batched_alike(_again(steps, stepper, x, run, known), primals)
+
+    result, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
+    ends_at_event = steps.watch is not None and any(steps.watch.terminal)
+    return result, _not_of_failures(result, slope, [slopes[i] for i in moving], ends_at_event)
+
+
+def _not_of_failures(
+    result: RolloutResult, slope: RolloutResult, moved: list[Any], ends_at_event: bool
+) -> RolloutResult:
+    """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
+    good = ended_well(result.outcome.code)
+    nothing = zero_of(moved)  # what no step has read yet counts too
+
+    def spoiled(good: jax.Array, tree: Any) -> Any:
+        return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
+
+    xs = spoiled(good if result.reached is None else result.reached, slope.xs)
+    end = None if slope.end is None else spoiled(good, slope.end)
+    crossings = slope.crossings
+    if crossings is not None and result.crossings is not None:
+        ts, states = spoiled(result.crossings.which >= 0, (crossings.ts, crossings.xs))
+        crossings = dataclasses.replace(crossings, ts=ts, xs=states)
+    outcome = slope.outcome
+    if ends_at_event:  # other ends do not move, and stay known outside of `jit`
+        outcome = dataclasses.replace(outcome, t=spoiled(good, outcome.t))
+    return dataclasses.replace(slope, xs=xs, end=end, outcome=outcome, crossings=crossings)
+
+
+def _is_symbolic(slope: Any) -> bool:
+    return isinstance(slope, jax.custom_derivatives.SymbolicZero)
+
+
+def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
+    """The rollout by the same steps taken again, which is differentiable."""
+
+    def step(y: Blocks, part: StepPart) -> Blocks:
+        return advance_again(stepper, part.t, y, part.h)
+
+    count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
+    # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
+    taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
+    crossed = None if run.watched is None else run.watched.crossed
+    recorded = steps.dense or run.saved is not None or crossed is not None
+    end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
+    run = dataclasses.replace(run, end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
+    meeting = None
+    if known is not None:
+        begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
+        meeting = refined(stepper, steps.watch, end, run.outcome.h, dataclasses.replace(known, t=begins))
+
+    def advance_all(starts: Blocks, parts: StepPart) -> Blocks:
+        if stepper.method.solves and not batched_branches_transpose():
+            return jax.lax.map(lambda entry: step(*entry), (starts, parts))
+        return jax.vmap(step)(starts, parts)
+
+    if crossed is not None and run.watched is not None:
+        # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
+        there = crossed.which >= 0
+        k = jnp.where(there, crossed.steps, 0)
+        crossed = dataclasses.replace(
+            crossed, t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
+        )
+        crossed = refined_rows(stepper, steps.watch, crossed)
+        crossed = dataclasses.replace(crossed, y=advance_all(crossed.y, StepPart(crossed.t, crossed.s)))
+        run = dataclasses.replace(run, watched=dataclasses.replace(run.watched, crossed=crossed))
+
+    def to_saves(saved: Saved, parts: StepPart) -> Blocks:
+        return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts)
+
+    moved = None if meeting is None else to_event(functools.partial(advance_again, stepper), end, meeting)
+    result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
+    return _with_conditions(stepper, run, result)
+
+
+# ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------
+
+#: Steps in a block: what lies between is computed again on the way back, so that only states are kept.
+_BLOCK = 16
+#: Blocks are nested where there would be more of them than this.
+_NEST = 64
+
+
+def take_steps(
+    step: Callable[[Any, Any], Any], y: Any, entries_by_step: Any, count: jax.Array, bound: int, record: bool
+) -> tuple[Any, Any]:
+    """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
+
+    Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
+    blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. What a step
+    closes over is copied for every block, so it should be small. Blocks beyond the count are passed over, also for a
+    whole batch at once under vmap. `record`: also return the values before each step, and after the last one, on a
+    leading axis of bound + 1; entries beyond the count repeat the end.
+    """
+
+    def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+        k, inputs = entry
+
+        def taken(y: Any) -> Any:
+            return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, inputs), y)
+
+        return jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y), y if record else None
+
+    def block_of(level: Any) -> Any:
+        """Runs of a level, computed again on the way back, and passed over where the count is reached."""
+
+        @jax.checkpoint
+        def run(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            return jax.lax.scan(level, y, entries)
+
+        def block(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:
+            shapes = jax.eval_shape(run, y, entries)[1]
+            first = entries[0].reshape(-1)[0]
+
+            def passed(y: Any) -> tuple[Any, Any]:
+                return y, shapes and jax.tree.map(lambda a, like: jnp.broadcast_to(a, like.shape), y, shapes)
+
+            return jax.lax.cond(any_of_batch(first < count), lambda y: run(y, entries), passed, y)
+
+        return block
+
+    sizes = _sizes(bound)
+    span = math.prod(sizes)
+
+    def padded(a: jax.Array) -> jax.Array:
+        return jnp.concatenate([a, jnp.broadcast_to(a[-1], (span - len(a), *a.shape[1:]))])
+
+    entries = (jnp.arange(span), jax.tree.map(padded, entries_by_step))
+    entries = jax.tree.map(lambda a: a.reshape(*sizes, *a.shape[1:]), entries)
+    level: Any = one
+    for _ in sizes[1:]:
+        level = block_of(level)
+    end, before = jax.lax.scan(level, y, entries)
+    if not record:
+        return end, None
+    steps = jax.tree.map(lambda a: a.reshape(span, *a.shape[len(sizes) :])[:bound], before)
+    return end, jax.tree.map(lambda a, b: jnp.concatenate([a, b[None]]), steps, end)
+
+
+def _sizes(bound: int) -> list[int]:
+    """Sizes of the nested blocks, outermost first, whose product is at least the bound."""
+    if bound <= _BLOCK:
+        return [max(bound, 1)]
+    rest = math.ceil(bound / _BLOCK)
+    if rest <= _NEST:
+        return [rest, _BLOCK]
+    outer = math.ceil(math.sqrt(rest))
+    return [outer, math.ceil(rest / outer), _BLOCK]

@@ -1,0 +1,110 @@
+"""Steps that end on the manifold of a system: any method, with the system's corrections after every step."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ...errors import InputError, ModelError
+from ...expr import Inputs
+from ...jax_inside import is_traced
+from ...system.dynamics import Dynamics
+from ...system.projection import increments
+from ..charts.coordinates import Blocks
+from ..method import Carry, Method, StepAttempt, VectorField
+from ..step_control import Tolerances
+
+#: Steps of Newton's: a step ends as far from the manifold as its error is, d; it is brought to about d^2, then d^4.
+_CORRECTIONS = 2
+#: How far the start may be, in m and rad: more is a mistake.
+_FAR = 1e-6
+
+
+def _of_inner(method: str) -> Callable[..., Any]:
+    return lambda self, *arguments: getattr(self.inner, method)(*arguments)
+
+
+@dataclasses.dataclass(frozen=True)
+class Projected(Method):
+    """A method whose steps are brought back to the manifold of the system. `tx.integrate` makes it where there is one.
+
+    Attributes:
+        inner: the method that takes the steps.
+
+    Source: E. Hairer, C. Lubich, G. Wanner, Geometric Numerical Integration (2006), section IV.4.
+    """
+
+    inner: Method
+
+    # What the inner method says of itself, and does as it is.
+    name = property(lambda self: f"{self.inner.name}, projected")
+    order = property(lambda self: self.inner.order)
+    error_order = property(lambda self: self.inner.error_order)
+    evaluations = property(lambda self: self.inner.evaluations)
+    resume_evaluations = property(lambda self: self.inner.resume_evaluations)
+    solves = property(lambda self: self.inner.solves)
+    evaluations_of, coordinates, stored = map(_of_inner, ("evaluations_of", "coordinates", "stored"))
+    rate, before, begin, resume, between = map(_of_inner, ("rate", "before", "begin", "resume", "between"))
+
+    def check(self, dynamics: Dynamics) -> None:
+        self.inner.check(dynamics)
+        self.inner.coordinates(dynamics)  # a method without them says so here
+
+    def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
+        return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
+
+    def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
+        attempt = self.inner.follow(field, t, y, carry, h)
+        return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
+
+    def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
+        attempt = self.inner.sampled(field, t, y, carry, h)
+        return dataclasses.replace(attempt, y=self._brought_back(field, t + h, attempt.y))
+
+    def attempt(
+        self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances
+    ) -> StepAttempt:
+        attempt = self.inner.attempt(field, t, y, carry, h, tolerances)
+        end = self._brought_back(field, t + h, attempt.y)
+        # What the next step begins with belongs to where it begins.
+        carry = self.inner.resume(field, t + h, end, attempt.carry)
+        evaluations = attempt.evaluations + self.inner.resume_evaluations
+        return dataclasses.replace(attempt, y=end, carry=carry, evaluations=evaluations)
+
+    def need_polynomial(self) -> None:
+        raise ModelError(
+            "polynomials leave the manifold that the system's corrections bring it back to.\n  fix: leave between out"
+        )
+
+    def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
+        local, functions = self.coordinates(field.dynamics), field.dynamics._functions
+        u = field.controls(t)
+        still = {name: jnp.zeros(group.tangent_shape, t.dtype) for name, group in functions.group.factors.items()}
+        for _ in range(_CORRECTIONS):
+            corrections = functions.evaluate("corrections", field.clock(t), local.value(y), u, field.params)
+            y = local.settle(local.move(y, local.first_slope(y, local.rate(still | corrections))))
+        return y
+
+
+def projected(method: Method) -> Projected:
+    """The method with corrections."""
+    return method if isinstance(method, Projected) else Projected(method)
+
+
+def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
+    """Raise InputError for a start that is known and off the system's manifold."""
+    functions = dynamics._functions
+    if is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
+        return
+    corrections = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
+    off = float(jnp.abs(increments(functions, corrections)).max())
+    far = max(_FAR, 1e3 * float(jnp.finfo(inputs.dtype).eps))
+    if not off <= far:
+        raise InputError(
+            f"x0 is off the manifold of the system by {off:.3g}, where {far:.0e} is allowed: loops are open, or the "
+            "velocities open them.\n  fix: x0 = dynamics.project(0.0, x0)"
+        )

@@ -1,0 +1,299 @@
+"""The options of an integration, one record for `integrate`, `integrate_phases`, `Phase` and `simulator`; its check."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import inspect
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, Concatenate, NamedTuple, ParamSpec, TypeVar
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import instance, real_array
+from ..errors import InputError
+from ..expr import Inputs
+from ..groups import Group
+from ..jax_inside import is_traced, is_tracing
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import is_finite, need_held, precision
+from .charts.chart import Ambient
+from .controls import ByName, OfTime, Signals, controls_of
+from .events.conditions import Watch, watch_of
+from .loop.adaptive_steps import AdaptiveSteps
+from .loop.fixed_steps import FixedSteps
+from .method import Method, Stepper
+from .methods.interpolant import Between
+from .methods.projected import need_start_on_manifold, projected
+from .methods.rkmk import RKMK
+from .step_control import StepControl, tolerances_of
+from .tableaus import DOP853, RK4
+from .times import Stops, check_saves, direction_of, filled, fixed_steps, limits_of, span_of
+
+First = TypeVar("First")
+Second = TypeVar("Second")
+Result = TypeVar("Result")
+P = ParamSpec("P")
+
+#: The methods of fixed and of adaptive steps, and the step control, unless given.
+_FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class StepOptions:
+    """How steps are taken; `tx.integrate` says what each field means."""
+
+    dt: Any = None
+    steps: int | None = None
+    rtol: Any = None
+    atol: Any = None
+    method: Method | None = None
+    control: StepControl | None = None
+
+    def over(self, shared: StepOptions) -> dict[str, Any]:
+        """The fields by name; those that are None are taken from `shared`."""
+        fields = [field.name for field in dataclasses.fields(StepOptions)]
+        values = {name: getattr(self, name) for name in fields}
+        return {name: getattr(shared, name) if value is None else value for name, value in values.items()}
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class FlightOptions(StepOptions):
+    """What an integration of one phase and of several have in common."""
+
+    t0: Any = 0.0
+    u: Any = None
+    params: Mapping[str, Any] | None = None
+    save_at: Any = None
+    between: Between = Between.STEP
+    dense: bool = False
+    throw: bool = True
+    progress: Any = None
+
+
+@dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
+class Options(FlightOptions):
+    """What `tx.integrate` takes besides the system and the start."""
+
+    t1: Any
+    jumps: Any = None
+    event: Any = None
+    max_crossings: Any = None
+
+    @property
+    def adaptive(self) -> bool:
+        """Whether tolerances choose the steps."""
+        return self.rtol is not None or self.atol is not None
+
+
+def with_options(
+    record: Callable[P, Any],
+) -> Callable[[Callable[[First, Second, Any], Result]], Callable[Concatenate[First, Second, P], Result]]:
+    """Makes a function of two arguments and a record one of two arguments and the fields of the record."""
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        *leading, _ = inspect.signature(function).parameters.values()
+        names = [parameter.name for parameter in leading]
+
+        @functools.wraps(function)
+        def call(*arguments: Any, **named: Any) -> Any:
+            try:
+                first = [*arguments[: len(names)], *(named[name] for name in names[len(arguments) :])]
+                fields = {name: value for name, value in named.items() if name not in names}
+                options = record(*arguments[len(names) :], **fields)
+                assert len(fields) == len(named) - max(len(names) - len(arguments), 0)
+            except (TypeError, KeyError, AssertionError):
+                try:
+                    signature.bind(*arguments, **named)
+                except TypeError as error:
+                    raise TypeError(f"{function.__name__}() {error}") from None
+                raise
+            return function(*first, options)
+
+        result = inspect.signature(function).return_annotation
+        parameters = [*leading, *inspect.signature(record).parameters.values()]
+        parameters.sort(key=lambda parameter: (parameter.kind, parameter.default is not parameter.empty))
+        signature = inspect.Signature(parameters, return_annotation=result)
+        call.__signature__ = signature  # type: ignore[attr-defined]
+        del call.__wrapped__  # its arguments are others
+        return call
+
+    return decorate
+
+
+class Plan(NamedTuple):
+    """A checked integration."""
+
+    stepper: Stepper
+    steps: AdaptiveSteps | FixedSteps
+    x: dict[str, Any]  # the prepared start
+    t0: Any
+    ts: Any  # (n,) the saved times, or the end
+    traced: bool  # whether any of it is traced
+
+
+def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
+    """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
+    need_compiled("integrate", dynamics)
+    method = _method_of(dynamics, options)
+    need_flag("dense", options.dense)
+    instance("between", options.between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
+    instance("control", options.control, StepControl | None, "tx.StepControl(...)", InputError)
+    span = span_of(options.t0, options.t1, options.dt)
+    controls = controls_of(options.u)
+    inputs = _inputs_of(dynamics, x0, options, controls)
+    dtype = inputs.dtype
+    if span is not None:
+        need_held("t1", np.asarray(span[1]), dtype)
+        if isinstance(controls, ByName):
+            controls.check_span(min(span), max(span))
+    signals, x = controls.prepared(inputs.u, dtype), dict(inputs.x)
+    watch, conditions = _watch_of(dynamics, options, inputs, signals)
+    times = (options.t0, options.t1, options.dt, options.rtol, options.atol, options.jumps, options.save_at)
+    traced = is_traced((signals, inputs.u, inputs.params, x, times, conditions))
+    if traced and isinstance(signals, OfTime):
+        signals = signals.opened(jnp.asarray(inputs.t))
+    direction, inward = direction_of(options.t0, options.t1, dtype), options.jumps is not None
+    params = dict(inputs.params)
+    stepper = Stepper(dynamics, method, signals, params, within=True, inward=inward, direction=direction)
+    # From here on times are those of the clock of the loop over steps, which goes forward.
+    array: Any = np if span else jnp
+    start, end = (direction * array.asarray(t, dtype) for t in (options.t0, options.t1))
+    span = span and (float(direction) * span[0], float(direction) * span[1])
+    saves, count = None, np.asarray(0)
+    if options.save_at is not None:
+        pad = not traced and not is_tracing()
+        saves = _saves_of(options, span, direction, end, sum(value.size for value in x.values()) if pad else None)
+        count = np.asarray(len(options.save_at))
+    limits = limits_of(start, end, options.jumps, signals, direction)
+    steps: AdaptiveSteps | FixedSteps
+    if options.adaptive:
+        steps = _adaptive_steps(dynamics, method, options, Stops.given(limits, start, saves, count), start, watch)
+    else:
+        polynomial = options.between if options.between is Between.POLYNOMIAL else None
+        for name, value in (("control", options.control), ("between", polynomial)):
+            if value is not None:
+                raise InputError(
+                    f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
+                )
+        steps = fixed_steps(
+            start, end, span, options, saves, limits, count=count, bounded=traced or options.dense, watch=watch
+        )
+    ends = [options.t1] if options.save_at is None else options.save_at
+    ts = (jnp if is_traced(ends) else np).asarray(ends, dtype)
+    return Plan(stepper, steps, x, inputs.t, ts, traced)
+
+
+def _method_of(dynamics: Dynamics, options: Options) -> Method:
+    method = options.method
+    if method is None:
+        method = _ADAPTIVE if options.adaptive else _FIXED
+    instance("method", method, Method, "an object like tx.RKMK(tx.tableaus.RK4)", InputError)
+    if dynamics.system.corrections:
+        method = projected(method)
+    method.check(dynamics)
+    return method
+
+
+def _inputs_of(dynamics: Dynamics, x0: Any, options: Options, controls: Signals) -> Inputs:
+    places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
+    dtype = precision(x0, options.params)
+    u = _controls_at_start(dynamics, controls, options.t0, dtype)
+    inputs = dynamics._functions.prepare(options.t0, x0, u, options.params, names=places, on_host=True)
+    _check_start(dynamics, inputs, places)
+    if dynamics.system.corrections:
+        need_start_on_manifold(dynamics, inputs)
+    return inputs
+
+
+def _watch_of(
+    dynamics: Dynamics, options: Options, inputs: Inputs, signals: Signals
+) -> tuple[Watch | None, list[Any] | None]:
+    if options.event is not None:
+        return watch_of(dynamics, options.event, inputs, signals, options.max_crossings)
+    if options.max_crossings is not None:
+        raise InputError(
+            "max_crossings is for events that do not end the integration, but event is left out.\n"
+            "  fix: leave it out too, or event=tx.Event(condition, terminal=False)"
+        )
+    return None, None
+
+
+def _saves_of(options: Options, span: Any, direction: Any, end: Any, width: int | None) -> Any:
+    """The saved times on the clock of the loop; with the width of a row, known ones are padded."""
+    known = check_saves(options.save_at, None if span is None else (float(options.t0), float(options.t1)))
+    saves = (jnp if is_traced((direction, options.save_at)) else np).asarray(options.save_at)
+    # In the precision they came in, which says how exact they are.
+    saves = saves if saves.dtype.kind == "f" else saves.astype(end.dtype)
+    saves = direction.astype(saves.dtype) * saves
+    if not known or width is None:
+        return saves
+    # A polynomial is evaluated as far as the time has come: never for the padding.
+    return filled(saves, np.inf if options.between is Between.POLYNOMIAL else end, width)
+
+
+def _adaptive_steps(
+    dynamics: Dynamics, method: Method, options: Options, stops: Stops, start: Any, watch: Watch | None
+) -> AdaptiveSteps:
+    if options.steps is not None:
+        raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
+    _ = method.error_order  # a method without an error estimate says so here
+    if options.between is Between.POLYNOMIAL:
+        method.need_polynomial()
+    dt, dtype = options.dt, start.dtype
+    if dt is not None:
+        need_held("dt", real_array("dt", dt), dtype)
+    first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
+    tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
+    control = options.control or _CONTROL
+    return AdaptiveSteps(start, first, stops, tolerances, control, options.dense, options.between, watch)
+
+
+def need_flag(name: str, value: Any) -> None:
+    """Raise InputError for what is not True or False."""
+    if not isinstance(value, (bool, np.bool_)):
+        raise InputError(f"{name} must be True or False, got {value!r}")
+
+
+def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
+    """The controls at t0, to check names and shapes with. A function that was checked is not called again."""
+    if isinstance(controls, ByName):
+        return controls.sample(t0)
+    plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
+    if is_tracing() or not plain:
+        return controls.sample(jnp.asarray(t0, dtype))
+    loops, key = dynamics._functions.loops, (_controls_at_start, controls.function, np.dtype(dtype))
+    return loops.get(key, lambda: controls.sample(jnp.asarray(t0, dtype)))
+
+
+def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
+    """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
+    for place, values in zip(places[1:], (inputs.x, inputs.u, inputs.params), strict=True):
+        for name, value in values.items():
+            if not is_finite(value):
+                raise InputError(f"{place}[{name!r}] expects finite numbers, got {np.asarray(value)}")
+    for name, group in dynamics.group.factors.items():
+        need_element(name, group, inputs.x[name])
+
+
+def need_element(name: str, group: Group, value: Any) -> None:
+    """Raise InputError where the start of a state is known and no element of its group."""
+    if group.flat or is_traced(value):
+        return
+    defect = group.known_defect(np.asarray(value))
+    tolerance = 1e-6
+    if defect > tolerance:  # what is known of the type takes long to find
+        tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
+    if defect > tolerance:
+        raise InputError(
+            f"x0[{name!r}] is no element of {group.name}: off by {defect:.3g}, where {tolerance:.0e} is allowed"
+            + (
+                " (the rotation's R'R - I, and the last row of a pose).\n"
+                "  fix: build poses with tx.pose(...), or take the nearest element with "
+                f"tx.{group.name}.normalize(g)"
+                if group.rigid
+                else ".\n  fix: take the nearest element, that which normalize of the group gives"
+            )
+        )

@@ -1,0 +1,1 @@
+"""Results of an integration: solutions, their outputs, tables."""

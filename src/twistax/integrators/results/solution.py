@@ -1,0 +1,340 @@
+"""The solution of an integration: states, counts, the state at any time, and how it ended."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Mapping, Sequence
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import listed, real_array
+from ...errors import InputError
+from ...groups.columns import Column
+from ...jax_inside import is_traced
+from ...plots import chosen, draw, group_of, panels
+from ...system.dynamics import Arrays
+from ...units import same_unit, seconds
+from ..charts.coordinates import Blocks
+from ..events.crossings import CrossingRows
+from ..loop.outcome import Result, Trail
+from ..loop.unreached import nan_unless
+from ..method import Stepper, jitted
+
+if TYPE_CHECKING:
+    from ...view import Scene
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Stats:
+    """Counts of an integration; `stats.steps` and `stats["steps"]` are the same.
+
+    Attributes:
+        steps: steps tried, accepted and rejected together.
+        accepted, rejected: how many were kept and how many repeated with a smaller step.
+        rhs_evaluations: evaluations of the right-hand side, those for saved times between steps included.
+    """
+
+    steps: Any
+    accepted: Any
+    rejected: Any
+    rhs_evaluations: Any
+
+    def __getitem__(self, name: str) -> Any:
+        if name not in self.__dict__:
+            raise InputError(f"stats has no {name!r}; the counts are: {listed(self.__dict__, name)}")
+        return self.__dict__[name]
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Crossings:
+    """Where conditions of events that do not end the integration became zero, in the order of their times.
+
+    Under jit and in batches there are rows for `max_crossings` of them; those beyond the count are NaN.
+
+    Attributes:
+        ts: (n,) times in s.
+        xs: states by name, leading axis n.
+        events: (n,) the number of the event of each, as it was given; -1 beyond the count.
+        directions: (n,) 1 where the condition rises along the integration, -1 where it falls; 0 beyond the count.
+        count: how many there are.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    events: jax.Array
+    directions: jax.Array
+    count: Any
+
+    @classmethod
+    def of(cls, rows: CrossingRows) -> Crossings:
+        """Those of a rollout; where numbers are known without the rows beyond the count."""
+        if is_traced(rows):
+            return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
+        count = int(rows.used)
+        columns = (rows.ts, rows.xs, rows.which, rows.directions)
+        ts, xs, which, directions = jax.device_put(jax.tree.map(lambda a: np.asarray(a)[:count], columns))
+        return cls(ts, xs, which, directions, count)
+
+
+class Dense(NamedTuple):
+    """Dense output: the starts of all steps, and the stepper.
+
+    Between two of them the state is one shorter step of the same method, so it stays in its group and is as accurate as
+    the others; an interpolating polynomial would cost order and leave the group.
+    """
+
+    stepper: Stepper
+    trail: Trail
+
+
+def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
+    def states(stepper: Stepper, trail: Trail, ts: jax.Array) -> Arrays:
+        stored, ts = stepper.stored, stepper.clock(ts)
+        last = jnp.maximum(trail.steps - 1, 0)
+        before = jnp.searchsorted(trail.t, ts, side="right").astype(last.dtype) - 1
+        k = jnp.clip(before, 0, last)
+
+        def state(t: jax.Array, start: jax.Array, y: Blocks) -> Arrays:
+            return stored.value(stepper.advance(start, y, t - start))
+
+        values = jax.vmap(state)(ts, trail.t[k], jax.tree.map(lambda a: a[k], trail.y))
+        start, end = trail.t[0], trail.t[trail.steps]
+        return nan_unless((ts >= start - _room(start, end)) & (ts <= end + _room(start, end)), values)
+
+    return states
+
+
+class AnySolution(ABC):
+    """Base of `Solution` and `PhasedSolution`: how it ended, and its table."""
+
+    code: Any  # the number of a `Result`
+
+    @property
+    def result(self) -> Any:
+        """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
+        unknown = is_traced(self.code) or np.ndim(self.code) > 0
+        return self.code if unknown else Result(int(self.code))
+
+    @abstractmethod
+    def _columns(self, layout: Any) -> list[Column]:
+        """The columns of the table."""
+
+    def to_csv(self, path: Any, layout: Any = None) -> None:
+        """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.
+
+        Of phases it has the rows of all, with the number of the phase, and the columns that all of them have.
+
+        Args:
+            path: the file; one that is there is written over.
+            layout: which columns: `tx.columns.Columns(units={"h": "m"}, rotations=tx.columns.EULER)`, or a
+                `tx.columns.Layout` of your own. Left out: time, states, controls and outputs, rotations as quaternions.
+        Raises:
+            InputError: a batch, or what is traced; a unit of an unknown name; a path that cannot be written.
+            ModelError: no layout.
+        """
+        from .table_export import write_csv
+
+        write_csv(self._columns(layout), path)
+
+    def to_dataframe(self, layout: Any = None) -> Any:
+        """The table of `to_csv` as a DataFrame of pandas. Raises ModelError where pandas is not installed."""
+        from .table_export import frame_of
+
+        return frame_of(self._columns(layout))
+
+
+def need_one(what: str, solution: Solution) -> None:
+    """Raise InputError for a solution that is traced or a batch."""
+    if is_traced((solution.ts, solution.xs)):
+        raise InputError(
+            f"{what} expects numbers, got a solution that is traced, as inside of jit, vmap and grad.\n"
+            "  fix: return the solution from the function, and take what comes back"
+        )
+    if np.ndim(solution.ts) != 1:
+        raise InputError(
+            f"{what} expects one solution, got a batch with times of shape {np.shape(solution.ts)}.\n"
+            "  fix: jax.tree.map(lambda a: a[i], solution) is one of them"
+        )
+
+
+def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
+    """Times at which a solution is asked for, in its precision. Raises InputError."""
+    same_unit("evaluate: t", t, seconds)
+    return jnp.asarray(real_array("evaluate: t", t), dtype)
+
+
+def _room(start: Any, end: Any) -> Any:
+    """How far outside of a span times may be, for rounding."""
+    return 1e-6 * (end - start)
+
+
+def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
+    """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
+    (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
+    room = _room(start, end)
+    outside = ~((times >= start - room) & (times <= end + room))
+    if outside.any():
+        wrong = float(times[int(np.argmax(outside))])
+        raise InputError(f"evaluate expects times in [{start:g}, {end:g}], {span}, got {wrong:g}")
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Solution(AnySolution):
+    """States at the saved times. A pytree, so that jit, vmap and derivatives of an integration apply.
+
+    Attributes:
+        ts: (n,) saved times in s; without save_at the end alone.
+        xs: states by name, leading axis n.
+        stats: counts.
+        code: the number of the Result.
+        dense: what `evaluate` reads, with dense=True; else None.
+        which: the number of the event that stopped it, -1 for none; None where none was watched for.
+        stepper: the method, the system and the inputs that led here.
+        at_start: (m,) of each event whether its condition was zero or past it at the start; None without events.
+        crossings: the `Crossings` of events that do not end the integration; None where there are none.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    stats: Stats
+    code: Any
+    dense: Dense | None = None
+    which: Any = None
+    stepper: Any = None
+    at_start: Any = None
+    crossings: Crossings | None = None
+
+    def __repr__(self) -> str:
+        shapes = {name: np.shape(value) for name, value in {"ts": self.ts, **self.xs}.items()}
+        try:
+            ended = self.result if isinstance(self.result, Result) else "a batch, or traced"
+        except (TypeError, ValueError):  # other leaves in the same pytree, such as those of jax.eval_shape and jax.jvp
+            ended = "abstract values"
+        return f"Solution({', '.join(f'{name} {shape}' for name, shape in shapes.items())}; {ended})"
+
+    @property
+    def last(self) -> Arrays:
+        """The state in the last row, by name, such as a start for the next integration. Also of a batch."""
+        at = np.ndim(self.ts) - 1
+        return {name: jnp.take(value, -1, axis=at) for name, value in self.xs.items()}
+
+    @functools.cached_property
+    def us(self) -> Arrays:
+        """The controls by name at the saved times, leading axis n: those that hold from then on.
+
+        At the end of a table that has no value after it, those up to there. Also of a batch, and inside of jit.
+        """
+        from .outputs import controls_along
+
+        return controls_along(self.stepper, self.ts)
+
+    @functools.cached_property
+    def outputs(self) -> Arrays:
+        """The outputs of the system by name at the saved times, leading axis n; all in one call, when asked for.
+
+        Also of a batch, and inside of jit. Numbers of rows that were not reached are NaN, as their states.
+
+        Raises:
+            InputError: an output reads a control or a parameter that the integration was not given.
+        """
+        from .outputs import outputs_along
+
+        return outputs_along(self.stepper, self.ts, self.xs)
+
+    @property
+    def event(self) -> Any:
+        """The number of the event that stopped it, or None; of traced or mapped solutions an array, -1 for none."""
+        if self.which is None or is_traced(self.which) or np.ndim(self.which) > 0:
+            return self.which
+        return int(self.which) if int(self.which) >= 0 else None
+
+    def evaluate(self, t: Any) -> Arrays:
+        """The states by name at a time () or at times (n,), then on a leading axis. Needs dense=True.
+
+        Each is one shorter step of the same method from the start of the step it lies in: in its group, and as accurate
+        as the saved states. Differentiable with respect to t too.
+
+        Raises:
+            InputError: no dense output was kept; times outside of what was integrated.
+        """
+        if self.dense is None:
+            raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
+        trail = self.dense.trail
+        ts = times_to_evaluate(t, trail.t.dtype)
+        if ts.ndim > 1:
+            raise InputError(f"evaluate expects a time or times with shape (n,), got shape {ts.shape}")
+        if not is_traced((ts, trail)):
+            known = np.asarray(self.dense.stepper.clock(trail.t))
+            need_within(ts, known[0], known[int(trail.steps)], "the integrated span")
+        states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
+        return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
+
+        Args:
+            names: of the states to draw; all unless given.
+            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+        Raises:
+            InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
+            ModelError: matplotlib is not installed.
+        """
+        need_one("plot", self)
+        if len(self.ts) < 2:
+            raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
+        ts, drawn = np.asarray(self.ts), []
+        for name in chosen(names, list(self.xs), units):
+            x = np.asarray(self.xs[name])
+            drawn += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
+        return draw(drawn)
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.
+
+        Bodies are true to size, and the side of the squares below them is written beside the time. Pictures between
+        saved times are interpolated: save so many that no body turns by half a turn in between.
+
+        Args:
+            path: of the HTML file; one that is there is written over. Left out: opened in a browser, or in a notebook.
+            choices: which are
+
+                bodies: what moves: a mapping of states to what they look like, `{"g": tx.view.Box((1.0, 2.0, 0.5))}`,
+                    with one shape, several, or () for axes alone; a state is a pose, a rotation about the origin, or a
+                    pair `("R", "p")` of a rotation and a position. Or a mechanism. Every pose and rotation, as axes,
+                    unless given.
+                arrows: states, controls and outputs (3,), wrenches and twists (6,) that are drawn as arrows:
+                    `{"T": tx.view.Arrow("g", at=engine)}`.
+                shapes: what stands still: obstacles, cones, a ground.
+                trails: names of bodies and frames whose path is drawn; those of poses unless given.
+                axes: names of those whose axes are drawn, x red, y green, z blue; of states unless given.
+                up: (3,) the direction that is drawn upwards; z unless given.
+                seconds: how long the animation takes; real time, from 2 to 20 s, unless given.
+                live: serve it to a browser of this machine, too, with a slider; needs no file.
+        Returns:
+            the scene, a `tx.view.Scene`, which can be saved, served and looked at as numbers.
+        Raises:
+            InputError: names that are not there; shapes, arrows or bodies of another kind; one saved time alone; a
+                solution that is traced or of a batch; a path that cannot be written.
+            ModelError: viser, the extra `view`, is not installed.
+        """
+        from ...view.motion import Motion, shown
+
+        need_one("show", self)
+        if self.stepper is None:  # of a solution that was put together by hand, states are all that is known
+            return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
+        signals = (lambda: self.us, lambda: self.outputs)
+        return shown(Motion(np.asarray(self.ts), self.xs, signals, self.stepper.params), path, **choices)
+
+    def _columns(self, layout: Any) -> list[Column]:
+        from .table_export import columns_of
+
+        need_one("a table", self)
+        return columns_of(self, layout)

@@ -1,0 +1,225 @@
+"""Linearisation in the tangent space, with names, modes, and what control engineers go on with."""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+from collections.abc import Callable, Iterable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed
+from ..errors import InputError, ModelError
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import Values
+from .discretize import Controls, value_and_jacobian
+from .labels import entry, labels, needed, positions, tangent_shapes
+from .modes import Mode, modes
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Linearization:
+    """$d' = A d + B du$, $dy = C d + D du$ to first order, with $x(t) (+) d$ the neighbour of the trajectory.
+
+    Attributes:
+        rate: the rates as one tangent vector, (n,).
+        A: (n, n), rows and columns in the order of declaration of the states.
+        B: (n, m), columns in the order of declaration of the controls, each read row by row.
+        C, D: (p, n), (p, m), rows the outputs that were asked for, each read row by row.
+        states, controls, outputs: names of the rows and columns, "V[3]".
+    """
+
+    rate: jax.Array
+    A: jax.Array
+    B: jax.Array
+    C: jax.Array
+    D: jax.Array
+    states: tuple[str, ...] = dataclasses.field(metadata={"static": True})
+    controls: tuple[str, ...] = dataclasses.field(metadata={"static": True})
+    outputs: tuple[str, ...] = dataclasses.field(metadata={"static": True})
+
+    def keep(
+        self,
+        states: Iterable[str] | None = None,
+        controls: Iterable[str] | None = None,
+        outputs: Iterable[str] | None = None,
+    ) -> Linearization:
+        """The part between these states, controls and outputs, by "V", "V[3]" or "V[3:6]"; None keeps all.
+
+        What is left out counts as zero. That is exact where what is kept does not depend on it, as a motion does not
+        on the place on a flat Earth.
+
+        Raises: InputError for an unknown name.
+        """
+        rows, columns, outs = (
+            _kept(f"keep: {kind}", own, wanted)
+            for kind, own, wanted in (
+                ("states", self.states, states),
+                ("controls", self.controls, controls),
+                ("outputs", self.outputs, outputs),
+            )
+        )
+        square, across = np.ix_(rows, rows), np.ix_(outs, rows)
+        return Linearization(
+            self.rate[np.asarray(rows, int)],
+            self.A[square],
+            self.B[np.ix_(rows, columns)],
+            self.C[across],
+            self.D[np.ix_(outs, columns)],
+            *(tuple(own[i] for i in kept) for own, kept in zip(
+                (self.states, self.controls, self.outputs), (rows, columns, outs)
+            )),
+        )  # fmt: skip
+
+    def modes(self) -> list[Mode]:
+        """The eigenvalues of A with their states, fastest first; of a conjugate pair the one with Im > 0.
+
+        Raises: ModelError where A is not one matrix of finite numbers.
+        """
+        return modes(self.A, self.states)
+
+    def to_control(self) -> Any:
+        """The same as a `control.StateSpace` of python-control, with the names of states, inputs and outputs.
+
+        Where no outputs were asked for, the states are the outputs.
+
+        Raises: ModelError: python-control is not installed (`pip install twistax[control]`).
+        """
+        try:
+            import control
+        except ImportError:
+            raise ModelError(
+                "to_control needs python-control.\n  fix: pip install twistax[control], or use A, B, C and D"
+            ) from None
+        A, B, C, D = (np.asarray(each, np.float64) for each in (self.A, self.B, self.C, self.D))
+        names = self.outputs
+        if not names:
+            C, D, names = np.eye(len(A)), np.zeros_like(B), self.states
+        return control.ss(A, B, C, D, states=list(self.states), inputs=list(self.controls), outputs=list(names))
+
+
+def linearize(
+    dynamics: Dynamics,
+    t: Any,
+    x: Values,
+    u: Values | None = None,
+    params: Values | None = None,
+    *,
+    outputs: Iterable[str] = (),
+) -> Linearization:
+    """The error dynamics of a system around a point, with right perturbations x (+) d.
+
+    With the body velocity $xi(t, x, u)$ of all states stacked, the neighbour $x Exp(d)$ obeys to first order
+
+        $d' = (D xi - ad_xi) d + D_u xi du$,
+
+    where $D xi = d xi(x Exp(d)) / dd$ at 0 and ad of a Euclidean part is zero. Units are those of the states a second.
+    Source: Sola, Deray, Atchuthan, A micro Lie theory for state estimation in robotics (2018), sections on
+    perturbations and on Jacobians of group actions; the ad term is the transport of d along the flow.
+
+    Traceable: jit, vmap and further derivatives apply.
+
+    Args:
+        outputs: for the rows of C and D: names of outputs, "V", or entries of them, "V[3]", "V[3:6]".
+    Raises:
+        InputError: as a call of the dynamics does; an unknown output.
+        ModelError: the system is not compiled.
+    """
+    need_compiled("linearize", dynamics)
+    wanted = [outputs] if isinstance(outputs, str) else list(outputs)
+    shapes = needed("linearize: outputs", wanted, output_shapes(dynamics))
+    rows = positions("linearize: outputs", wanted, shapes)
+    inputs = dynamics._functions.prepare(t, x, u, params, reads=("rates", "outputs") if wanted else ("rates",))
+    n, m = dynamics.dimension, Controls(dynamics.controls).dimension
+    value, slopes = around(dynamics, tuple(shapes))(inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params))
+    C = slopes[n:][np.asarray(rows, int)]
+    return Linearization(
+        value[:n],
+        slopes[:n, :n] - dynamics.group.ad(value[:n]),
+        slopes[:n, n : n + m],
+        C[:, :n],
+        C[:, n : n + m],
+        labels(tangent_shapes(dynamics.group)),
+        labels({leaf.name: leaf.shape for leaf in dynamics.controls}),
+        tuple(np.array(labels(shapes))[rows].tolist()) if rows else (),
+    )
+
+
+def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
+    """The shapes of all outputs of a system."""
+    return {name: functions[0].shape for name, functions in dynamics._functions.families["outputs"].items()}
+
+
+def around(
+    dynamics: Dynamics, outputs: tuple[str, ...], along: bool = False, params: tuple[str, ...] = ()
+) -> Callable[..., tuple[jax.Array, jax.Array]]:
+    """Rates, outputs and what outputs change by along the motion, and their derivatives about a point.
+
+    Kept with the system, compiled once for each precision.
+
+    Args:
+        outputs: which are computed too, in the order of the system.
+        along: whether their rates along the motion are, with controls held.
+        params: parameters to differentiate by.
+    Returns:
+        f(t, x, u, params) -> values (k,) and derivatives (k, n + m + size of params), by right perturbations of the
+        states, entries of controls and of these parameters.
+    """
+
+    def make() -> Callable[..., tuple[jax.Array, jax.Array]]:
+        functions, group, controls = (
+            dynamics._functions.with_outputs(outputs),
+            dynamics.group,
+            Controls(dynamics.controls),
+        )
+
+        def values(t: Any, x: Any, u: Any, p: Any) -> jax.Array:
+            rates = functions.vector_field(t, x, u, p)
+            velocity = jnp.concatenate([rates[name].reshape(-1) for name in group.factors])
+            if not outputs:
+                return velocity
+
+            def seen(s: jax.Array) -> jax.Array:
+                found = functions.evaluate("outputs", t + s, group.retract(x, s * velocity), u, p)
+                return jnp.concatenate([found[name].reshape(-1) for name in functions.families["outputs"]])
+
+            now = jnp.zeros((), velocity.dtype)
+            both = jax.jvp(seen, (now,), (jnp.ones_like(now),)) if along else (seen(now),)
+            return jnp.concatenate([velocity, *both])
+
+        def evaluate(t: Any, x: Any, u: Any, p: Any) -> tuple[jax.Array, jax.Array]:
+            flat = controls.join(u, t.dtype)
+            ends = np.cumsum([0, group.dimension, flat.size, *(p[name].size for name in params)])
+
+            def moved(z: jax.Array) -> jax.Array:
+                d, du, *dp = (z[a:b] for a, b in itertools.pairwise(ends))
+                shifted = {name: p[name] + change.reshape(p[name].shape) for name, change in zip(params, dp)}
+                return values(t, group.retract(x, d), controls.split(flat + du), {**p, **shifted})
+
+            return value_and_jacobian(moved, jnp.zeros(ends[-1], t.dtype))
+
+        return jax.jit(evaluate)
+
+    return dynamics._functions.loops.get(("around", outputs, along, params), make)
+
+
+def _kept(place: str, own: Sequence[str], wanted: Iterable[str] | None) -> list[int]:
+    """The rows of what is asked for; a row that an earlier `keep` left out is not there."""
+    if wanted is None:
+        return list(range(len(own)))
+    shapes: dict[str, tuple[int, ...]] = {}
+    for label in own:
+        name, _, index = label.rstrip("]").partition("[")
+        shapes[name] = (max(int(index) + 1, *shapes.get(name, (0,))),) if index else ()
+    kept: list[int] = []
+    for one in [wanted] if isinstance(wanted, str) else wanted:
+        name, chosen = entry(place, one, shapes)
+        wanted_labels = [label for i, label in enumerate(labels({name: shapes[name]})) if i in chosen]
+        kept += [own.index(label) for label in wanted_labels if label in own]
+    if len(set(kept)) < len(kept):
+        raise InputError(f"{place} names something twice: {listed(wanted)}")
+    return kept

@@ -1,0 +1,1 @@
+"""Figures of docs/measured.md: the sections of `python -m twistax report --figures`."""

@@ -1,0 +1,302 @@
+"""IPOPT and Fatrop, both inside CasADi's wheel, on the same discrete problem.
+
+They call the same functions as this package's solver, in the units of the statement. States on groups are steps in the
+tangent spaces at nodes that stay while a solver runs; the nodes then move to where it ended, and it starts again from
+there, until no node turns. A result is measured like all results: by the first-order conditions, in this package's
+scales.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import itertools
+import time
+from collections.abc import Callable, Mapping
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import number, short
+from ...errors import TrajectoryError
+from ..strategy import strategies
+from ..strategy.core_solver import CoreSolver
+from ..strategy.outcome import Callback, Outcome
+from ..strategy.status import Status
+from ..strategy.warm import WarmStart
+from ..transcription.points import Given, Point
+from .program import NonlinearProgram
+
+#: Passes of a solver; the first barrier parameter and distance from limits of a warm pass; a turn that counts as none,
+#: rad.
+_PASSES, _WARM_BARRIER, _WARM_PUSH, _SMALL_TURN = 10, 1e-6, 1e-9, 1e-6
+#: The solver's tolerance over that of `solve`; a result is acceptable within so many tolerances of `solve`.
+_CLOSER, _ACCEPTABLE = 1e-2, 100.0
+#: Return statuses that end the search, with whether the constraints hold.
+_OVER = {
+    ("Infeasible_Problem_Detected", False): Status.INFEASIBLE,
+    ("Diverging_Iterates", True): Status.UNBOUNDED,
+}
+
+
+@runtime_checkable
+class SolvedBy(Protocol):
+    """What `Problem.solve(solver=...)` takes."""
+
+    def run(
+        self,
+        core: CoreSolver,
+        start: Point | WarmStart,
+        instance: Given,
+        max_iterations: int,
+        callback: Callback | None,
+    ) -> Outcome:
+        """Solve from a start; `core` has the functions, and measures the result."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class _Casadi:
+    """A solver of CasADi's.
+
+    Args:
+        options: of the solver itself, on top of what this package sets.
+        max_seconds: of a try.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+    """
+
+    options: Any = dataclasses.field(default_factory=dict)
+    max_seconds: float | None = None
+
+    plugin: ClassVar[str]
+    copies: ClassVar[bool] = False
+
+    def __post_init__(self) -> None:
+        kind = type(self).__name__
+        if not isinstance(self.options, Mapping):
+            raise TrajectoryError(
+                f"{kind} expects a dict of options, got {short(self.options)}; e.g. {{'print_level': 5}}"
+            )
+        if "max_iter" in self.options:
+            raise TrajectoryError(
+                f"{kind}: max_iter is what is left of max_iterations.\n  fix: solve(max_iterations=...)"
+            )
+        if self.max_seconds is not None:
+            number("max_seconds", self.max_seconds, "above zero", lambda it: 0.0 < it < np.inf, TrajectoryError)
+
+    def _made(self, program: NonlinearProgram, tolerance: float) -> Any:
+        try:
+            from .casadi_program import CasadiProgram
+            from .subprocess_solver import SubprocessSolver
+        except ImportError as error:
+            raise TrajectoryError(
+                f"solver={type(self).__name__}() needs CasADi ({error}).\n  fix: pip install 'twistax[casadi]'"
+            ) from None
+        options = {**self._settings(_CLOSER * tolerance), **self.options}
+        kind: Any = CasadiProgram if self.max_seconds is None else SubprocessSolver
+        return kind(program, self.plugin, {"print_time": 0, **self._structure(program), self.plugin: options})
+
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        raise NotImplementedError
+
+    def _structure(self, program: NonlinearProgram) -> dict[str, Any]:
+        return {}
+
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        """Options of a pass: warm, in fitting units, and for so many iterations."""
+        raise NotImplementedError
+
+    def run(
+        self,
+        core: CoreSolver,
+        start: Point | WarmStart,
+        instance: Given,
+        max_iterations: int,
+        callback: Callback | None,
+    ) -> Outcome:
+        """Solve from a start; a solution that is no minimum is left."""
+        if isinstance(start, WarmStart) or core.measure.is_decided:
+            begun = core.run_once(start, instance, 0)
+            if begun.status is not Status.MAX_ITERATIONS:
+                return begun
+        count, due = 0, time.monotonic() + (self.max_seconds or np.inf)
+
+        def search(begin: Point | WarmStart) -> Outcome:
+            nonlocal count
+            run = _Run(core, instance, max_iterations - count, due)
+            outcome = self._search(run, begin, _counted(callback, count))
+            count += outcome.iterations
+            return outcome
+
+        return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
+
+    def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
+        """Passes of the solver: again from where it ended while nodes turn, and in fitting units where it failed.
+
+        The first one is in the units of the statement, as it is when another states the problem.
+        """
+        from .casadi_program import SolverRefused
+
+        core, instance, here, units, count = run.core, run.instance, start, None, 0
+        made = self._prepared(core, instance)
+        for _ in range(_PASSES):
+            first = made.program.start(here, instance, units)
+            options = self._of_pass(isinstance(here, WarmStart), units is not None, max(run.left - count, 1))
+            progress = _progress(made.program, _counted(callback, count), 1.0 if units is None else units.cost)
+            try:
+                result = made.solve(first, options, progress, max(run.due - time.monotonic(), 1e-3))
+            except SolverRefused as error:
+                raise TrajectoryError(str(error)) from None
+            count += result.iterations
+            if not np.isfinite(result.x).all():
+                outcome = core.run_once(here, instance, 0)
+                return dataclasses.replace(outcome, status=Status.NON_FINITE, iterations=count)
+            reached = made.program.reached(result.x, result.of_bounds, result.of_rows)
+            outcome = core.measured(reached.point, reached.dynamics, reached.rows, instance)
+            outcome = dataclasses.replace(outcome, iterations=count)
+            status = run.ended(outcome, result.word)
+            if status is not None:
+                return dataclasses.replace(outcome, status=status)
+            turned = reached.turn > _SMALL_TURN
+            if units is not None and not (result.success and turned):
+                break
+            if not result.success:  # the units of the statement may be what it failed by
+                units, here = core.units(start.point if isinstance(start, WarmStart) else start, instance), start
+                continue
+            here = strategies.warm_at(outcome, instance)
+            if not turned:
+                units = core.units(reached.point, instance)
+        return run.at_rest(outcome)
+
+    def _prepared(self, core: CoreSolver, instance: Given) -> Any:
+        key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
+        if key not in core.made:
+            if self.copies not in core.made:
+                core.made[self.copies] = NonlinearProgram(core.staged, instance, with_copies=self.copies)
+            core.made[key] = self._made(core.made[self.copies], core.tolerance)
+        return core.made[key]
+
+
+@dataclasses.dataclass(frozen=True)
+class _Run:
+    """What a search works on and within: the iterations that are left, and when its time is over."""
+
+    core: CoreSolver
+    instance: Given
+    left: int
+    due: float
+
+    def ended(self, outcome: Outcome, word: str) -> Status | None:
+        """The status where a pass ends the search."""
+        tolerance = self.core.tolerance
+        if outcome.status is Status.SOLVED and outcome.errors.gap <= tolerance:
+            return Status.SOLVED
+        if word == "Invalid_Number_Detected":
+            return Status.NON_FINITE
+        if outcome.iterations >= self.left:
+            return Status.MAX_ITERATIONS
+        if time.monotonic() >= self.due:
+            return Status.OUT_OF_TIME
+        return _OVER.get((word, outcome.violation <= tolerance))
+
+    def at_rest(self, outcome: Outcome) -> Outcome:
+        """The outcome where the solver does no better: INFEASIBLE where the core comes to no feasible point either."""
+        tolerance = self.core.tolerance
+        if outcome.status is Status.SOLVED:
+            return outcome
+        if max(outcome.violation, *outcome.errors) <= _ACCEPTABLE * tolerance:
+            return dataclasses.replace(outcome, status=Status.ACCEPTABLE)
+        if outcome.violation > tolerance:
+            other = self.core.run_once(outcome.point, self.instance, self.left - outcome.iterations)
+            if other.status is Status.INFEASIBLE:
+                return dataclasses.replace(other, iterations=outcome.iterations + other.iterations)
+        return dataclasses.replace(outcome, status=Status.STALLED)
+
+
+def _counted(callback: Callback | None, before: int) -> Callback | None:
+    return None if callback is None else lambda k, *rest: callback(before + k, *rest)
+
+
+def _progress(
+    program: NonlinearProgram, callback: Callback | None, unit: float
+) -> Callable[[float, Array], None] | None:
+    """What is called with f and g before each step of a pass, f in a unit."""
+    if callback is None:
+        return None
+    steps = itertools.count()
+
+    def progress(cost: float, rows: Array) -> None:
+        worst = np.maximum(np.maximum(rows, program.lower_rows - rows), 0.0)
+        callback(next(steps), cost * unit, float(worst.max(initial=0.0)))
+
+    return progress
+
+
+@dataclasses.dataclass(frozen=True)
+class IPOPT(_Casadi):
+    """IPOPT by CasADi, on this package's transcription: `problem.solve(solver=tx.trajectory.IPOPT())`.
+
+    Source: Wachter and Biegler, Mathematical Programming 106 (2006).
+
+    Args:
+        options: IPOPT's own, such as {"linear_solver": "mumps", "print_level": 5}.
+        max_seconds: wall time after which a try ends as OUT_OF_TIME, at its last iterate; compiling counts. IPOPT then
+            runs in a process of its own, which can be ended whatever it does, and prints to standard error. None: in
+            this process, without a limit, and faster.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+    """
+
+    plugin: ClassVar[str] = "ipopt"
+
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        return {"print_level": 0, "sb": "yes", "tol": tolerance}
+
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        options = {"max_iter": left} | ({"nlp_scaling_method": "none"} if scaled else {})
+        if not warm:
+            return options
+        pushes = ("bound_push", "bound_frac", "slack_bound_push", "slack_bound_frac", "mult_bound_push")
+        near = {f"warm_start_{name}": _WARM_PUSH for name in pushes}
+        return {**options, "warm_start_init_point": "yes", "mu_init": _WARM_BARRIER, **near}
+
+
+@dataclasses.dataclass(frozen=True)
+class Fatrop(_Casadi):
+    """Fatrop by CasADi, which factors stage by stage as this package's own solver does.
+
+    Source: Vanroye, Sathya, De Schutter, Decre, FATROP, arXiv:2303.16746.
+
+    Args:
+        options: Fatrop's own, such as {"print_level": 1}.
+        max_seconds: as of `IPOPT`. Fatrop 1.1.8 can go round without end while it regularises a step, and calls nothing
+            back there, so it has a limit unless this is None.
+
+    Raises:
+        TrajectoryError: options that are no dict, or that `solve` sets; a time that is not above zero.
+    """
+
+    max_seconds: float | None = 600.0
+
+    plugin: ClassVar[str] = "fatrop"
+    copies: ClassVar[bool] = True
+
+    def _settings(self, tolerance: float) -> dict[str, Any]:
+        return {"print_level": 0, "tolerance": tolerance}
+
+    def _structure(self, program: NonlinearProgram) -> dict[str, Any]:
+        states, controls, rows = (list(a) for a in zip(*program.stages))
+        return {
+            "structure_detection": "manual",
+            "N": len(states) - 1,
+            "nx": states,
+            "nu": controls,
+            "ng": rows,
+            "equality": program.equality.tolist(),
+        }
+
+    def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
+        return {"max_iter": left, **({"mu_init": _WARM_BARRIER} if warm else {})}

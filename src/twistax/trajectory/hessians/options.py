@@ -1,0 +1,105 @@
+"""Second derivatives of a problem other than exact ones."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable
+from typing import Any, ClassVar, Protocol, runtime_checkable
+
+from ...errors import TrajectoryError
+from ...expr import Expr
+from ..transcription.kernels import ExtraHessian
+from ..transcription.shooting import Shooting
+from .gauss_newton import SquaresHessian, SumOfSquares
+
+
+@runtime_checkable
+class Hessian(Protocol):
+    """What `Problem(hessian=...)` takes.
+
+    Attributes:
+        by_updates: whether second derivatives come from steps of the search.
+    """
+
+    by_updates: ClassVar[bool]
+
+    def squares(self, shooting: Shooting) -> ExtraHessian | None:
+        """Second derivatives in place of the exact ones; None where steps of the search give them."""
+        ...
+
+
+@dataclasses.dataclass(frozen=True)
+class GaussNewton:
+    r"""The Gauss-Newton Hessian of an objective that is a sum of squares.
+
+    An objective $J = \sum f r^T W r$ has the Hessian $2 \sum f R^T W R$ here, with R the first derivative of the
+    residual r by states, controls, times and free parameters. Second derivatives of residuals, of the dynamics and of
+    the constraints are left out: none is compiled. With weights of zero or more it has no negative curvature. The
+    optimum is the same; near it a search converges linearly, the faster the smaller residuals and multipliers are.
+    Source: Nocedal and Wright, Numerical Optimization (2006), (10.23).
+
+    The squares are read from the expressions: `u**2`, `a @ a`, `a @ W @ a`, `w @ a**2`, `Norm(a)**2`,
+    `Sum(w * a**2)`, in sums and times factors that hold no state or control. Terms that are linear in states and
+    controls have no second derivative.
+
+    Example: `Problem(..., tx.Minimize(running=(x - r) @ W @ (x - r) + 0.1 * u**2), hessian=GaussNewton())`.
+
+    Raises:
+        TrajectoryError: when the problem is made, an objective with another term.
+    """
+
+    by_updates: ClassVar[bool] = False
+
+    def squares(self, shooting: Shooting) -> ExtraHessian:
+        """Those of the objective."""
+        exprs = shooting.local.expressions
+        free = {box.name for box in shooting.border.boxes}
+
+        def terms(place: str, parts: tuple[Expr, ...]) -> list[tuple[Expr, ...]]:
+            """Residuals, factors and weights."""
+            return list(zip(*(term for expr in parts for term in SumOfSquares(place, expr, free).terms)))
+
+        of_squares = SquaresHessian(shooting)
+        running, final = terms("the running cost", exprs.running), terms("the objective", exprs.final)
+        return ExtraHessian(of_squares.running, running, of_squares.final, final)
+
+
+@dataclasses.dataclass(frozen=True)
+class QuasiNewton:
+    r"""Second derivatives from first ones: symmetric rank-one updates, of each stage alone.
+
+    After each step of the search the second derivative of the Lagrangian by the state, the control, the times and the
+    free parameters of a stage is corrected so that it explains how first derivatives have changed. No second
+    derivative is compiled or evaluated: for rates that are large, or that call back to Python. A search takes more
+    steps, most of them two to six times as many.
+
+    The block B of a stage becomes $B + r r^T / (r^T s)$ with $r = y - B s$, for a step s of its unknowns, counted in
+    their units, and the change y of the gradient of its share of the Lagrangian. Both are about the node before the
+    step.
+    Source: Nocedal and Wright, Numerical Optimization (2006), (6.24).
+
+    Example: `Problem(..., hessian=tx.trajectory.QuasiNewton())`.
+
+    Raises:
+        TrajectoryError: with `solver=`: IPOPT and Fatrop need second derivatives.
+    """
+
+    by_updates: ClassVar[bool] = True
+
+    def squares(self, shooting: Shooting) -> None:
+        """It needs none."""
+
+
+def checked_hessian(hessian: Any) -> Hessian | None:
+    """Raise TrajectoryError unless it is one."""
+    if hessian is not None and (isinstance(hessian, type) or not isinstance(hessian, Hessian)):
+        raise TrajectoryError(
+            "hessian expects tx.trajectory.GaussNewton(), tx.trajectory.QuasiNewton(), or nothing for exact second "
+            f"derivatives, got {hessian!r}"
+        )
+    return hessian
+
+
+def by_updates(parts: Iterable[Any]) -> bool:
+    """Whether second derivatives of any of these problems come from steps of the search."""
+    return any(part.hessian is not None and part.hessian.by_updates for part in parts)

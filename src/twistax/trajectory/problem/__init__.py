@@ -1,0 +1,1 @@
+"""What a problem states: phases, objective, conditions, constraints, and how it is solved."""

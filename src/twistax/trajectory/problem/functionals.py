@@ -1,0 +1,130 @@
+"""What a problem may ask of a whole path: integrals, extremes, and where it began."""
+
+from __future__ import annotations
+
+from typing import Any, ClassVar, NoReturn
+
+import jax
+
+from ...checks import short
+from ...errors import ModelError
+from ...expr import Expr, Inputs, Leaf, State, to_expr
+
+
+class Functional(Leaf):
+    """A value that a whole path has. It stands for an unknown of the problem that it is stated in.
+
+    Attributes:
+        operand: the expression along the path.
+    """
+
+    operand: Expr
+    abstract = True
+
+    def __init__(self, operand: Any) -> None:
+        try:
+            expr = to_expr(operand)
+        except ModelError as error:
+            raise ModelError(f"{type(self).__name__} expects an expression: {error}") from None
+        if expr.boolean:
+            raise ModelError(f"{type(self).__name__} expects numbers, got the condition {expr!r}")
+        text = repr(expr)
+        self._declare(f"{self.label}({text[1:-1] if expr.infix else text})", self._shape_of(expr), operand=expr)
+
+    def _shape_of(self, expr: Expr) -> tuple[int, ...]:
+        return expr.shape
+
+    def static_key(self) -> tuple[Any, ...]:
+        return (self.operand.key(),)
+
+    def outline(self) -> list[tuple[str, Expr]]:
+        return [("operand", self.operand)]
+
+    def read(self, inputs: Inputs) -> jax.Array:
+        self.check_in_system()
+
+    def check_in_system(self) -> NoReturn:
+        raise ModelError(
+            f"{self!r} is a value of a whole path, which nothing knows here.\n"
+            "  fix: use it in the objective or final= of a tx.trajectory.Problem"
+        )
+
+
+class Integral(Functional):
+    """The integral of an expression of states, controls, parameters and time, from the beginning of the path.
+
+    In `final=` and the objective it is that over the whole path, in `at=` that until the node; in a phase it is that of
+    the phase.
+    Shape: that of the operand; unit: the operand's times s.
+
+    Raises: ModelError if the operand is a condition.
+    """
+
+    cases = ((lambda cls, **_: cls(State("x") * 2.0), {"Integral(x * 2.)": 0.7}),)
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\int {self.operand.latex()} \, dt"
+
+
+class Extreme(Functional):
+    """The largest or the smallest value of an expression along a path.
+
+    Attributes:
+        sign: 1 for the largest, -1 for the smallest.
+    """
+
+    sign: ClassVar[float]
+    abstract = True
+
+    def _shape_of(self, expr: Expr) -> tuple[int, ...]:
+        expr.check_shape()
+        return ()
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"\{'max' if self.sign > 0.0 else 'min'}_t {self.operand.latex()}"
+
+
+class Maximum(Extreme):
+    """The largest value along the path of an expression of states, controls, parameters and time; of all its entries.
+
+    A bound s with $operand <= s$ where constraints along the path are asked, so it has to be pushed down: minimised, or
+    at most something in `final=`. Shape ().
+
+    Raises: ModelError if the operand is a condition.
+    """
+
+    sign = 1.0
+    cases = ((lambda cls, **_: cls(State("x")), {"Maximum(x)": 0.7}),)
+
+
+class Minimum(Extreme):
+    """The smallest value along the path of an expression; see `Maximum`. It has to be pushed up. Shape ().
+
+    Raises: ModelError if the operand is a condition.
+    """
+
+    sign = -1.0
+    cases = ((lambda cls, **_: cls(State("x")), {"Minimum(x)": 0.7}),)
+
+
+class Initial(Functional):
+    """What a state is at the beginning of the path: `final=[x == tx.trajectory.Initial(x)]` makes the path periodic.
+
+    In problems of phases, at the beginning of the first one, whose state it has to be. Shape: that of the state.
+
+    Raises: ModelError if it is not given a state.
+    """
+
+    operand: State
+    cases = ((lambda cls, **_: cls(State("x", shape=(2,))), {"Initial(x)": [0.7, -0.2]}),)
+
+    def __init__(self, operand: Any) -> None:
+        if not isinstance(operand, State):
+            raise ModelError(f"Initial expects a state, got {short(operand)}")
+        super().__init__(operand)
+
+    def makes_group_element(self, *operands: bool) -> bool:
+        return self.operand.is_group_element
+
+    def to_latex(self, *operands: str) -> str:
+        return rf"{self.operand.latex()}\left(0\right)"

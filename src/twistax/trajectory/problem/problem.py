@@ -1,0 +1,400 @@
+"""An optimal-control problem on compiled systems: stated once, compiled once, solved as often as one likes."""
+
+from __future__ import annotations
+
+import contextlib
+import dataclasses
+import threading
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import known_arguments
+from ...errors import ModelError, TrajectoryError, in_phase
+from ...expr import Parameter, leaves_of
+from ...scalar.walk import uncollected
+from ...system import free_name, name_of
+from ...system.dynamics import need_compiled
+from ..result.many import TrajectoryResults
+from ..result.result import TrajectoryResult
+from ..strategy.accuracy import MESH
+from ..strategy.core_solver import CoreSolver
+from ..strategy.outcome import Callback
+from ..strategy.redundant_rows import redundant_rows
+from ..strategy.strategies import Strategy
+from ..strategy.warm import other_problem
+from ..transcription.border import Border, boxes_of
+from ..transcription.mesh import Remeshed
+from ..transcription.points import Given, Point
+from ..transcription.staged import Staged
+from .bridges.lifted_functionals import InPhase
+from .by_node import only_once
+from .conditions import Ends
+from .links import joined, links_of
+from .parameters import parameter_values, parameters_of
+from .phase import Phase, check_phases, initials_of, kind_of
+from .solve import SolveOptions, solved, solved_many
+from .start import Started, started
+from .stated_phase import StatedPhase
+from .statement import Objective
+
+#: Threads that solve one problem make its first solver once: that decides which rows there are.
+_MAKING = threading.RLock()
+#: What else has arguments that users give to `solve`.
+_ELSEWHERE = {"tx.trajectory.Problem": lambda: Problem.__init__}
+
+
+class Problem:
+    """Find controls, states and final time that optimise an objective under a system's constraints.
+
+    minimise J subject to $x' = f(t, x, u)$, the system's constraints and the boxes of its leaves along the path,
+    conditions at both ends, and limits of the final time. Controls are held over each of nodes - 1 intervals.
+    Constraints on states are asked at the nodes and at the ends of the substeps between them.
+
+    The problem is always solved in double precision, whatever the global setting.
+
+    Args:
+        dynamics: a compiled system; or a list of `Phase` in order, with `links`, `params` and `free` alone beside it.
+            States of the same name and kind then go on unchanged from phase to phase, time goes on, objectives are
+            added, and parameters of the same name are the same in all phases.
+        objective: `tx.Minimize(...)` or `tx.Maximize(...)`.
+        links: of phases, for every join, one fewer than phases, a dict from states of the next phase to expressions of
+            the last states of the phase before and of parameters, or None to leave a state free; None for a join
+            without any.
+        nodes: number of state nodes, two or more, at equal distances; or where they lie, as an increasing sequence of
+            shares of the final time from 0 to 1; or a `tx.trajectory.Mesh`, whose intervals may be free.
+        final_time: a number in s, or limits (low, high) to leave it free.
+        initial, final: values by state or name, on top of the leaves' own, or constraints on the first or last node
+            such as `g[:3, 3] == 0`, or a list of both. NaN or None entries of values are free; of a pose the whole
+            position or the whole attitude may be.
+        at: constraints at inner nodes by the number of the node, 1 to nodes - 2, each one or a list.
+        params: values of the parameters by leaf or name, the objective's too; those left out take their own.
+        free: parameters, by leaf or name, that the optimiser may move, each with limits (low, high), numbers or arrays
+            of its shape; None or an infinity leaves a side open. A list of parameters leaves all sides open.
+        by_node: a list of parameters of the objective, references and weights, whose values in `params` have a row for
+            each node, or are one for all. They are linear in time between nodes; the final cost reads the last row.
+        controls: how controls go on between nodes, `tx.trajectory.Held()` (if left out), `tx.trajectory.Linear()` or
+            `tx.trajectory.Spline(degree)`, for all of them, or a dict by leaf or name.
+        guess: values by leaf or name, on top of the leaves' own: one, or one for each node (states, continuous
+            controls) or interval (held controls). A free parameter starts here, else at its value, or at the point of
+            its box nearest to that.
+        final_time_guess: where a free final time starts; unless given the middle of its limits, or where the upper is
+            more than a hundred times the lower the middle of their logarithms.
+        transcription: how an interval is integrated, in exponential coordinates about its first node:
+            `tx.trajectory.MultipleShooting(method, substeps)` or `tx.trajectory.Collocation(tableau)`.
+        method, substeps: those of multiple shooting in place of it: an RKMK method with an explicit tableau, RK4 if
+            left out, and its steps in an interval, 2 if left out.
+        hessian: second derivatives other than exact ones: `tx.trajectory.GaussNewton()` or
+            `tx.trajectory.QuasiNewton()`.
+
+    Raises:
+        ModelError: unknown names or values without meaning; of phases all errors have the phase's name in front.
+        ShapeError: a wrong shape.
+        TrajectoryError: nodes, times or end values that cannot be.
+        InputError: parameters without a value.
+    """
+
+    shooting: Any
+
+    @known_arguments("Problem", TrajectoryError, {"problem.solve": lambda: Problem.solve})
+    def __init__(
+        self,
+        dynamics: Any,
+        objective: Any = None,
+        *,
+        links: Any = None,
+        nodes: Any = 25,
+        final_time: Any = None,
+        initial: Any = None,
+        final: Any = None,
+        at: Any = None,
+        params: Mapping[Any, Any] | None = None,
+        free: Any = None,
+        by_node: Any = None,
+        controls: Any = None,
+        guess: Mapping[Any, Any] | None = None,
+        final_time_guess: Any = None,
+        transcription: Any = None,
+        method: Any = None,
+        substeps: Any = None,
+        hessian: Any = None,
+    ) -> None:
+        arguments = {name: value for name, value in locals().items() if name != "self"}
+        #: What it was stated with: `Problem(**problem.stated)` is the same problem.
+        self.stated = arguments
+        of_phase = {field.name: arguments[field.name] for field in dataclasses.fields(Phase) if field.name in arguments}
+        #: Whether it was stated without a list of phases: names then have no phase in front.
+        self.alone = not isinstance(dynamics, (list, tuple))
+        if self.alone:
+            self.phases = [Phase(**of_phase)]
+            if links is not None:
+                raise ModelError("links joins phases; a problem of one phase has none")
+            if not isinstance(objective, Objective):
+                need_compiled("Problem", dynamics)
+                raise ModelError(
+                    f"Problem expects tx.Minimize(...) or tx.Maximize(...) as objective, got {type(objective).__name__}"
+                )
+        else:
+            self.phases, links = list(dynamics), objective if links is None else links
+            check_phases(self.phases, of_phase)
+        self.names: list[str] = []
+        for index, phase in enumerate(self.phases):
+            self.names.append(free_name(phase.name or f"phase {index}", self.names))
+        kind = kind_of(self.phases)
+        self.sign = kind.sign
+        self.parts = self._parts(kind)
+        self.sources = links_of(self.parts, self.names, links)
+        self._state_parameters(params, free)
+        self._build()
+
+    def _parts(self, kind: type[Objective]) -> list[StatedPhase]:
+        """The phases, with their bridges applied."""
+        carried = [initials_of(phase) for phase in self.phases]
+        parts, last = [], len(self.phases) - 1
+        for index, (phase, name) in enumerate(zip(self.phases, self.names)):
+            need_compiled("Problem" if self.alone else "Phase", phase.dynamics)
+            initials = () if self.alone else tuple(leaf for leaves in carried[index:] for leaf in leaves)
+            within = InPhase("" if self.alone else name, initials, index == 0, index == last)
+            with self.errors_of(name):
+                parts.append(StatedPhase(phase, kind(0.0) if phase.objective is None else phase.objective, within))
+        return parts
+
+    def _state_parameters(self, params: Mapping[Any, Any] | None, free: Any) -> None:
+        """Collect the parameters and the free unknowns of all phases."""
+        params = {name_of(key): value for key, value in (params or {}).items()}
+        exprs = [e for sources in self.sources for e in sources.values() if e is not None]
+        read = {leaf.name: leaf for leaf in leaves_of(*exprs) if isinstance(leaf, Parameter)}
+        read |= {leaf.name: leaf for part in self.parts for leaf in part.readable}
+        #: All parameters by name, and the names of those that the problem reads.
+        self.leaves = {**read, **parameters_of(self.parts, self.names, params)}
+        self._read = set(read)
+        baked = {name for part in self.parts for name in part.baked} - set(self.leaves)
+        added = [box for part in self.parts for box in part.bounds]
+        boxes = (*boxes_of(free, read.values(), baked), *added)
+        times = ("final time",) if self.alone else tuple(f"duration of {name}" for name in self.names)
+        self.border = Border(times, np.array([part.time_limits for part in self.parts]), boxes)
+        only_once([part.by_node for part in self.parts])
+        self.params = self.values(params)
+
+    def values(self, params: Mapping[str, Any]) -> dict[str, Array]:
+        """Values of all parameters, checked."""
+        by_nodes = [part.by_node for part in self.parts]
+        values = parameter_values(self.leaves, self._read, self.border.boxes, by_nodes, params)
+        for part, name in zip(self.parts, self.names):
+            with self.errors_of(name):
+                part.check_weights(values)
+        return values
+
+    def _build(self) -> None:
+        """Transcribe the phases; solvers are made when first needed."""
+        for number, (part, name) in enumerate(zip(self.parts, self.names)):
+            with self.errors_of(name):
+                part.transcribe(number, self.border)
+        self.shooting = self.parts[0].shooting if self.alone else joined(self.parts, self.sources, self.names)
+        self.forget()
+
+    def forget(self) -> None:
+        """Drop compiled solvers; they are made again when needed."""
+        self._cores: dict[tuple[float, int, int], CoreSolver] = {}
+        #: The same problem by implicit steps.
+        self.implicit: Any = None
+
+    def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
+        """A context in which errors get the name of the phase in front."""
+        return contextlib.nullcontext() if self.alone else in_phase(name)
+
+    def __repr__(self) -> str:
+        if self.alone:
+            return f"Problem({self.parts[0]!r})"
+        return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
+
+    def __getattr__(self, name: str) -> Any:
+        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
+        parts = self.__dict__.get("parts", ())
+        if name.startswith("_") or len(parts) != 1:
+            raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
+        return getattr(parts[0], name)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Everything but compiled functions, which compile again in another process."""
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "implicit")}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        self.__dict__ |= state
+        self._build()
+
+    # ---- the same problem otherwise ---------------------------------------------------------------------------------
+
+    def with_phases(self, changes: Sequence[Mapping[str, Any]]) -> Problem:
+        """The same problem with other arguments of its phases."""
+        if self.alone:
+            return Problem(**{**self.stated, **changes[0]})
+        phases = [
+            dataclasses.replace(phase, **arguments) for phase, arguments in zip(self.phases, changes, strict=True)
+        ]
+        return Problem(**self.stated | {"dynamics": phases})
+
+    def on(self, meshes: Sequence[Remeshed]) -> Problem:
+        """The same problem on other meshes, one for each phase, without a guess."""
+        triples = zip(self.phases, self.parts, meshes, strict=True)
+        return self.with_phases([{"by_node": part.by_node} | mesh.stated(phase.at) for phase, part, mesh in triples])
+
+    def transcribed_by(self, transcription: Any) -> Problem:
+        """The same problem, its phases integrated in another way."""
+        return self.with_phases([{"transcription": transcription, "method": None, "substeps": None}] * len(self.parts))
+
+    @property
+    def soft(self) -> set[str]:
+        """The names of soft constraints, entry by entry."""
+        pairs = zip(self.shooting.segments, self.parts)
+        return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
+
+    def started(self, *arguments: Any, **named: Any) -> Started:
+        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        return started(self, *arguments, **named)
+
+    def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
+        """States at the nodes with what ends fix in place.
+
+        Raises:
+            TrajectoryError: they are those of another problem.
+        """
+        if self.alone:
+            return self.parts[0].at_ends(xs, ends[0])
+        if not isinstance(xs, tuple) or len(xs) != len(self.parts):
+            raise other_problem()
+        return tuple(part.at_ends(states, side) for part, states, side in zip(self.parts, xs, ends))
+
+    # ---- solving ----------------------------------------------------------------------------------------------------
+
+    @known_arguments("solve", TrajectoryError, _ELSEWHERE)
+    def solve(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        warm: Any = None,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        final_time_guess: Any = None,
+        free: Mapping[Any, Any] | None = None,
+        guesses: int = 1,
+        seed: int | None = None,
+        callback: Callback | None = None,
+        max_iterations: int = 1000,
+        max_seconds: float | None = None,
+        tolerance: float = 1e-6,
+        solver: Any = None,
+        between: float | None = None,
+        refine: Any = None,
+        mesh_tolerance: float = MESH,
+        strategies: Collection[Any] = tuple(Strategy),
+    ) -> TrajectoryResult:
+        """Optimise, from one guess or from several, and return the best result.
+
+        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
+        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
+        at once.
+
+        Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
+        of order 5, and the message says so; `result.problem` is the one that was solved.
+
+        In a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
+        final_time_guess are dicts from names of phases to what is said here; those left out keep what they have.
+
+        Args:
+            guess: values by leaf or name on top of the problem's own guess.
+            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
+                scales, and a barrier that fits how far it is from what is asked now.
+            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
+            params: values of parameters, by leaf or name, in place of the problem's own.
+            free: other limits of free parameters, by leaf or name; the same sides stay open.
+            final_time: a number where the problem has one, limits where it has limits.
+            final_time_guess: where a free final time starts.
+            guesses: how many tries. Without a seed the first starts from the guess itself, or from `warm`; the others
+                start from the perturbed guess.
+            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
+                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
+                parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
+                at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
+                large as its scale, and as the guess's gaps.
+            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
+                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
+                `IPOPT` and `Fatrop` call it and go on.
+            max_iterations: iterations a try may use.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
+                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
+            tolerance: how far, in scaled form, the first-order conditions may be from holding.
+            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
+                interior point of this package if left out.
+            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
+                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
+                are asked.
+            mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
+                interval, integrated closely again from its planned start, ends within this of its planned end, in
+                scales of the states, and the objective is off by this share at most: see `result.accuracy`. An infinite
+                one takes any mesh, as a controller that solves again at every step may want it.
+            refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
+                within this of its planned end, in scales of the states, and the objective changes by no more than this,
+                relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
+                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
+                thousand nodes are not enough.
+            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
+                method alone. Solvers of others have some of their own.
+
+        Raises:
+            ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
+            TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
+                free, or on other sides; a warm start of another problem, or beside a guess.
+        """
+        arguments = {name: value for name, value in locals().items() if name != "self"}
+        return solved(self, SolveOptions(**arguments))
+
+    @known_arguments("solve_many", TrajectoryError, _ELSEWHERE)
+    def solve_many(
+        self,
+        guess: Mapping[Any, Any] | None = None,
+        *,
+        initial: Mapping[Any, Any] | None = None,
+        final: Mapping[Any, Any] | None = None,
+        params: Mapping[Any, Any] | None = None,
+        final_time: Any = None,
+        free: Mapping[Any, Any] | None = None,
+        max_iterations: int = 1000,
+        tolerance: float = 1e-6,
+        mesh_tolerance: float = MESH,
+    ) -> TrajectoryResults:
+        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+
+        Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
+        A guess with an axis of cases has one of nodes or intervals too.
+
+        As many cases at a time as there are processors.
+
+        Raises:
+            ShapeError: arguments for different numbers of cases.
+            TrajectoryError: no argument has an axis of cases.
+            TwistaxError: as `solve` does, where no case fits the problem. A case that does not fit beside others that
+                do has status REFUSED, and its message begins with its number.
+        """
+        arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
+        options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
+        return solved_many(self, arguments | {"free": free}, options)
+
+    def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
+        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
+        key = (tolerance, threading.get_ident(), 0)
+        while key in self._cores and self._cores[key].busy:
+            key = (*key[:2], key[2] + 1)
+        if key not in self._cores:
+            with _MAKING, uncollected():
+                first = next((core.staged for core in self._cores.values()), None)
+                staged = Staged(self.shooting, self.parts, instance) if first is None else first.alone(instance)
+                if first is None:
+                    staged.drop(redundant_rows(staged, point, instance), instance)
+                self._cores[key] = CoreSolver(staged, self.parts, instance, tolerance)
+        return self._cores[key]

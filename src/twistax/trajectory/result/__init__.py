@@ -1,0 +1,1 @@
+"""What a solve gives back: trajectories, how good they are, dense rollouts, finer meshes, pictures."""

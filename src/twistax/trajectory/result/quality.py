@@ -1,0 +1,386 @@
+"""What every optimisation gives back, of one phase or of several: how good what it found is."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Collection, Mapping, Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import IntegrationError, TrajectoryError
+from ...jax_inside import in_double
+from ..problem.statement import largest_by_name
+from ..strategy.accuracy import Accuracy
+from ..strategy.outcome import Outcome
+from ..strategy.status import AT_OPTIMUM, Status
+from ..strategy.undetermined import Undetermined, undetermined
+from ..strategy.warm import WarmStart
+from ..transcription.border import Border
+from ..transcription.shooting import Transcribed
+from .singular import singular
+
+#: A scaled multiplier above this is one of an active constraint.
+_ACTIVE = 1e-5
+#: What is said of a solution that is no minimum.
+_SADDLE = ", at a saddle: the objective falls to second order from here, and no search beside it found better"
+#: The tolerance of a solver that only looks at solutions.
+_LOOKED_AT = 1e-6
+#: How many limits that do not hold between nodes are named.
+_NAMED = 3
+#: What makes a mesh finer.
+_FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocation(tx.tableaus.RADAU_IIA5)"
+
+
+@dataclasses.dataclass(frozen=True)
+class Optimality:
+    """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
+
+    Unknowns count in units of how far they move along the trajectory, the objective in units of what that does to it.
+
+    Attributes:
+        stationarity: largest entry of the gradient of the Lagrangian.
+        feasibility: largest residual of the dynamics and of a constraint.
+        complementarity: largest product of a slack and its multiplier.
+        gap: what slacks, and the residuals that are left, can change of the objective: the sum of |multiplier times
+            slack or residual|.
+    """
+
+    stationarity: float
+    feasibility: float
+    complementarity: float
+    gap: float
+
+
+@dataclasses.dataclass(frozen=True)
+class Quality:
+    """How well what was found solves its problem. All arrays are NumPy, double precision.
+
+    Attributes:
+        final_time: when it ends, s.
+        params: the parameters it was solved for, and those that were found.
+        cost: the objective as stated (a maximum is not negated).
+        violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
+        violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
+        optimality: how far the first-order conditions are from holding.
+        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
+            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
+        active: names of the constraints that bind, those first that matter most to the objective.
+        accuracy: how closely it follows the differential equations, and which limits it exceeds between nodes; None
+            of a point that is not finite.
+        status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
+        iterations: steps of the solver in the try that gave this result.
+        tries: one line (status, cost, violation, iterations) for every guess.
+        compile_seconds, solve_seconds: wall time; of `solve(refine=...)` that of all meshes.
+        warm: what `solve(warm=...)` starts from.
+        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
+        saddle: whether the objective falls to second order from here, along what the constraints leave free, and
+            searches from beside it found nothing better.
+    """
+
+    problem: Any
+    final_time: float
+    params: dict[str, Array]
+    cost: float
+    violation: float
+    violations: dict[str, float]
+    optimality: Optimality
+    multipliers: dict[str, Array]
+    active: tuple[str, ...]
+    accuracy: Accuracy | None
+    status: Status
+    message: str
+    iterations: int
+    tries: tuple[tuple[Status, float, float, int], ...]
+    compile_seconds: float
+    solve_seconds: float
+    warm: WarmStart
+    slacks: Array
+    saddle: bool
+
+    @property
+    def solved(self) -> bool:
+        """Whether the status is SOLVED."""
+        return self.status is Status.SOLVED
+
+    @property
+    def soft(self) -> dict[str, float]:
+        """Name of a soft constraint, entry by entry -> its largest violation at the nodes, in its own unit."""
+        return {name: size for name, size in self.violations.items() if name in self.problem.soft}
+
+    @functools.cached_property
+    def undetermined(self) -> dict[str, Array]:
+        """Name of an entry of a control -> (intervals,) which share of a move of it alone changes nothing, 0 to 1.
+
+        Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
+        order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
+        """
+        return {entry.name: entry.moves for entry in self._undetermined}
+
+    @functools.cached_property
+    def _undetermined(self) -> list[Undetermined]:
+        problem, warm = self.problem, self.warm
+        if not self.solved or any(part.hessian is not None for part in problem.parts):
+            return []
+        with in_double():
+            instance = problem.started().given._replace(params=warm.params)
+            staged = problem.core(_LOOKED_AT, warm.point, instance).staged
+            return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
+
+    def explain(self) -> str:
+        """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
+        return _explained(self, self._undetermined)
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """A start for `solve(warm=...)` that is so many intervals later, as a receding horizon needs it.
+
+        Controls, states and multipliers move on. The last control is held, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number; intervals are not equally long; several phases.
+        """
+        return self.warm.shifted(steps)
+
+    def _need_finite(self) -> None:
+        """Raise TrajectoryError where the solution is not finite: there is no rollout of it."""
+        if not np.isfinite(list(self.violations.values())).all():
+            raise TrajectoryError(f"there is no rollout of a point that is not finite. {self.message}")
+
+    def __repr__(self) -> str:
+        return (
+            f"{type(self).__name__}({self.message} cost={self.cost:.6g}, violation={self.violation:.1e}, "
+            f"final_time={self.final_time:.6g}, iterations={self.iterations}, "
+            f"compile {self.compile_seconds:.1f} s, solve {self.solve_seconds:.1f} s)"
+        )
+
+
+def _explained(result: Any, undetermined: list[Undetermined]) -> str:
+    """The lines of `explain`."""
+    size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
+    errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
+    lines = [
+        result.message,
+        f"first-order conditions: {errors}",
+        f"active, by multiplier: {', '.join(f'{name} ({size[name]:.3g})' for name in result.active) or 'none'}",
+    ]
+    if result.soft:
+        lines.append("soft constraints, by violation: " + ", ".join(f"{n} {v:.3g}" for n, v in result.soft.items()))
+    if undetermined:
+        lines.append(_open(undetermined, result.problem.sign))
+    if result.accuracy is not None:
+        lines.append(_mesh(result.accuracy, result.status))
+    try:
+        lines += _rolled_out(result)
+    except (TrajectoryError, IntegrationError) as error:
+        lines.append(f"no finer rollout: {str(error).splitlines()[0]}")
+    for m in result.meshes:
+        lines.append(f"mesh of {m.nodes} nodes, {m.substeps} substeps: error {m.error:.1e}, cost {m.cost:.9g}")
+    return "\n".join(lines)
+
+
+def _rolled_out(result: Any) -> list[str]:
+    """What a finer rollout says.
+
+    Raises:
+        TrajectoryError: node times go back.
+        IntegrationError: the rollout diverges.
+    """
+    missed = "; ".join(
+        f"{name} {', '.join(f'{kind} {value:.2g}' for kind, value in misses.items())}"
+        for name, misses in result.mesh_error.items()
+    )
+    broken = {name: value for name, value in result.between_nodes.items() if value > 0.0}
+    return [
+        f"misses of a finer rollout at the end: {missed}",
+        "exceeded along it: " + (", ".join(f"{n} by {v:.2g}" for n, v in broken.items()) or "nothing"),
+    ]
+
+
+def _open(every: list[Undetermined], sign: float) -> str:
+    """Which controls are not determined, and what would determine them."""
+    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.moves)} intervals)" for entry in every)
+    weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
+        f"{entry.weight:g} * {entry.entry}**2" for entry in every
+    )
+    return (
+        f"the optimum does not determine {named}: other values cost the same; "
+        f"a small weight on their squares does: running=... {weights}"
+    )
+
+
+def _mesh(accuracy: Accuracy, status: Status) -> str:
+    """A sentence on the error of the mesh, and what to do where it is large."""
+    line = f"largest miss of an interval, in scales of the states: {accuracy.error:.1e} {accuracy.place}"
+    if status in AT_OPTIMUM and status is not Status.DEGENERATE:  # elsewhere multipliers are worth nothing
+        line += f"; a mesh without error changes the objective by about {accuracy.change:.2g}"
+    return line + (f"; the mesh is too coarse for this path: {_FINER}" if accuracy.coarse else "")
+
+
+@dataclasses.dataclass(frozen=True)
+class Attempts:
+    """Runs of the solver on a problem.
+
+    Attributes:
+        outcomes: of all tries.
+        params: the parameters that they were for.
+        tolerance: of the first-order conditions.
+        compile_seconds, solve_seconds: wall time.
+    """
+
+    outcomes: Sequence[Outcome]
+    params: dict[str, Array]
+    tolerance: float
+    compile_seconds: float
+    solve_seconds: float
+
+    @property
+    def best(self) -> Outcome:
+        """A solved one of least cost; else one on the least coarse mesh; else the one that violates least."""
+
+        def rank(outcome: Outcome) -> tuple[int, float]:
+            order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE]
+            if outcome.status is Status.COARSE and outcome.accuracy is not None:  # its cost may be a cheat
+                return order.index(outcome.status), outcome.accuracy.error
+            if outcome.status in order:
+                return order.index(outcome.status), outcome.cost
+            last = outcome.status in (Status.NON_FINITE, Status.REFUSED)
+            return len(order) + last, outcome.violation
+
+        return min(self.outcomes, key=rank)
+
+    def fields(
+        self, problem: Any, params: dict[str, Array], violations: Mapping[str, float], shown: Collection[str]
+    ) -> dict[str, Any]:
+        """The fields of a `Quality` of the best try that do not depend on phases.
+
+        Args:
+            params: with those that were found.
+            violations: by name.
+            shown: names of rows whose violations are those of what users wrote, not of what the solver sees.
+        """
+        best, sign = self.best, problem.sign
+        point = jax.tree.map(np.asarray, best.point)
+        return {
+            "params": params,
+            "cost": sign * best.cost,
+            "violation": best.violation,
+            "violations": violations,
+            "optimality": Optimality(*best.errors),
+            "active": _active(problem.shooting, best),
+            "accuracy": None
+            if best.accuracy is None
+            else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
+            "status": best.status,
+            "message": _message(problem.shooting, best, violations, shown, self.tolerance)
+            + _singular(problem, best, params),
+            "iterations": best.iterations,
+            "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),
+            "compile_seconds": self.compile_seconds,
+            "solve_seconds": self.solve_seconds,
+            "warm": WarmStart(problem, point, best.dynamics, best.rows, best.scales, params, units=best.units),
+            "slacks": best.slack,
+            "saddle": best.saddle,
+        }
+
+
+def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dict[str, Array]:
+    """The parameters, those that the solve has chosen among them."""
+    return params | {name: np.asarray(value) for name, value in border.params(np.asarray(outcome.point.border)).items()}
+
+
+def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
+    """The names of constraints with a multiplier that is not zero, the largest first."""
+    names, sizes = shooting.names, np.abs(outcome.scaled_rows)
+    largest = largest_by_name([str(name) for name in names], sizes)
+    return tuple(sorted((name for name, size in largest.items() if size > _ACTIVE), key=lambda n: -largest[n]))
+
+
+def _message(
+    shooting: Transcribed, outcome: Outcome, sizes: Mapping[str, float], shown: Collection[str], tolerance: float
+) -> str:
+    """The status, and of a failure the worst constraint and the errors."""
+    if outcome.status is Status.REFUSED:
+        return f"{outcome.status}. {outcome.refusal}"
+    worst, count = [], shooting.intervals * shooting.n
+    if outcome.status in AT_OPTIMUM:
+        return " ".join([f"{outcome.status}{_SADDLE if outcome.saddle else ''}.", *_looked_at(outcome, tolerance)])
+    rows, dynamics = outcome.violations[count:], outcome.violations[:count].reshape(-1, shooting.n)
+    if outcome.status is Status.NON_FINITE:
+        return f"{outcome.status}. {_first_not_finite(shooting, outcome)}."
+    if rows.max(initial=0.0) > tolerance:
+        row = int(rows.argmax())
+        name, place = shooting.names[row], shooting.places[row]
+        raw = abs(float(outcome.values.rows[row]))
+        worst.append(f"{name!r} {place} is off by {sizes[name] if name in shown else raw:.3g}")
+    if dynamics.max(initial=0.0) > tolerance:
+        stage, column = divmod(int(dynamics.argmax()), shooting.n)
+        size = abs(float(outcome.values.defects[stage, column]))
+        worst.append(f"{shooting.defect(stage, column)} is off by {size:.3g}")
+    sentence = f"Worst: {'; '.join(worst)}" if worst else "Every constraint holds"
+    if outcome.status in (Status.MAX_ITERATIONS, Status.OUT_OF_TIME, Status.STOPPED, Status.STALLED):
+        errors = outcome.errors
+        feasibility = (
+            f"feasibility {errors.feasibility:.1e}" if worst else f"slacks are off by {errors.feasibility:.1e}"
+        )
+        sentence += (
+            f"; in scales, stationarity is {errors.stationarity:.1e}, {feasibility} and the gap {errors.gap:.1e}"
+        )
+    return f"{outcome.status}. {sentence}."
+
+
+def _looked_at(outcome: Outcome, tolerance: float) -> list[str]:
+    """Sentences on constraints without slope, a coarse mesh, and limits exceeded between nodes."""
+    sentences, accuracy = list[str](), outcome.accuracy
+    if outcome.flat is not None:
+        name, place, size = outcome.flat
+        sentences.append(
+            f"The multiplier of {name!r} {place} is {size:.1e} in scales: it has no slope there. "
+            "State it with a slope where it holds, as v == 0 in place of v**2 <= 0."
+        )
+    if accuracy is None:
+        return sentences
+    if accuracy.coarse and accuracy.factor > 1.0:
+        sentences.append(
+            f"The method is not stable on this mesh: {accuracy.unstable_place} each step multiplies a mode of the "
+            f"equations that does not grow by {accuracy.factor:.2g}, so the optimum of this mesh avoids what moves it: "
+            f"{_FINER}."
+        )
+    elif accuracy.coarse:
+        sentences.append(
+            f"Integrated closely, the interval {accuracy.place} misses its end by {accuracy.error:.2g} in scales of "
+            f"the states, and the objective is off by about {accuracy.share:.1g} of its size, where "
+            f"{accuracy.tolerance:g} is allowed: {_FINER}."
+        )
+    if accuracy.exceeded:
+        named = [
+            f"{name!r} by {it.by:.2g} {it.place} ({it.share / tolerance:.2g} times the tolerance)"
+            for name, it in accuracy.exceeded.items()
+        ]
+        more = f"; and {len(named) - _NAMED} more" if len(named) > _NAMED else ""
+        sentences.append(f"Exceeded between nodes: {'; '.join(named[:_NAMED])}{more}.")
+    return sentences
+
+
+def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
+    """A sentence on an expression that is not finite at an end of a phase."""
+    if outcome.status is not Status.NON_FINITE:
+        return ""
+    for part, segment in zip(problem.parts, problem.shooting.segments):
+        expression = singular(part, segment.of(outcome.point), params, outcome.point.border)
+        if expression is not None:
+            return f" {problem.shooting.named(segment, expression)}."
+    return ""
+
+
+def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
+    """The first row or defect that is not finite."""
+    values = outcome.values
+    rows, defects = np.asarray(values.rows), np.asarray(values.defects)
+    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.decided)):
+        return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
+    for stage, column in np.argwhere(~np.isfinite(defects)):
+        return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"
+    return "Its values are, its slopes are not" if np.isfinite(outcome.cost) else f"The objective is {outcome.cost:g}"

@@ -1,0 +1,250 @@
+"""The rollout of the controls of a trajectory, densely and with any method, and what it misses and exceeds."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import InputError, IntegrationError, TrajectoryError
+from ...groups import Group
+from ...integrators import Method, ZeroOrderHold, integrate
+from ...integrators.ambient import AmbientSystem
+from ..problem.statement import largest_by_name, violations
+from ..strategy.integration import CoreRollout
+from ..transcription.points import Point
+
+
+@dataclasses.dataclass(frozen=True)
+class Replay:
+    """A dense rollout of found controls.
+
+    Attributes:
+        ts: (n,) times in s, equally spaced within each interval.
+        xs: states by name, leading axis n.
+        us: controls by name, leading axis n; at a node the control that begins there.
+        misses: state name -> how far the rollout ends from the planned final node: `position` and `angle` (rad) of a
+            pose, `angle` of a rotation, `distance` of a state without a group.
+        vectors: state name -> the same as a tangent vector, planned (+) vector = reached.
+        violations: name of a path constraint or bound -> its largest violation along the rollout in its own unit, 0
+            where it holds; each interval is looked at with its own control, both ends included.
+        integrals: `Integral(...)` -> from the beginning, leading axis n.
+        extremes: `Maximum(...)`, `Minimum(...)` -> that value along the rollout.
+        final: name of a condition at a node -> its violation there, of the rollout.
+    """
+
+    ts: Array
+    xs: dict[str, Array]
+    us: dict[str, Array]
+    misses: dict[str, dict[str, float]]
+    vectors: dict[str, Array]
+    violations: dict[str, float]
+    integrals: dict[str, Array]
+    extremes: dict[str, float]
+    final: dict[str, float]
+
+
+def replayed(result: Any, method: Any, steps: int, rtol: float, atol: float) -> Replay:
+    """The rollout of a trajectory; see `Trajectory.replay`. Without a method the solver's core rolls out if it can."""
+    _need_finite(result)
+    back = np.flatnonzero(np.diff(result.ts) < 0.0)
+    if back.size:
+        raise TrajectoryError(
+            f"node {back[0] + 1} is before node {back[0]}, at {result.ts[back[0] + 1]:g} s, and time goes on.\n"
+            "  fix: solve until the limits of free node times hold"
+        )
+    if method is None and result.solve is not None:
+        xs = _by_the_core(result, steps)
+        if all(np.isfinite(values).all() for values in xs.values()):
+            return _judged(result, xs, steps)
+    method = result.problem.transcription.replaying if method is None else method
+    if isinstance(method, Method):
+        return _judged(result, rolled_out(result, method, steps), steps)
+    return _judged(result, _rollout_ambient(result, method, steps, rtol, atol), steps)
+
+
+def _need_finite(result: Any) -> None:
+    """Raise TrajectoryError unless all of its states, controls and times are finite: nothing goes on from elsewhere."""
+    for name, values in {**result.xs, **result.added, **result.us, "the time": result.ts}.items():
+        wrong = np.flatnonzero(~np.isfinite(np.reshape(values, (len(values), -1))).all(axis=1))
+        if wrong.size:
+            raise TrajectoryError(
+                f"{name!r} is not finite at node {wrong[0]}, so nothing can be rolled out from there.\n"
+                "  fix: limits on states where the rates make sense, or another guess"
+            )
+
+
+def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
+    """The rollout by a method. Equal intervals are one integration, others one each."""
+    problem = result.problem
+    params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
+    ts, count, x = times_along(result, steps), problem.nodes - 1, _start(result)
+    us = held_of(result)
+    parts = [{name: values[None] for name, values in x.items()}]
+    together = count if problem.mesh.is_even else 1
+    for k in range(0, count, together):
+        window = slice(k * steps, (k + together) * steps + 1)
+        solution = integrate(
+            problem.dynamics,
+            x,
+            t0=float(ts[window][0]),
+            t1=float(ts[window][-1]),
+            steps=together * steps,
+            method=method,
+            u={n: ZeroOrderHold(result.ts[k : k + together], a[k : k + together]) for n, a in us.items()},
+            params=params,
+            save_at=ts[window][1:],
+        )
+        parts.append({name: np.asarray(values) for name, values in solution.xs.items()})
+        x = {name: values[-1] for name, values in parts[-1].items()}
+    return {name: np.concatenate([part[name] for part in parts]) for name in x}
+
+
+def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
+    """The rollout by the solver's core, which compiles nothing for other numbers."""
+    problem, us, (solved, border) = result.problem, lifted(result).us, result.solve
+    columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
+    fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
+    started = solved.started(params=fixed)
+    staged = solved.core(1e-6, started.point, started.given).staged
+    start, planned = _start(result), result.xs | result.added
+    xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
+    point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
+    data = staged.numbers.vector(started.given)
+    rolling = problem.transcription.rolling(steps)
+    return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
+
+
+def _start(result: Any) -> dict[str, Array]:
+    """All states at the first node."""
+    return {name: np.asarray(values[0]) for name, values in lifted(result).xs.items()}
+
+
+def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: float) -> dict[str, Array]:
+    import diffrax
+
+    if not isinstance(solver, diffrax.AbstractSolver):
+        raise InputError(f"method must be a method like tx.RKMK(tx.tableaus.RK4) or a diffrax solver, got {solver!r}")
+    problem = result.problem
+    ambient = AmbientSystem(problem.dynamics)
+    params = {name: jnp.asarray(value) for name, value in result.params.items()}
+    control = diffrax.PIDController(rtol=rtol, atol=atol)
+
+    def interval(y: Any, span: tuple[Any, ...]) -> tuple[Any, Any]:
+        t0, t1, u = span
+        ts = jnp.linspace(t0, t1, steps + 1)
+        solution = diffrax.diffeqsolve(
+            diffrax.ODETerm(ambient.vector_field),
+            solver,
+            t0,
+            t1,
+            (t1 - t0) / steps,
+            y,
+            args=(u, params),
+            saveat=diffrax.SaveAt(ts=ts),
+            stepsize_controller=control,
+            max_steps=100_000,
+            throw=False,
+        )
+        end = jax.tree.map(lambda a: a[-1], solution.ys)
+        return end, (jax.tree.map(lambda a: a[:-1], solution.ys), solution.result == diffrax.RESULTS.successful)
+
+    @jax.jit
+    def rollout(y: Any, ts: Any, us: Any) -> Any:
+        end, (parts, good) = jax.lax.scan(interval, y, (ts[:-1], ts[1:], us))
+        states = jax.tree.map(lambda a, b: jnp.concatenate([a.reshape(-1, *a.shape[2:]), b[None]]), parts, end)
+        return jax.vmap(ambient.from_ambient)(states), good
+
+    start = ambient.to_ambient(_start(result))
+    xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, held_of(result)))
+    if not bool(good.all()):
+        number = int(np.argmin(np.asarray(good)))
+        raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
+    return {name: np.asarray(values) for name, values in xs.items()}
+
+
+def lifted(result: Any) -> Any:
+    """States and held controls of the system that is integrated; bounds of norms are tight."""
+    return result.problem.lifted(result.ts, result.xs | result.added, result.us, result.params)
+
+
+def held_of(result: Any) -> dict[str, Array]:
+    """The held controls of the system that is integrated."""
+    controls = result.problem.dynamics.controls
+    lifted_us = lifted(result).us
+    return {c.name: lifted_us[c.name] for c in controls}
+
+
+def times_along(result: Any, steps: int) -> Array:
+    """(intervals * steps + 1,), equally spaced within each interval."""
+    inner = np.linspace(result.ts[:-1], result.ts[1:], steps, endpoint=False, axis=1)
+    return np.append(inner.ravel(), result.ts[-1])
+
+
+def _judged(result: Any, xs: dict[str, Array], steps: int) -> Replay:
+    problem, ts = result.problem, times_along(result, steps)
+    intervals = problem.nodes - 1
+    holds = np.minimum(np.arange(len(ts)) // steps, intervals - 1)
+    end = {name: np.asarray(values[-1]) for name, values in xs.items()}
+    planned = {name: np.asarray(values[-1]) for name, values in (result.xs | result.added).items()}
+    unseen = problem.continuous.hidden | problem.functionals.loose
+    factors = [(n, group) for n, group in problem.dynamics.group.factors.items() if n not in unseen]
+    vectors = {name: _difference(g, planned[name], end[name]) for name, g in factors}
+    path, rows = problem.path, _shown_along(result, ts, xs, steps)
+    extremes = problem.functionals.extremes_of(rows, path.shown, result.params)
+    return Replay(
+        ts=ts,
+        xs={name: xs[name] for name in result.xs},
+        us=problem.seen(xs, {name: values[holds] for name, values in held_of(result).items()})[1],
+        misses={name: _miss(g, planned[name], end[name], vectors[name]) for name, g in factors},
+        vectors=vectors,
+        violations=largest_by_name(path.shown, violations(rows, path.shown_equality).max(axis=0)),
+        integrals={name: xs[name] for name in problem.functionals.integrals},
+        extremes={leaf.name: float(extremes[name]) for leaf, name in problem.functionals.extremes.values()},
+        final=_node_violations(result, ts, xs, steps),
+    )
+
+
+def _difference(group: Group, a: Array, b: Array) -> Array:
+    """The tangent from one element to another."""
+    return np.ravel(b - a) if group.flat else np.asarray(_curved_difference(group, a, b))
+
+
+@functools.partial(jax.jit, static_argnums=0)
+def _curved_difference(group: Group, a: jax.Array, b: jax.Array) -> jax.Array:
+    return group.difference(a, b)
+
+
+def _miss(group: Group, planned: Array, reached: Array, vector: Array) -> dict[str, float]:
+    misses = {}
+    for part in group.parts:
+        difference = reached[part.place] - planned[part.place] if part.sized else vector[list(part.entries)]
+        misses["angle" if part.unit == "rad" else part.name] = float(np.linalg.norm(difference))
+    return misses
+
+
+def _shown_along(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> Array:
+    """The path rows as stated, along a rollout."""
+    problem = result.problem
+    if not problem.path.shown:
+        return np.zeros((1, 0))
+    window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
+    # Each interval is looked at with its own control, both ends included.
+    points = {name: values[window.ravel()] for name, values in xs.items()}
+    controls = {name: np.repeat(values, steps + 1, axis=0) for name, values in lifted(result).us.items()}
+    return np.asarray(problem.shown_rows(ts[window.ravel()], points, controls, result.params))
+
+
+def _node_violations(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> dict[str, float]:
+    problem, largest = result.problem, dict[str, float]()
+    for k, rows in (*problem.node_rows.items(), (problem.nodes - 1, problem.final_rows)):
+        here = {name: values[k * steps] for name, values in xs.items()}
+        params = {**result.params, **problem.node_slacks.without}
+        values = np.asarray(jax.jit(rows.values)(jnp.asarray(ts[k * steps]), here, params))
+        largest |= largest_by_name(rows.names, violations(values, rows.equality))
+    return largest

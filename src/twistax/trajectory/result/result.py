@@ -1,0 +1,173 @@
+"""The result of a solve: the trajectories of its phases, and how well they solve the problem."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
+from ...jax_inside import in_double
+from ..strategy.outcome import Outcome
+from ..transcription.points import Values
+from ..transcription.shooting import Segment
+from .pictures import animated, drawn
+from .quality import Attempts, Quality, params_of
+from .refine import Meshed
+from .replay import Replay
+from .trajectory import Trajectory, multipliers_of, trajectory_at, violations_of
+
+if TYPE_CHECKING:
+    from ...view import Scene
+
+
+@dataclasses.dataclass(frozen=True, repr=False)
+class TrajectoryResult(Quality):
+    """The trajectories of a solve, and how well they solve its problem; see `Quality` for the other attributes.
+
+    Of a problem that was not stated as a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are
+    those of its one trajectory; see `Trajectory`.
+
+    Attributes:
+        phases: the trajectory of each phase; times go on from phase to phase.
+        durations: how long each phase takes, s.
+        meshes: of `solve(refine=...)` the meshes it went through, a `Meshed` each.
+    """
+
+    phases: tuple[Trajectory, ...]
+    durations: dict[str, float]
+    meshes: tuple[Meshed, ...] = ()
+
+    @property
+    def _trajectory(self) -> Trajectory:
+        if not self.problem.alone:
+            raise AttributeError("a result of phases has states, controls and times by phase: result.phases[0].xs")
+        return self.phases[0]
+
+    @property
+    def xs(self) -> dict[str, Array]:
+        """States by name, leading axis the nodes."""
+        return self._trajectory.xs
+
+    @property
+    def us(self) -> dict[str, Array]:
+        """Controls by name, leading axis the intervals for held ones, the nodes for continuous ones."""
+        return self._trajectory.us
+
+    @property
+    def ts(self) -> Array:
+        """(nodes,) times in s."""
+        return self._trajectory.ts
+
+    @property
+    def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold | PiecewisePolynomial]:
+        """The controls over time, as `tx.integrate(u=...)` takes them."""
+        return self._trajectory.controls
+
+    @property
+    def integrals(self) -> dict[str, Array]:
+        """`Integral(...)` -> from the beginning until each node."""
+        self._need_finite()
+        return self._trajectory.integrals
+
+    @property
+    def extremes(self) -> dict[str, float]:
+        """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
+        self._need_finite()
+        return self._trajectory.extremes
+
+    @property
+    def dense(self) -> Replay:
+        """`replay()`, rolled out once."""
+        self._need_finite()
+        return self._trajectory.dense
+
+    @functools.cached_property
+    def between_nodes(self) -> dict[str, float]:
+        """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        return self._by_phase("between_nodes")
+
+    @functools.cached_property
+    def mesh_error(self) -> dict[str, dict[str, float]]:
+        """State name -> how far a rollout of its phase, in ten times as many steps, ends from the planned node."""
+        return self._by_phase("mesh_error")
+
+    def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
+        """As `Trajectory.replay`. Raises TrajectoryError, too, where values of the problem are not finite there."""
+        self._need_finite()
+        return self._trajectory.replay(method, steps, rtol=rtol, atol=atol)
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """As `Trajectory.plot`, all phases in one figure, with the multipliers of what is active."""
+        return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """As `Trajectory.show`; phases one after the other, with the states and controls that all of them have."""
+        return animated(self.phases, path, choices)
+
+    def _by_phase(self, attribute: str) -> dict[str, Any]:
+        self._need_finite()
+        if self.problem.alone:
+            return dict(getattr(self.phases[0], attribute))
+        pairs = zip(self.problem.names, self.phases, strict=True)
+        return {f"{name}: {key}": value for name, phase in pairs for key, value in getattr(phase, attribute).items()}
+
+
+class PhasedResult(TrajectoryResult):
+    """The result of a problem that was stated as a list of phases: `phases`, `durations`.
+
+    `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names have the phase's in front. The
+    multipliers of the join before a phase are "join before <phase>: <state>".
+    """
+
+    def replay(self, method: Any = None, steps: int = 20, **options: Any) -> Any:
+        """The replay of each phase from its own first node, a tuple; see `Trajectory.replay`."""
+        self._need_finite()
+        return tuple(phase.replay(method, steps, **options) for phase in self.phases)
+
+
+def best_result(problem: Any, tried: Attempts) -> TrajectoryResult:
+    """The result of the best of several tries."""
+    best, shooting = tried.best, problem.shooting
+    params = params_of(problem.border, best, tried.params)
+    solve = (problem, np.asarray(best.point.border)) if problem.alone else None
+    phases, violations, multipliers, shown = [], dict[str, float](), dict[str, Array](), set[str]()
+    with in_double():
+        for part, segment in zip(problem.parts, shooting.segments):
+            outcome, named = _of_phase(shooting, best, segment), functools.partial(shooting.named, segment)
+            phases.append(Trajectory(**trajectory_at(part, outcome.point, params), solve=solve))
+            violations |= {named(key): value for key, value in violations_of(part, outcome, params).items()}
+            multipliers |= {named(key): value for key, value in multipliers_of(part, outcome).items()}
+            shown |= set(map(named, part.path.shown))
+        for name, before, after in zip(problem.names[1:], shooting.segments, shooting.segments[1:]):
+            join = before.stages.stop
+            for state, place in after.shooting.dynamics.group.slices.items():
+                key = f"join before {name}: {state}"
+                multipliers[key] = best.dynamics[join, place]
+                violations[key] = float(np.abs(np.asarray(best.values.defects)[join, place]).max(initial=0.0))
+    durations = np.asarray(best.point.border)[: len(phases)]
+    return (TrajectoryResult if problem.alone else PhasedResult)(
+        **tried.fields(problem, params, violations, shown),
+        problem=problem,
+        phases=tuple(phases),
+        final_time=phases[-1].final_time,
+        durations={name: float(size) for name, size in zip(problem.names, durations)},
+        multipliers=multipliers,
+    )
+
+
+def _of_phase(shooting: Any, best: Outcome, segment: Segment) -> Outcome:
+    """The part of an outcome that belongs to a phase."""
+    n, stages = segment.shooting.n, segment.stages
+    defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)
+    return dataclasses.replace(
+        best,
+        point=segment.of(best.point),
+        values=Values(best.values.cost, defects, shooting.rows_of(segment, rows)),
+        dynamics=best.dynamics[stages, :n],
+        rows=shooting.rows_of(segment, best.rows),
+    )

@@ -1,0 +1,176 @@
+"""The trajectory of a phase, its dense rollout, its multipliers and violations."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import whole
+from ...errors import TrajectoryError
+from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
+from ...jax_inside import in_double
+from ..problem.statement import largest_by_name, violations
+from ..strategy.outcome import Outcome
+from ..transcription.points import Point
+from .pictures import animated, drawn
+from .replay import Replay, replayed
+
+if TYPE_CHECKING:
+    from ...view import Scene
+    from ..problem.stated_phase import StatedPhase
+
+
+@dataclasses.dataclass(frozen=True)
+class Trajectory:
+    """States and controls of a problem, or of one phase of it. All arrays are NumPy, double precision.
+
+    Attributes:
+        xs: states by name, leading axis the nodes.
+        us: controls by name, leading axis the intervals for held ones, the nodes for continuous ones.
+        ts: (nodes,) times in s.
+        final_time: the last of them.
+        params: the parameters it was solved for, and those that were found.
+        added: what `Integral` and `Initial` became, states by name.
+        problem: its phase of the problem.
+        solve: of a problem that was not stated as a list of phases, that and the unknowns that all its stages share;
+            with them the solver's core rolls out.
+    """
+
+    problem: StatedPhase
+    xs: dict[str, Array]
+    us: dict[str, Array]
+    ts: Array
+    final_time: float
+    params: dict[str, Array]
+    added: dict[str, Array]
+    solve: tuple[Any, Array] | None = dataclasses.field(default=None, repr=False)
+
+    @property
+    def controls(self) -> dict[str, ZeroOrderHold | FirstOrderHold | PiecewisePolynomial]:
+        """The controls over time, as `tx.integrate(u=...)` takes them."""
+        return self.problem.continuous.over_time(self.ts, self.us, self.us | self.added)
+
+    @property
+    def integrals(self) -> dict[str, Array]:
+        """`Integral(...)` -> from the beginning until each node."""
+        reduced, integrals = self.problem.functionals, dict[str, Array]()
+        for name in reduced.integrals:
+            # What bounds of norms stand for is told by a rollout with the norms themselves.
+            rollout = self.dense.integrals[name] if name in reduced.loose else self.added[name]
+            integrals[name] = rollout[:: (len(rollout) - 1) // (len(self.ts) - 1)]
+        return integrals
+
+    @functools.cached_property
+    def dense(self) -> Replay:
+        """`replay()`, rolled out once."""
+        return self.replay()
+
+    @property
+    def extremes(self) -> dict[str, float]:
+        """`Maximum(...)`, `Minimum(...)` -> that value along a dense rollout."""
+        return self.dense.extremes
+
+    @property
+    def between_nodes(self) -> dict[str, float]:
+        """Name of a path constraint or box -> its largest violation along a dense rollout, in its own unit."""
+        return self.dense.violations
+
+    @functools.cached_property
+    def mesh_error(self) -> dict[str, dict[str, float]]:
+        """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
+        return self.replay(steps=10 * self.problem.transcription.substeps).misses
+
+    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+        """States and controls over time, a matplotlib figure: dots at nodes, lines of a dense rollout, limits dashed.
+
+        Poses are drawn as positions and Euler angles in deg. Of a result the largest multipliers are shown, too.
+
+        Args:
+            names: of the states and controls to draw; all unless given.
+            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+        Raises:
+            InputError: a name that is not there.
+            ModelError: matplotlib is not installed.
+        """
+        return drawn([self], names, units)
+
+    def show(self, path: Any = None, **choices: Any) -> Scene:
+        """The dense rollout in three dimensions, with the choices of `Solution.show`.
+
+        Where the rollout does not reach its end, the nodes and straight lines between them.
+        """
+        return animated([self], path, choices)
+
+    def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
+        """Roll out the found controls from the first node, and measure what comes out.
+
+        Args:
+            method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions
+                with adaptive steps. RK4 if left out, of collocation by a stiffly accurate tableau its implicit method.
+            steps: samples an interval, and for an RKMK method its steps there.
+            rtol, atol: tolerances of a diffrax solver.
+        Raises:
+            TrajectoryError: steps is no positive whole number; node times that go back.
+            InputError: method is neither.
+            IntegrationError: the rollout did not reach its end.
+        """
+        whole("steps", steps, 1, TrajectoryError)
+        with in_double():
+            return replayed(self, method, steps, rtol, atol)
+
+
+def trajectory_at(problem: StatedPhase, point: Point, params: dict[str, Array]) -> dict[str, Any]:
+    """The fields of a `Trajectory` at a point."""
+    controls = problem.shooting.local.controls.split(np.asarray(point.us))
+    ts, (xs, us) = times_of(problem, point), problem.seen(point.xs, controls)
+    return {
+        "problem": problem,
+        "xs": {name: np.asarray(values) for name, values in xs.items()},
+        "added": {name: np.asarray(values) for name, values in point.xs.items() if name not in xs},
+        "us": {name: np.asarray(values) for name, values in us.items()},
+        "ts": ts,
+        "final_time": float(ts[-1]),
+        "params": params,
+    }
+
+
+def times_of(problem: StatedPhase, point: Point) -> Array:
+    """The times of the nodes."""
+    return np.asarray(problem.continuous.times(point.xs, problem.shooting.times(np.asarray(point.border))))
+
+
+def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
+    """The multipliers of a phase by the names of its rows."""
+    shooting = problem.shooting
+    multipliers = {
+        f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()
+    }
+    for name in dict.fromkeys(shooting.names[shooting.exists]):
+        multipliers[name] = outcome.rows[shooting.exists & (shooting.names == name)]
+    return multipliers
+
+
+def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
+    """The violations at the nodes by name, in the units of the constraints."""
+    shooting, path, point = problem.shooting, problem.path, outcome.point
+    defects = np.abs(np.asarray(outcome.values.defects)).max(axis=0)
+    largest = {f"dynamics of {n}": float(defects[p].max(initial=0.0)) for n, p in problem.dynamics.group.slices.items()}
+    if path.shown:
+        ts = times_of(problem, point)
+        controls = shooting.local.controls.split(np.asarray(point.us))
+        ends = [({n: np.asarray(a)[s] for n, a in point.xs.items()}, ts[s]) for s in (slice(None, -1), slice(1, None))]
+        sizes = [
+            violations(np.asarray(problem.shown_rows(t, x, controls, params)), path.shown_equality).max(axis=0)
+            for x, t in ends
+        ]
+        largest |= largest_by_name(path.shown, np.maximum(*sizes))
+    at_nodes = shooting.own
+    sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
+    largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
+    xs = {name: np.asarray(values) for name, values in point.xs.items()}
+    return largest | problem.node_slacks.violations(problem.conditions, xs, times_of(problem, point), params)

@@ -1,0 +1,128 @@
+"""The solve of a problem of one phase as one call of the core, which programs of JAX contain.
+
+It starts at the optimum of the problem as it was stated, in the units of that optimum, with the new values in place.
+These values do not change its program: parameters and final states are numbers that kernels read, initial
+states and a fixed final time are bounds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, NamedTuple
+
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import TrajectoryError
+from ...solver.core import CoreSolution, CoreStatus, Units
+from ...solver.members import MEASURES, Solves
+from ...solver.options import Options
+from ..problem.problem import Problem
+from ..strategy.core_solver import CoreSolver
+from ..strategy.measure import COST
+from ..strategy.status import Status
+from ..transcription.points import Given, Point
+
+
+class SolveInputs(NamedTuple):
+    """What a solve reads: numbers of kernels, the start, its coordinates, and their bounds."""
+
+    data: Any
+    z: Any
+    v: Any
+    lower: Any
+    upper: Any
+
+
+class CoreCall:
+    """A problem's solve as one call.
+
+    Args:
+        start: where it starts; the units are those there.
+        instance: parameters, ends and limits of the problem as stated.
+    """
+
+    def __init__(self, problem: Problem, core: CoreSolver, start: Point, instance: Given, max_iterations: int) -> None:
+        self._problem, self._tolerance = problem, core.tolerance
+        self.units = units = core.units(start, instance)
+        self._staged = staged = core.staged.alone(instance)  # a copy: solves of the problem do not change it
+        numbers = staged.numbers.vector(instance)
+        self._base = SolveInputs(
+            numbers, staged.flat(start), staged.coordinates(start), *staged.limits(start, instance)
+        )
+        self.solves = Solves(
+            staged.transcription,
+            Units(units.v, units.rows, units.equalities, COST * units.cost),
+            Options(**core.options(max_iterations)),
+            core.largest_step,
+            len(numbers),
+        )
+
+    def need_compiled(self) -> None:
+        """Raise TrajectoryError where a program of XLA would have to call back."""
+        if names := self._staged.transcription.called_back:
+            raise TrajectoryError(
+                "solution: under jit and vmap functions of the problem must have a native form. "
+                f"JAX runs the {' and the '.join(names)}, as it does functions with host callbacks.\n"
+                "  fix: call it outside of jit and vmap, or state the problem without such functions"
+            )
+
+    def inputs(
+        self,
+        params: Mapping[str, Any],
+        initial: Mapping[str, Any],
+        final: Mapping[str, Any],
+        final_time: Any,
+        start: Array | None = None,
+    ) -> SolveInputs:
+        """What a solve for these values reads; entries that are NaN stay as stated.
+
+        Args:
+            start: z of another start.
+        """
+        staged, phase = self._staged, self._problem.shooting
+        data, z, v, lower, upper = map(jnp.asarray, self._base)
+        z = z if start is None else jnp.asarray(start)
+        for values, places in ((params, lambda n: ([n], [])), (final, lambda n: ([], [n]))):
+            for name, value in values.items():
+                is_fixed = values is params or self._problem.ends.final_fixed[name].all()
+                data = _put(data, staged.numbers.places(*places(name)), value, is_fixed)
+        part, group = staged.parts[0], phase.dynamics.group
+        for name, value in initial.items():
+            is_fixed = self._problem.ends.initial_fixed[name].all()  # of tangents
+            z = _put(z, part.point.places(name), value, is_fixed)
+            if group.factors[name].flat:
+                columns = np.arange(phase.n)[group.slices[name]]
+                fixed = ~phase.free.d[0][columns]
+                v = _put(v, columns, value, is_fixed)
+                at = columns[fixed]
+                lower, upper = lower.at[at].set(v[at]), upper.at[at].set(v[at])
+        if final_time is not None:
+            border = staged.border.size
+            final_time = jnp.where(final_time > 0.0, final_time, jnp.nan)  # as `problem.solve` refuses it
+            z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
+        return SolveInputs(data, z, v, lower, upper)
+
+    def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Given, mesh_tolerance: float) -> Status:
+        """The status that `problem.solve` gives a result, by the solver of this thread."""
+        numbers = {name: float(values[name]) for name in MEASURES}
+        arrays = {name: np.asarray(a) for name, a in values.items() if name not in MEASURES}
+        status = CoreStatus(int(numbers.pop("status")))
+        core.staged.set_given(instance)
+        result = CoreSolution(status=status, **arrays, statistics=numbers, log=np.zeros((0, 10)))
+        outcome = core.measure.outcome(result, self.units, instance)
+        if core.measure.violated_at_once(outcome.point, instance, self.units) > core.tolerance:
+            return Status.INFEASIBLE
+        return core.judge.judged(outcome, instance, mesh_tolerance, core.tolerance).status
+
+    def is_solved(self, values: Mapping[str, Any]) -> Any:
+        """Whether it is, as far as the core knows: it has no rows that ends alone decide."""
+        most = jnp.maximum(COST * values["error"], values["violation"])
+        return (values["status"] == CoreStatus.SOLVED.value) | (most <= self._tolerance)
+
+
+def _put(array: Any, places: Array, value: Any, is_fixed: Any) -> Any:
+    """The array with values at these places; those of free entries that are NaN are left out."""
+    flat = jnp.ravel(jnp.asarray(value, float))
+    return array.at[places].set(jnp.where(jnp.isnan(flat) & (not is_fixed), array[places], flat))

@@ -1,0 +1,102 @@
+"""How closely a result follows the differential equations, and rows without slope: what a look at it says."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+#: The error of a mesh that SOLVED allows by default.
+MESH = 1e-2
+
+
+@dataclasses.dataclass(frozen=True)
+class Exceeded:
+    """A limit that does not hold between nodes.
+
+    Attributes:
+        by: how far it is exceeded, in its own unit.
+        share: the same in its scale; limits hold within `tolerance` of that at the nodes.
+        place: between which nodes.
+    """
+
+    by: float
+    share: float
+    place: str
+
+
+@dataclasses.dataclass(frozen=True)
+class Accuracy:
+    r"""How closely a result follows the differential equations, by a close integration of each interval.
+
+    Interval k, integrated from its planned start, ends a tangent $g_k$ from its planned end. With costates $y_k$ the
+    objective of a mesh without error is $J + \sum_k y_k \cdot g_k + \Delta$ to first order, with $\Delta$ the error
+    of the running cost. Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102.
+
+    Example: `problem.solve().accuracy.error`.
+
+    Attributes:
+        intervals: of each phase (intervals,), the largest entry of $g_k$ in scales of the states, without unit.
+        change: by how much the objective would change on a mesh without error, to first order, in its unit.
+        share: the size of that change over `size`.
+        size: the objective, or where that is larger what its states are worth: the largest costate times its state.
+        amplified: of each phase (intervals,), the factor by which a substep multiplies a mode of the equations that
+            does not grow; 1 where the method is stable.
+        exceeded: name -> a limit that is exceeded between nodes, with `by` how much in its unit, `share` of its scale,
+            and `place`; the largest share first.
+        tolerance: the `mesh_tolerance` of the solve.
+        middles: of each phase, states by name (intervals, ...) halfway through the close integration.
+        places: of each phase, what it is called in a message.
+    """
+
+    intervals: tuple[Array, ...]
+    change: float
+    share: float
+    size: float
+    amplified: tuple[Array, ...]
+    exceeded: dict[str, Exceeded]
+    tolerance: float
+    middles: tuple[dict[str, Array], ...] = dataclasses.field(repr=False)
+    places: tuple[str, ...] = dataclasses.field(repr=False)
+
+    @property
+    def error(self) -> float:
+        """The largest of all intervals."""
+        return float(np.concatenate(self.intervals).max(initial=0.0))
+
+    @property
+    def place(self) -> str:
+        """Where that is."""
+        return self._largest(self.intervals)
+
+    @property
+    def factor(self) -> float:
+        """The largest factor of a mode that a step amplifies; 1 if there is none."""
+        return float(np.concatenate(self.amplified).max(initial=1.0))
+
+    @property
+    def unstable_place(self) -> str:
+        """Where that is."""
+        return self._largest(self.amplified)
+
+    @property
+    def coarse(self) -> bool:
+        """Whether the error of the mesh is above the tolerance, or its method unstable."""
+        follows = self.error <= self.tolerance and self.share <= self.tolerance
+        return not (follows and (self.factor <= 1.0 or np.isinf(self.tolerance)))
+
+    def _largest(self, numbers: Sequence[Array]) -> str:
+        phase = int(np.argmax([of_phase.max(initial=0.0) for of_phase in numbers]))
+        stage = int(numbers[phase].argmax())
+        return f"between nodes {stage} and {stage + 1}{self.places[phase]}"
+
+
+class FlatRow(NamedTuple):
+    """A row without slope, and its multiplier in scales of moves."""
+
+    name: str
+    place: str
+    multiplier: float

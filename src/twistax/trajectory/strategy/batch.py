@@ -1,0 +1,36 @@
+"""Many cases of one problem, each solved as alone, as many at a time as there are processors."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Sequence
+from concurrent.futures import ThreadPoolExecutor
+from typing import Any
+
+import jax
+import numpy as np
+
+from ...jax_inside import in_double
+from ...solver.processors import processors
+from .budget import Budget
+from .core_solver import CoreSolver
+from .outcome import Outcome
+from .strategies import solved
+
+
+def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
+    """The outcomes of all cases, each with the `point` where it starts and what is `given`."""
+    of_thread = threading.local()
+
+    def outcome(case: Any) -> Outcome:
+        point, instance = jax.tree.map(np.asarray, (case.point, case.given))
+        if not hasattr(of_thread, "solver"):
+            of_thread.solver = solver.alone(instance)
+        core: CoreSolver = of_thread.solver
+        with in_double():
+            return core.judge.judged(
+                solved(core, point, instance, Budget(most)), instance, mesh_tolerance, core.tolerance
+            )
+
+    with ThreadPoolExecutor(processors()) as pool:
+        return list(pool.map(outcome, cases))

@@ -1,0 +1,54 @@
+"""What a solve may take: iterations, seconds, and a callback that may end it."""
+
+from __future__ import annotations
+
+import time
+
+import numpy as np
+
+from .outcome import Callback
+from .status import Status
+
+
+class Budget:
+    """What all runs of a solve may take together.
+
+    Args:
+        max_iterations: of all runs.
+        max_seconds: of wall time from now; no end if left out.
+        callback: called before each iteration; it ends the solve where it returns True.
+
+    Attributes:
+        used: iterations of the runs that ended.
+        ended: why the solve should end before its iterations do; None while it may go on.
+    """
+
+    def __init__(self, max_iterations: int, max_seconds: float | None = None, callback: Callback | None = None) -> None:
+        self._most, self._callback = max_iterations, callback
+        self._due = np.inf if max_seconds is None else time.monotonic() + max_seconds
+        self.used = 0
+        self.ended: Status | None = None
+
+    @property
+    def left(self) -> int:
+        """Iterations that are left."""
+        return max(self._most - self.used, 0)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Of the wall time, some at least; None without an end."""
+        return None if np.isinf(self._due) else max(self._due - time.monotonic(), 1e-6)
+
+    @property
+    def is_spent(self) -> bool:
+        """Whether no further run may begin."""
+        return self.left == 0 or self.ended is not None
+
+    def ends(self, iteration: int, cost: float, violation: float) -> bool:
+        """Whether a run should end before this iteration of it."""
+        stop = None if self._callback is None else self._callback(self.used + iteration, cost, violation)
+        if isinstance(stop, (bool, np.bool_)) and stop:
+            self.ended = Status.STOPPED
+        if time.monotonic() > self._due:
+            self.ended = Status.OUT_OF_TIME
+        return self.ended is not None

@@ -1,0 +1,254 @@
+"""The solver's core on a transcribed problem: runs from points and from warm starts."""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Callable, Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...solver.core import CoreSolution, CoreStatus, StopCheck, Units, solve
+from ...solver.options import Options
+from ..hessians.options import by_updates
+from ..hessians.quasi_newton import StageUpdates
+from ..start_units import StartUnits
+from ..transcription.evaluation import Evaluated, moved
+from ..transcription.points import Given, Point, Step
+from ..transcription.staged import Staged
+from .budget import Budget
+from .integration import CloseIntegration
+from .judge import Judge
+from .measure import COST, Measure
+from .outcome import Outcome
+from .status import Status
+from .warm import WarmStart
+
+#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
+#: counts as a sum, so it is smaller where there are more inequalities than so many.
+_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
+#: A warm start asks for so many times that: it begins near, and is one of many.
+_NEAR = 10.0
+#: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
+#: its limit before states and controls have followed it.
+_TURN, _CHANGE = 1.5, 0.2
+#: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
+#: there if one of them is so many times as large or as small.
+_FITTED_AT, _MISFIT = (7, 80), 10.0
+#: The first barrier parameter of a warm start over its error, and the limits of that parameter.
+_WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
+#: Options that change nothing of a start: it is only measured.
+_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+
+
+class _Start(NamedTuple):
+    """Where a run begins, what it is for, and its units."""
+
+    point: Point
+    instance: Given
+    units: StartUnits
+
+
+class CoreSolver:
+    """Solves a transcribed problem by the core; what it needs compiles once.
+
+    Args:
+        staged: the problem.
+        problems: those of its phases.
+        instance: what it is solved for, for shapes.
+        tolerance: of the first-order conditions, scaled.
+
+    Attributes:
+        busy: whether it is in a solve.
+        measure, judge: measure results, and look at their meshes.
+        largest_step: how far a step may move each unknown, as `solver.core.solve` has it.
+        made: IPOPT's and Fatrop's form of the problem, by solver.
+    """
+
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:
+        self.staged, self.tolerance, self._problems = staged, tolerance, problems
+        self.transcribed = staged.transcribed
+        self.busy, self.made = False, dict[Any, Any]()
+        self._by_updates = by_updates(problems)
+        close = CloseIntegration(staged, problems, instance)
+        self.judge, self.measure = Judge(close, staged), Measure(staged, close, tolerance)
+        stages = staged.transcription.stages
+        self.largest_step = np.where(staged.turning, _TURN, np.inf)
+        self.largest_step[stages.variables - stages.parameters + np.arange(staged.border.phases)] = -_CHANGE
+        inequalities = max(1, int((self.transcribed.exists & ~self.transcribed.equality).sum()))
+        closest = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / inequalities) / COST
+        self._exactly = {"tolerance": _CLOSER * tolerance / COST, "violation": _CLOSER * tolerance}
+        self._exactly |= {"complementarity": closest, "gap": _CLOSER * tolerance, "acceptable": tolerance / COST}
+        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closest)}
+
+    def alone(self, instance: Given) -> CoreSolver:
+        """The same for another thread: kernels are shared, memory is not."""
+        return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
+
+    def units(self, point: Point, instance: Given, *, is_guess: bool = False) -> StartUnits:
+        """Units at a start; durations of a guess may be far too long."""
+        self.staged.set_given(instance)
+        return StartUnits(self.staged, point, instance.limits if is_guess else None)
+
+    def options(self, max_iterations: int) -> dict[str, float]:
+        """Options of the core for a start that is no warm one."""
+        return {**self._exactly, "iterations": max_iterations}
+
+    def moved(self, point: Point, step: Step) -> Point:
+        """A point after a step."""
+        return self.staged.point(moved(self.staged.transcription, self.staged.flat(point), self.staged.step(*step)))
+
+    def run_once(
+        self,
+        start: Point | WarmStart,
+        instance: Given,
+        max_iterations: int,
+        budget: Budget | None = None,
+        *,
+        cost_floor: float = 0.0,
+        as_stated: bool = False,
+        rescaling: bool = True,
+        is_guess: bool = True,
+    ) -> Outcome:
+        """Solve from a start, in the units that it has.
+
+        Args:
+            cost_floor: the least unit of the objective.
+            as_stated: whether everything counts in the units of the statement.
+            rescaling: whether units are measured anew within a run.
+            is_guess: whether a point may be far from a trajectory.
+        """
+        point = _arrays(start.point if isinstance(start, WarmStart) else start)
+        if isinstance(start, WarmStart) and start.units is not None and not as_stated:
+            self.staged.set_given(instance)
+            units = copy.copy(start.units)
+        else:
+            units = self.units(point, instance, is_guess=is_guess and not isinstance(start, WarmStart))
+        units.cost = max(units.cost, cost_floor)
+        if as_stated:
+            units.become_one()
+        begin, options = _Start(point, instance, units), self.options(max_iterations)
+        violated = self.measure.violated_at_once(point, instance, units)
+        if not violated <= self.tolerance:
+            status = Status.INFEASIBLE if np.isfinite(violated) else Status.NON_FINITE
+            return self.measure.outcome(self._call(begin, {**options, "iterations": 0}), units, instance, status)
+        check = _IterationCheck(budget or Budget(max_iterations))
+        if not isinstance(start, WarmStart):
+            return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
+        warm, violated = self._warm(begin, start.dynamics, start.rows)
+        if violated <= self.tolerance:
+            outcome = self._as_it_is(warm, begin)
+            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
+                return outcome
+        closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
+        near = {"complementarity": closer, **_near(violated)}
+        return self.measure.outcome(self._call(begin, {**options, **near}, warm, check), units, instance)
+
+    def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
+        """How far a point with multipliers is from the conditions of an optimum, in units that fit it."""
+        start = _Start(point, instance, self.units(point, instance))
+        return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
+
+    def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
+        """How far a warm start is from the conditions of an optimum."""
+        result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        return self.measure.outcome(result, start.units, start.instance, warm=True)
+
+    def _from_point(
+        self, start: _Start, options: dict[str, float], check: _IterationCheck, fitted: Sequence[int]
+    ) -> Outcome:
+        """A solve whose units are measured anew after some iterations: a guess may say little about them."""
+        left = list(fitted)
+        while True:
+            fresh: _Start | None = None
+
+            def is_misfit(iteration: int, z: Array, used: _Start = start) -> bool:
+                nonlocal fresh
+                if not left or iteration < left[0]:
+                    return False
+                del left[0]
+                point = self.staged.point(z.copy())
+                units = StartUnits(self.staged, point, used.instance.limits)
+                if units.distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, units)
+                return fresh is not None
+
+            check.extra = is_misfit
+            result = self._call(start, options, None, check)
+            check.before += int(result.statistics["iterations"])
+            if fresh is None:
+                break
+            options, start = {**options, "iterations": options["iterations"] - result.statistics["iterations"]}, fresh
+        result.statistics["iterations"] = check.before
+        return self.measure.outcome(result, start.units, start.instance)
+
+    def _call(
+        self,
+        start: _Start,
+        options: dict[str, float],
+        warm: CoreSolution | None = None,
+        check: StopCheck | None = None,
+    ) -> CoreSolution:
+        """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
+        staged, units, functions = self.staged, start.units, self.staged.transcription.functions
+        if self._by_updates:
+            functions = StageUpdates(staged.transcription, units.v, units.cost).functions
+        result = solve(
+            staged.transcription.stages,
+            functions,
+            *staged.limits(start.point, start.instance),
+            staged.flat(start.point),
+            staged.coordinates(start.point),
+            units=Units(units.v, units.rows, units.equalities, COST * units.cost),
+            largest_step=self.largest_step,
+            options=Options(**options),
+            warm=warm,
+            should_stop=check,
+        )
+        if result.status is CoreStatus.MAX_ITERATIONS and result.statistics["iterations"] < options["iterations"]:
+            result.status = CoreStatus.STALLED
+        return result
+
+    def _warm(self, start: _Start, dynamics: Array, rows: Array) -> tuple[CoreSolution, float]:
+        """A warm start for the core, and the largest violation there in the core's units."""
+        staged, units = self.staged, start.units
+        y, ye, zl, zu = staged.split_rows(np.asarray(rows))
+        z, v = staged.flat(start.point), staged.coordinates(start.point)
+        at = Evaluated(staged.transcription, z)
+        parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
+        violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)
+        slacks, lam = np.maximum(-at.h, 0.0), staged.unpadded(dynamics)
+        return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
+
+
+def _near(violated: float) -> dict[str, float]:
+    """Options that keep a start near: the further it is from holding, the higher its barrier."""
+    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+    push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
+    return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
+
+
+class _IterationCheck:
+    """What is called before each iteration: Python sees signals there, and what a solve may take.
+
+    Attributes:
+        before: iterations before this call of the core.
+        extra: a second reason to stop.
+    """
+
+    def __init__(self, budget: Budget) -> None:
+        self.budget, self.before = budget, 0
+        self.extra: Callable[[int, Array], bool] = lambda iteration, z: False
+
+    def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
+        is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.extra(iteration, z)
+
+
+def _arrays(tree: Any) -> Any:
+    if isinstance(tree, Point):
+        return Point(*(_arrays(a) for a in tree))
+    if isinstance(tree, tuple):
+        return tuple(map(_arrays, tree))
+    return {name: np.asarray(a) for name, a in tree.items()} if isinstance(tree, dict) else np.asarray(tree)

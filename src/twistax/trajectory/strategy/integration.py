@@ -1,0 +1,175 @@
+"""Integrations by the solver's core: each interval closely from its planned start, and rollouts of a whole phase."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...solver.kernels import Argument
+from ...solver.transcription import INEQUALITY, NONE, CorePhase, Transcription
+from ..transcription.evaluation import Evaluated, moved
+from ..transcription.methods import Collocation, MultipleShooting
+from ..transcription.points import Given, Point
+from ..transcription.staged import Staged
+from ..transcription.staged_phase import StagedPhase
+
+#: How many moves of all unknowns there are: in one of them changes may cancel.
+_MOVES = 4
+
+
+class Closely(NamedTuple):
+    """What a close integration of each interval of a phase, from its planned start, says."""
+
+    gaps: Array  # (intervals, n) how far its end is from the planned one, a tangent
+    rows: Array  # (intervals, path rows) the largest value along it; of equalities the largest size
+    cost: float  # of the phase, its end included
+    middles: dict[str, Array]  # states halfway
+
+
+class Changes(NamedTuple):
+    """By how much moves change rows and objective."""
+
+    rows: Array
+    cost: float
+
+
+class CloseIntegration:
+    """Integrates a staged problem closely.
+
+    Args:
+        staged: the problem.
+        problems: those of its phases.
+    """
+
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given) -> None:
+        self._staged, self._phases = staged, list[CorePhase]()
+        for part, problem in zip(staged.parts, problems):
+            method = problem.transcription.finer.scheme
+            shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
+            self._phases.append(
+                dataclasses.replace(
+                    part.phase,
+                    method=method,
+                    path=np.full(shape, INEQUALITY),
+                    conditions=[np.full(len(rows), INEQUALITY) for rows in part.phase.conditions],
+                )
+            )
+        self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(instance))
+
+    def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
+        """Close integrations of all phases at a point of the problem."""
+        self._transcription.set_data(self._staged.numbers.vector(instance))
+        seen = Evaluated(self._transcription, z)
+        middles = self._middles(z)
+        return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
+
+    def decided_rows(self, z: Array, instance: Given) -> Array:
+        """(rows,) values of the rows at nodes that ends or other rows decide; other entries mean nothing."""
+        transcription, rows = self._transcription, []
+        transcription.set_data(self._staged.numbers.vector(instance))
+        h = Evaluated(transcription, z).h
+        for part, path, nodes in zip(self._staged.parts, transcription.path_places, transcription.node_places):
+            at_starts = np.zeros(part.phase.path.shape)
+            at_starts[:, 0] = h[path[:, 0]]
+            rows.append(part.all_rows(at_starts, [h[places] for places in nodes]))
+        return self._staged.transcribed.whole_rows(rows)
+
+    def _phase(self, number: int, seen: Evaluated, middles: dict[str, Array]) -> Closely:
+        part, transcription = self._staged.parts[number], self._transcription
+        rows = seen.h[transcription.path_places[number]]  # (intervals, points, rows)
+        rows = np.where(part.shooting.path.equality, np.abs(rows), rows).max(axis=1, initial=-np.inf)
+        n, first = part.shooting.n, sum(transcription.stages.after[: part.stages.start])
+        gaps = seen.c[first : first + part.shooting.intervals * n].reshape(-1, n)
+        return Closely(gaps, rows, seen.cost[0] if number == 0 else 0.0, middles)
+
+    def _middles(self, z: Array) -> list[dict[str, Array]]:
+        """States halfway through each interval."""
+        d = np.zeros((self._staged.transcribed.nodes, self._staged.transcribed.n))
+        for number, (part, phase) in enumerate(zip(self._staged.parts, self._phases)):
+            eta = self._transcription.states(number, phase.method.substeps // 2)
+            d[part.stages.start : part.stages.stop - 1, : eta.shape[1]] = eta
+        us, border = np.zeros((len(d) - 1, self._staged.transcribed.m)), np.zeros(self._staged.border.size)
+        d = self._staged.step(d, us, border)
+        halfway = self._staged.point(moved(self._transcription, z, d))
+        xs = halfway.xs if isinstance(halfway.xs, tuple) else (halfway.xs,)
+        return [{name: a[:-1] for name, a in states.items()} for states in xs]
+
+    def changes(self, z: Array, v: Array, length: float) -> Changes:
+        """The largest changes of rows and objective by random moves of all that is free.
+
+        Args:
+            v: sizes of all unknowns.
+            length: of the moves, in these sizes.
+        """
+        staged, transcription = self._staged, self._staged.transcription
+        free, rng = staged.transcribed.free, np.random.default_rng(0)
+        which = staged.step(staged.transcribed.stirred, free.u, free.border) != 0.0
+        before = Evaluated(transcription, z)
+        rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
+        for _ in range(_MOVES):
+            signs = rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v))
+            step = np.where(which, length * v * signs, 0.0)
+            there = Evaluated(transcription, moved(transcription, z, step))
+            change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
+            rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
+            cost = max(cost, abs(float(there.cost[0] - before.cost[0])))
+        return Changes(rows, cost)
+
+
+class CoreRollout:
+    """Rolls the controls of a phase out.
+
+    Args:
+        part: the phase.
+        transcription: what integrates an interval; its substeps are the samples.
+        parameters: entries of the border.
+        data: the numbers of a solve.
+    """
+
+    def __init__(
+        self, part: StagedPhase, transcription: MultipleShooting | Collocation, parameters: int, data: Array
+    ) -> None:
+        self._part, self._samples, self._data = part, int(transcription.substeps), data
+        self._start, self._width = np.zeros(1), np.ones(1)
+        phase, (_, end) = part.phase, part.phase.kernels.nodes[-1]
+        alone = dataclasses.replace(
+            phase,
+            method=transcription.scheme,
+            kernels=dataclasses.replace(phase.kernels, nodes=[(1, end)]),
+            starts=self._start,
+            widths=self._width,
+            path=np.full((1, self._samples + 1, phase.path.shape[2]), NONE),
+            conditions=[np.full(len(phase.conditions[-1]), NONE)],
+            join=None,
+        )
+        self._transcription = Transcription([alone], parameters, data)
+
+    def states(self, point: Point) -> dict[str, Array]:
+        """All states where samples lie, (intervals * samples + 1, ...), from the first node of a point of the phase."""
+        base, *planned = self._part.point.joined(point.xs, 1)
+        samples = [base[None]]
+        for k, (u, end) in enumerate(zip(np.asarray(point.us), planned)):
+            samples.append(self.interval(k, base, u, end, np.ravel(point.border)))
+            base = samples[-1][-1]
+        xs: dict[str, Any] = self._part.point.split(np.concatenate(samples))
+        return xs
+
+    def interval(self, number: int, base: Array, u: Array, end: Array, border: Array) -> Array:
+        """(samples, ...) the states along an interval that starts at a node.
+
+        Args:
+            end: a node near the end, about which no logarithm jumps.
+        """
+        shooting = self._part.shooting
+        self._start[0], self._width[0] = shooting.mesh.shares[number], shooting.mesh.widths[number]
+        self._transcription.set_data(self._data)  # what was integrated is for another interval
+        Evaluated(self._transcription, np.concatenate([base, u[: shooting.m], end, border]))
+        eta = np.stack([self._transcription.states(0, k)[0] for k in range(1, self._samples + 1)])
+        retract = self._part.phase.kernels.retract
+        if retract is None:
+            return base + eta
+        return retract(len(eta), len(base), {Argument.Z: eta, Argument.BASE: base[None]})

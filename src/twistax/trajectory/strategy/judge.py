@@ -1,0 +1,140 @@
+"""Checks of a result once a search has ended: the error of the mesh, limits between nodes, and rows without slope.
+
+Every interval is integrated closely again from its planned start, with the planned controls. It ends a tangent g_k away
+from the planned end. With y_k the multipliers of the dynamics, the objective J of a mesh that follows the equations is,
+to first order,
+
+    J + sum_k y_k . g_k + (cost along the close integration - cost as planned).
+
+Source: Becker and Rannacher, Acta Numerica 10 (2001), pp. 1-102, errors weighted by the dual solution.
+
+A row has a slope if a move of all unknowns changes it by as much as its multiplier is worth. Its multiplier times
+that change, over the change of the objective, is of order one where it has.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from ..sizes import largest_values
+from ..transcription.points import Given
+from ..transcription.staged import Staged
+from .accuracy import Accuracy, Exceeded, FlatRow
+from .integration import CloseIntegration, Closely
+from .outcome import Outcome
+from .status import AT_OPTIMUM, Status
+from .stiffness import amplification
+
+#: Multipliers beyond this, in scales of moves, are of rows without slope.
+_RUN_AWAY = 1e8
+#: The length of a small move, in sizes of the unknowns.
+_SMALL = 1e-3
+
+
+class Judge:
+    """Looks at where searches end, and says what that makes of their status.
+
+    Args:
+        close: integrates closely.
+    """
+
+    def __init__(self, close: CloseIntegration, staged: Staged) -> None:
+        self._close, self._staged, self._shooting = close, staged, staged.transcribed
+        shooting = self._shooting
+        cones = [shooting.named(part, name) for part in shooting.segments for name in part.shooting.path.cones]
+        #: Rows |a|^2 <= b^2 that stand for |a| <= b: their multipliers go like 1 / b as b goes to zero.
+        self._cones = np.isin(np.asarray(shooting.names, str), cones)
+
+    def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
+        """The outcome with its accuracy, and with the status that this gives it.
+
+        Args:
+            mesh_tolerance: the largest error of the mesh of a status that says that the problem is solved.
+            tolerance: limits that are exceeded by more, in their scales, are named.
+        """
+        ended_well = outcome.status in AT_OPTIMUM
+        if outcome.status is Status.NON_FINITE or not (ended_well or _is_finite((outcome.point, outcome.values))):
+            return outcome
+        z = self._staged.flat(outcome.point)
+        amplified = amplification(self._staged, outcome.point, instance)
+        accuracy = self._accuracy(self._close.at(z, instance), outcome, mesh_tolerance, tolerance, amplified)
+        outcome = dataclasses.replace(outcome, accuracy=accuracy, flat=self._flat(z, outcome))
+        if not ended_well:
+            return outcome
+        if outcome.flat is not None:
+            return dataclasses.replace(outcome, status=Status.DEGENERATE)
+        return dataclasses.replace(outcome, status=Status.COARSE) if accuracy.coarse else outcome
+
+    def _flat(self, z: Array, outcome: Outcome) -> FlatRow | None:
+        """The row whose multiplier is largest, if that has run away."""
+        weights, scales = np.abs(outcome.rows), outcome.scales
+        if not weights.any():
+            return None
+        step, sizes = self._staged.step(scales.d, scales.u, scales.border), np.zeros_like(weights)
+        for length, seen in ((_SMALL, 1.0), (1.0, ~self._cones)):  # a whole move shows what is flat to several orders
+            look = self._close.changes(z, step, length)
+            sizes = np.maximum(sizes, seen * weights * look.rows / look.cost if look.cost > 0.0 else 0.0)
+        row = int(sizes.argmax())
+        if not sizes[row] > _RUN_AWAY:
+            return None
+        return FlatRow(str(self._shooting.names[row]), self._shooting.places[row], float(sizes[row]))
+
+    def _accuracy(
+        self,
+        phases: Sequence[Closely],
+        outcome: Outcome,
+        mesh_tolerance: float,
+        tolerance: float,
+        amplified: Sequence[Array],
+    ) -> Accuracy:
+        shooting, scales = self._shooting, outcome.scales
+        places = shooting.phase_places
+        intervals, change, exceeded, largest = [], -outcome.cost, dict[str, Exceeded](), 0.0
+        for closely, segment, place in zip(phases, shooting.segments, places):
+            phase = segment.shooting
+            sizes = np.asarray(scales.d)[segment.nodes, : phase.n][1:]
+            intervals.append(np.abs(closely.gaps / sizes).max(axis=1, initial=0.0))
+            change += float(closely.cost + (outcome.dynamics[segment.stages, : phase.n] * closely.gaps).sum())
+            known = largest_values(phase, segment.of(outcome.point))
+            spread = np.where(known > 0.0, np.minimum(known, sizes.max(axis=0)), sizes.max(axis=0))
+            costates = outcome.dynamics[segment.stages, : phase.n]
+            largest = max(largest, float(np.abs(costates * spread).max(initial=0.0)))
+            rows = phase.row_scales(shooting.rows_of(segment, np.asarray(scales.rows)))
+            shares = closely.rows / np.where(np.isinf(rows), rows.min(axis=0), rows)
+            for name, limit in _exceeded(phase, closely, shares, tolerance, place).items():
+                exceeded[shooting.named(segment, name)] = limit
+        order = sorted(exceeded, key=lambda name: -exceeded[name].share)
+        size = max(abs(outcome.cost), min(float(scales.cost), largest)) or 1.0
+        return Accuracy(
+            intervals=tuple(intervals),
+            change=change,
+            share=abs(change) / size,
+            size=size,
+            amplified=tuple(amplified),
+            exceeded={name: exceeded[name] for name in order},
+            tolerance=mesh_tolerance,
+            middles=tuple(closely.middles for closely in phases),
+            places=tuple(places),
+        )
+
+
+def _exceeded(phase: Any, closely: Closely, shares: Array, tolerance: float, place: str) -> dict[str, Exceeded]:
+    """The limits of a phase that do not hold between nodes, each where it is exceeded most."""
+    exceeded = dict[str, Exceeded]()
+    for row in np.flatnonzero(shares.max(axis=0, initial=0.0) > tolerance):
+        name, stage = phase.path.names[row], int(shares[:, row].argmax())
+        share = float(shares[stage, row])
+        if name not in exceeded or share > exceeded[name].share:
+            by = float(closely.rows[stage, row])
+            exceeded[name] = Exceeded(by, share, f"between nodes {stage} and {stage + 1}{place}")
+    return exceeded
+
+
+def _is_finite(tree: Any) -> bool:
+    return all(np.isfinite(np.asarray(a)).all() for a in jax.tree.leaves(tree))

@@ -1,0 +1,131 @@
+"""Results of the solver's core in the terms of this package: rows, multipliers, errors, a status."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...solver.core import CoreSolution, CoreStatus
+from ..start_units import StartUnits
+from ..transcription.evaluation import Evaluated
+from ..transcription.points import Given, Point, Values
+from ..transcription.staged import Staged
+from .integration import CloseIntegration
+from .outcome import Errors, Outcome, Scales
+from .status import Status
+
+#: The core's unit of the objective over what moves of all unknowns by their sizes change of it: the barrier parameter
+#: begins at 0.1 of that unit.
+COST = 0.02
+#: A result is acceptable within so many tolerances.
+_ACCEPTABLE = 100.0
+
+#: What the core says, in the words of this package.
+_STATUS = {
+    CoreStatus.SOLVED: Status.SOLVED,
+    CoreStatus.MAX_ITERATIONS: Status.MAX_ITERATIONS,
+    CoreStatus.INFEASIBLE: Status.INFEASIBLE,
+    CoreStatus.NON_FINITE: Status.NON_FINITE,
+    CoreStatus.STOPPED: Status.STOPPED,
+    CoreStatus.UNBOUNDED: Status.UNBOUNDED,
+}
+
+
+class Measure:
+    """Measures results of the core.
+
+    Args:
+        tolerance: of the first-order conditions, scaled.
+    """
+
+    def __init__(self, staged: Staged, close: CloseIntegration, tolerance: float) -> None:
+        self._staged, self._transcribed, self._close, self._tolerance = staged, staged.transcribed, close, tolerance
+
+    @property
+    def is_decided(self) -> bool:
+        """Whether ends alone decide a row."""
+        return bool((self._transcribed.decided & ~self._transcribed.pinned).any())
+
+    def violated_at_once(self, point: Point, instance: Given, units: StartUnits) -> float:
+        """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
+        if not self.is_decided:
+            return 0.0
+        problem = self._transcribed
+        rows = self._close.decided_rows(self._staged.flat(point), instance)
+        violated = np.where(problem.equality, np.abs(rows), np.maximum(rows, 0.0)) / self.row_sizes(units)
+        return float(np.where(problem.decided & ~problem.pinned, violated, 0.0).max(initial=0.0))
+
+    def row_sizes(self, units: StartUnits) -> Array:
+        """Of all rows; of one that is not in the core that of another of its name."""
+        problem = self._transcribed
+        sizes = self._staged.all_rows(units.rows, units.equalities, units.v, units.v)
+        for name in np.unique(problem.names[(sizes <= 0.0) & problem.decided].astype(str)):
+            alike = problem.names == name
+            sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
+        return np.where(sizes > 0.0, sizes, 1.0)
+
+    def scales(self, units: StartUnits) -> Scales:
+        """Units of all unknowns and of the objective; rows count as they are."""
+        problem = self._transcribed
+        d, u = np.ones((problem.nodes, problem.n)), np.ones((problem.intervals, problem.m))
+        for number, (part, sizes) in enumerate(zip(self._staged.parts, units.parts)):
+            last = part.stages.stop - 1
+            d[part.stages, : part.shooting.n] = sizes.d
+            u[part.stages.start : last, : part.shooting.m] = sizes.u
+            if part.phase.join is not None:
+                free = part.phase.join.free
+                u[last, : len(free)] = units.parts[number + 1].d[free]
+        return Scales(d, u, units.border, np.ones(len(problem.exists)), np.asarray(units.cost))
+
+    @np.errstate(all="ignore")
+    def outcome(
+        self, result: CoreSolution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
+    ) -> Outcome:
+        """What came out; the status is that of the core unless it is known."""
+        staged, problem, numbers = self._staged, self._transcribed, result.statistics
+        at, point = Evaluated(staged.transcription, result.z), staged.point(result.z)
+        lower, upper = staged.limits(point, instance)
+        rows = staged.all_rows(at.h, at.e, lower - result.v, result.v - upper)
+        w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
+        if problem.decided.any():
+            rows = np.where(problem.decided, self._close.decided_rows(result.z, instance), rows)
+        sizes = self.row_sizes(units)
+        inequality = problem.exists & ~problem.equality
+        slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
+        scales = self.scales(units)._replace(rows=sizes)
+        defects, dynamics = staged.padded(at.c), staged.padded(result.lam)
+        violated = np.where(problem.equality, np.abs(rows), np.maximum(rows, 0.0)) / sizes
+        violated = np.where(problem.exists | problem.decided, violated, 0.0)
+        gap = (np.abs(w) * np.where(inequality, slack, np.abs(rows)))[problem.exists].sum()
+        gap += np.abs(dynamics * defects).sum()
+        errors = Errors(
+            numbers["stationarity"] * COST,
+            numbers["violation"],
+            numbers["complementarity"] * COST,
+            float(gap / units.cost),
+        )
+        return Outcome(
+            point=point,
+            values=Values(at.cost[0], defects, rows),
+            errors=errors,
+            dynamics=dynamics,
+            rows=w,
+            scaled_rows=w * sizes / units.cost,
+            slack=slack,
+            violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
+            scales=scales,
+            status=status or self._status(result, float(violated.max(initial=0.0)), errors),
+            iterations=max(int(numbers["iterations"]), int(not warm)),
+            saddle=result.status in (CoreStatus.SOLVED, CoreStatus.ACCEPTABLE) and not numbers["minimum"],
+            units=units,
+        )
+
+    def _status(self, result: CoreSolution, violated: float, errors: Errors) -> Status:
+        numbers, tolerance = result.statistics, self._tolerance
+        holds = numbers["violation"] <= tolerance and violated <= tolerance
+        optimal = max(errors.stationarity, errors.complementarity, errors.gap) <= tolerance
+        if result.status is CoreStatus.SOLVED or (holds and optimal):
+            return Status.SOLVED
+        if result.status in _STATUS:
+            return _STATUS[result.status]
+        return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * tolerance else Status.STALLED

@@ -1,0 +1,54 @@
+"""Other starts for a search: perturbed guesses, random steps from a point where it stalled."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..transcription.evaluation import Evaluated, moved
+from ..transcription.points import Given, Point, Step
+from .core_solver import CoreSolver
+from .outcome import Scales
+
+#: Moves of states and controls in their sizes; how much larger than sizes, or than those of the guess, gaps may be, and
+#: shares of a move to them.
+_MOVES, _LARGEST_GAP, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(11))
+
+
+def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.Generator) -> Point:
+    """A point with every free entry of states, controls and border moved by a random step.
+
+    The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
+    is exponential in a state, as air is in a height, else makes starts that mean nothing.
+    """
+    staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance, is_guess=True)
+    z, scales = staged.flat(point), solver.measure.scales(units)
+    d = np.where(solver.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
+    u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)
+    here, (low, high) = np.asarray(point.border), np.asarray(instance.limits).T
+    spread = np.minimum((high - low) / 6.0, _MOVES[0] * units.border)
+    border = np.where(free.border, rng.normal(size=here.shape) * spread, 0.0)
+
+    def gap(z: Array) -> float:
+        gaps = np.abs(Evaluated(staged.transcription, z).c) / staged.after(units.v)
+        return float(gaps.max(initial=0.0)) if np.isfinite(gaps).all() else np.inf
+
+    most, end = _LARGEST_GAP * max(1.0, gap(z)), z
+    for share in _SHARES:
+        step = staged.step(share * d, share * u, np.clip(here + share * border, low, high) - here)
+        end = moved(staged.transcription, z, step)
+        if gap(end) <= most:
+            break
+    return staged.point(end)
+
+
+def beside(
+    solver: CoreSolver, point: Point, scales: Scales, size: float, seed: int, controls_alone: bool = False
+) -> Point:
+    """The point after a random step, of controls alone if it is to be so and where there are some."""
+    rng, problem = np.random.default_rng(seed), solver.transcribed
+    u = np.where(problem.free.u, size * rng.normal(size=problem.free.u.shape) * scales.u, 0.0)
+    d = np.where(problem.stirred, size * rng.normal(size=problem.free.d.shape) * scales.d, 0.0)
+    if controls_alone and problem.free.u.any():
+        d = np.zeros_like(d)
+    return solver.moved(point, Step(d, u, np.zeros(problem.border.size)))

@@ -1,0 +1,201 @@
+"""Strategies around a solver that goes to the nearest point that meets the first-order conditions.
+
+Each uses the solver as it is, from another start or in other units.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Callable, Collection
+from typing import Any
+
+import numpy as np
+
+from ..start_units import StartUnits
+from ..transcription.points import Given, Point
+from . import other_starts
+from .budget import Budget
+from .core_solver import CoreSolver
+from .outcome import Outcome, Scales
+from .status import AT_OPTIMUM, Status
+from .warm import WarmStart
+
+#: A result whose errors are so many tolerances in units that fit it is left as it is.
+_CLOSE = 10.0
+#: Rounds in better units; no unit of the objective is a smaller share of the one before.
+_ROUNDS, _SMALL = 10, 1e-6
+#: So many tolerances of the objective are the error of a result.
+_NOISE = 100.0
+#: Where the unit of the objective was so many times too large, multipliers are worth nothing, too.
+_USELESS = 1e3
+#: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
+_FAR = 1e3
+#: Iterations that one run may take: those left of the default are for other strategies.
+_MOST = 500
+#: Runs that end so may have been led there by durations that are free.
+_AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
+#: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
+_AWAY = (0.1, 0.3, 1.0)
+
+
+class Strategy(enum.Enum):
+    """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
+
+    RESCALING = (
+        "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"
+    )
+    STATED_SCALES = "a run that fails is repeated in the units of the statement"
+    FITTED_DURATIONS = "a run that fails is repeated from the durations that limited controls need"
+    LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
+    IMPLICIT_STEPS = (
+        "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
+    )
+
+
+def solved(
+    solver: CoreSolver,
+    start: Point | WarmStart,
+    instance: Given,
+    budget: Budget,
+    strategies: Collection[Strategy] = tuple(Strategy),
+) -> Outcome:
+    """A solve from a start, in units that fit its result, at a minimum where one is near."""
+    return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Point)).run(
+        start, instance
+    )
+
+
+class _Search:
+    """Runs of a solver on one start.
+
+    Args:
+        limited: whether a run leaves iterations for other strategies.
+    """
+
+    def __init__(self, solver: CoreSolver, budget: Budget, strategies: Collection[Strategy], *, limited: bool) -> None:
+        self._solver, self._budget, self._strategies, self._limited = solver, budget, strategies, limited
+
+    def run(self, start: Point | WarmStart, instance: Given) -> Outcome:
+        """The strategies, one after the other, as long as the search comes to no optimum."""
+        result = self._near(start, instance)
+        at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
+        if at_once or isinstance(start, WarmStart):
+            return dataclasses.replace(result, iterations=self._budget.used)
+        if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
+            result = self._at_fitted_durations(result, start, instance)
+        others: dict[Strategy, dict[str, bool]] = {
+            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
+            Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
+        }
+        for strategy, options in others.items():
+            if self._may_repeat(result, strategy):
+                again = self._once(start, instance, **options)
+                result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result
+        return dataclasses.replace(result, iterations=self._budget.used)
+
+    def _may_repeat(self, result: Outcome, strategy: Strategy, ends: Collection[Status] = _AT_REST) -> bool:
+        return result.status in ends and not self._budget.is_spent and strategy in self._strategies
+
+    def _once(
+        self, start: Any, instance: Given, floor: float = 0.0, rescaling: bool = True, **options: bool
+    ) -> Outcome:
+        budget = self._budget
+        most = min(_MOST, budget.left) if self._limited else budget.left
+        rescaling = rescaling and Strategy.RESCALING in self._strategies
+        result = self._solver.run_once(start, instance, most, budget, cost_floor=floor, rescaling=rescaling, **options)
+        budget.used += min(result.iterations, most)
+        is_stopped = result.status is Status.STOPPED
+        return dataclasses.replace(result, status=budget.ended or result.status) if is_stopped else result
+
+    def _fitting(self, start: Any, instance: Given) -> Outcome:
+        if Strategy.RESCALING in self._strategies:
+            return in_fitting_units(self._solver, self._once, start, instance)
+        return self._once(start, instance)
+
+    def _at_minimum(self, result: Outcome, instance: Given) -> Outcome:
+        if Strategy.LEAVING_SADDLES not in self._strategies:
+            return result
+        return at_a_minimum(self._solver, lambda start: self._fitting(start, instance), result)
+
+    def _near(self, start: Any, instance: Given) -> Outcome:
+        return self._at_minimum(self._fitting(start, instance), instance)
+
+    def _at_fitted_durations(self, result: Outcome, start: Point, instance: Given) -> Outcome:
+        """The optimum from durations that controls need, the result where there is none."""
+        units = self._solver.units(start, instance, is_guess=True)
+        durations = units.fitted_durations(self._solver.staged, start, instance.limits)
+        if (durations == np.asarray(start.border)).all():
+            return result
+        other = self._near(start._replace(border=durations), instance)
+        return other if other.status in AT_OPTIMUM else result
+
+
+def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
+    """A solve whose objective counts in units that fit the result: those of a start may be worth nothing there.
+
+    What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
+    optimal.
+    """
+    result = solve(start, instance)
+    known = start.units if isinstance(start, WarmStart) and result.status is Status.SOLVED else None
+    if known is not None and known.fit(solver.staged, result.point):  # those of an earlier result close by
+        return result
+    for _ in range(_ROUNDS):
+        if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
+            break
+        fresh, used = solver.units(result.point, instance), result.scales
+        floor = _SMALL * float(used.cost)
+        ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
+        error = max(result.errors.stationarity, result.errors.gap)
+        if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
+            result = dataclasses.replace(result, units=fresh)  # for warm starts there
+            break
+        if result.status in AT_OPTIMUM:
+            measured = solver.run_once(warm_at(result, instance), instance, 0)
+            if measured.status in AT_OPTIMUM:
+                result = dataclasses.replace(measured, iterations=result.iterations, saddle=result.saddle)
+                break
+        # Multipliers are worth something where the units were.
+        near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
+        again = solve(warm_at(result, instance) if near else result.point, instance, floor, is_guess=False)
+        if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
+            break
+        settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
+        result = again
+        if settled:
+            break
+    return result
+
+
+def warm_at(result: Outcome, instance: Given) -> WarmStart:
+    """A start at a result."""
+    return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, instance.params)
+
+
+def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
+    """Whether units of states or controls differ from those at a result by a large factor."""
+    known = solver.measure.scales(fresh)
+    ratios = [np.ravel(known.d / used.d)]
+    for part, sizes in zip(solver.transcribed.segments, fresh.parts):
+        columns = np.flatnonzero(sizes.steers)
+        ratios.append(np.ravel((known.u / used.u)[part.stages][:, columns]))
+    return bool((np.abs(np.log(np.concatenate(ratios))) > np.log(_FAR)).any())
+
+
+def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
+    """The result; from a saddle point, a better one that searches from random steps away find."""
+    seed = 0
+    while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
+        better = None
+        for size in _AWAY:
+            other = solve(other_starts.beside(solver, result.point, result.scales, size, seed, controls_alone=True))
+            seed += 1
+            lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
+            if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):
+                better = other
+                break
+        if better is None:
+            break
+        result = better
+    return result

@@ -1,0 +1,177 @@
+"""Controls that an optimum does not determine: near-null directions of the reduced Hessian."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...system import entry_names
+from ..transcription.evaluation import Evaluated
+from ..transcription.points import Given
+from ..transcription.staged import Staged
+from ..transcription.staged_phase import StagedPhase
+from .warm import WarmStart
+
+#: A move of all controls by their sizes changes the objective by less than this share of its unit; rows hold whose
+#: multipliers, scaled, are larger.
+_LITTLE = 1e-6
+#: A control is free to move where so much of a move of it alone is left by what holds.
+_SHARE = 0.3
+#: Singular values of rows below this share of the largest are rounding.
+_ROUNDING = 1e-9
+#: Problems with more free unknowns than this are skipped.
+_MOST = 1000
+#: The proposed weight adds this share to the objective where a control is at its size all along.
+_PRICE = 1e-3
+
+
+class Undetermined(NamedTuple):
+    """An entry of a control that may move along an optimum at no cost.
+
+    Attributes:
+        name: of the entry, with that of its phase in front.
+        entry: the same without.
+        moves: (intervals,) between 0 and 1, which share of a move of it alone changes nothing.
+        weight: of its square in the running cost that decides it.
+    """
+
+    name: str
+    entry: str
+    moves: Array
+    weight: float
+
+    @property
+    def intervals(self) -> int:
+        """How many there are where it may move."""
+        return int((self.moves > _SHARE).sum())
+
+
+def undetermined(
+    staged: Staged, warm: WarmStart, instance: Given, derivatives: Sequence[Mapping[str, str]]
+) -> list[Undetermined]:
+    """The controls that a solution does not determine, to second order.
+
+    Moves are those of initial states, controls, times and parameters along the linearised dynamics, on which equalities
+    and the active inequalities hold. Those whose second derivative of the Lagrangian nearly vanishes span what is not
+    determined; a control is not where the projection of a move of it alone on these is long.
+    Source: Nocedal and Wright, Numerical Optimization (2006), theorem 12.6, for what a strict minimum has.
+
+    Args:
+        derivatives: of each phase: name of a held derivative of a control -> what it is.
+    """
+    staged.set_given(instance)
+    scales, sizes = warm.scales, _control_sizes(staged, warm)
+    choices = _Moves(staged, warm, sizes)
+    if choices.count > _MOST:
+        return []
+    free = choices.directions(warm)
+    hessian = free.T @ choices.hessian @ free / float(scales.cost)
+    values, vectors = np.linalg.eigh(0.5 * (hessian + hessian.T))
+    flat = free @ vectors[:, np.abs(values) * choices.count < 2.0 * _LITTLE]
+    shares = (flat**2).sum(axis=1)
+    controls, seconds = list[Undetermined](), np.asarray(warm.point.border)[: staged.border.phases]
+    for number, (part, segment) in enumerate(zip(staged.parts, staged.transcribed.segments)):
+        for entry, column in _entries(part, derivatives[number]):
+            alone = np.array([shares[choices.places[k][column]] for k in _intervals(part)])
+            size = float(sizes[part.stages.start, column - part.shooting.n])
+            weight = _PRICE * float(scales.cost) / (size**2 * float(seconds[number]))
+            name = staged.transcribed.named(segment, entry)
+            controls.append(Undetermined(name, entry, alone, float(f"{weight:.0e}")))
+    return [control for control in controls if control.intervals]
+
+
+def _control_sizes(staged: Staged, warm: WarmStart) -> Array:
+    """(intervals, m) the unit of each control, or what it comes to in its phase where that is more."""
+    sizes, us = np.array(warm.scales.u), np.abs(warm.point.us)
+    for part in staged.parts:
+        rows = slice(part.stages.start, part.stages.stop - 1)
+        sizes[rows] = np.maximum(sizes[rows], us[rows]).max(axis=0)
+    return sizes
+
+
+def _intervals(part: StagedPhase) -> range:
+    return range(part.stages.start, part.stages.stop - 1)
+
+
+def _entries(part: StagedPhase, derivatives: Mapping[str, str]) -> Iterator[tuple[str, int]]:
+    """The entries of controls, without what stands for norms and slacks, and their columns."""
+    phase = part.shooting
+    shapes = {c.name: c.shape for c in phase.dynamics.controls}
+    for name, columns in phase.local.controls.slices.items():
+        if name in shapes and columns != phase.paced:
+            names = entry_names(derivatives.get(name, name), shapes[name])
+            yield from zip(names, range(phase.n + columns.start, phase.n + columns.stop))
+
+
+class _Moves:
+    """All unknowns by those that may be chosen, in units, to first order; and the second derivative of the Lagrangian.
+
+    Args:
+        controls: sizes of the controls.
+
+    Attributes:
+        places: of each stage, where its own columns are chosen; -1 where they are not.
+        hessian: (count, count) by what is chosen.
+    """
+
+    def __init__(self, staged: Staged, warm: WarmStart, controls: Array) -> None:
+        stages, free = staged.transcription.stages, staged.transcribed.free
+        sizes = staged.step(np.asarray(warm.scales.d), controls, np.asarray(warm.scales.border))
+        chosen = staged.step(*(np.asarray(a, float) for a in free)) != 0.0
+        at = Evaluated(staged.transcription, staged.flat(warm.point))
+        at.jacobians()
+        y, ye, _, _ = staged.split_rows(np.asarray(warm.rows))
+        hessian = at.hessian(1.0, staged.unpadded(warm.dynamics), y, ye)
+        blocks, slopes = at.blocks(hessian, stages.columns), at.blocks(at.F, stages.after)
+        self._staged, self._at = staged, at
+        split = stages.variables - stages.parameters
+        self._columns = [
+            np.r_[a : a + n - stages.parameters, split : len(sizes)] for a, n in zip(staged.first, stages.columns)
+        ]
+        decides = np.zeros(len(sizes), bool)
+        for columns, n in zip(self._columns, stages.states):
+            decides[columns[n:]] = chosen[columns[n:]]
+        first = self._columns[0][: stages.states[0]]
+        decides[first] = chosen[first]
+        numbers = np.where(decides, np.cumsum(decides) - 1, -1)
+        self.count = int(decides.sum())
+        self.places = [numbers[columns] for columns in self._columns]
+        #: Of each stage (columns, count), in units.
+        self.maps: list[Array] = []
+        self.hessian = np.zeros((self.count, self.count))
+        if self.count > _MOST:
+            return
+        after = np.zeros((0, self.count))
+        for k, (places, columns) in enumerate(zip(self.places, self._columns)):
+            move = np.zeros((len(columns), self.count))
+            move[np.flatnonzero(places >= 0), places[places >= 0]] = 1.0
+            if k:
+                move[: len(after)] = after
+            size = sizes[columns]
+            self.maps.append(move)
+            self.hessian += move.T @ (size[:, None] * blocks[k] * size) @ move
+            next_sizes = sizes[self._columns[k + 1][: stages.after[k]]] if k + 1 < len(self._columns) else np.zeros(0)
+            after = (slopes[k] * size / next_sizes[:, None]) @ move
+        self._sizes = sizes
+
+    def directions(self, warm: WarmStart) -> Array:
+        """(count, directions) an orthonormal basis of the moves on which equalities and active inequalities hold."""
+        staged, at, stages = self._staged, self._at, self._at.stages
+        scaled = np.asarray(warm.rows) * np.asarray(warm.scales.rows) / float(warm.scales.cost)
+        y, _, low, high = (np.abs(a) > _LITTLE for a in staged.split_rows(scaled))
+        rows = [np.zeros((0, self.count))]
+        kinds = ((at.Jh, stages.inequalities, y), (at.Je, stages.equalities, np.ones(sum(stages.equalities), bool)))
+        for flat, counts, holds in kinds:
+            every = zip(at.blocks(flat, counts), np.split(holds, np.cumsum(counts)[:-1]), self.maps, self._columns)
+            rows += [(slopes[active] * self._sizes[columns]) @ move for slopes, active, move, columns in every]
+        for move, columns in zip(self.maps, self._columns):
+            rows.append(move[(low | high)[columns]])
+        fixed = np.concatenate(rows)
+        lengths = np.linalg.norm(fixed, axis=1)
+        fixed = fixed[lengths > 0.0] / lengths[lengths > 0.0][:, None]
+        _, values, directions = np.linalg.svd(np.linalg.qr(fixed, mode="r"))
+        rank = int((values > _ROUNDING * values.max(initial=1.0)).sum())
+        return directions[rank:].T

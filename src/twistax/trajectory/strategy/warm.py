@@ -1,0 +1,125 @@
+"""Warm starts: states, controls, times, multipliers and scales of a solution."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import jax
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import short, whole
+from ...errors import TrajectoryError
+from ...jax_inside import in_double
+from ..start_units import StartUnits
+from ..strategy.integration import CoreRollout
+from ..transcription.points import Given, Point
+from .outcome import Scales
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class WarmStart:
+    """Where a solve may start instead of at a guess: `problem.solve(warm=...)`.
+
+    Attributes:
+        problem: whose solution it was.
+        point: states, controls with the bounds on norms among them, times and free parameters.
+        dynamics, rows: multipliers in the problem's units.
+        scales: of unknowns, rows and objective.
+        params: the parameters that it was solved for.
+        units: of the solver, where these are known and fit the problem.
+    """
+
+    problem: Any
+    point: Point
+    dynamics: Array  # (intervals, n)
+    rows: Array  # (rows,)
+    scales: Scales
+    params: dict[str, Array]
+    units: StartUnits | None = None
+
+    def shifted(self, steps: int = 1) -> WarmStart:
+        """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
+
+        Raises:
+            TrajectoryError: steps is no positive whole number; intervals are not equally long.
+        """
+        whole("steps", steps, 1, TrajectoryError)
+        point = self.point
+        if isinstance(point.xs, tuple):
+            raise TrajectoryError("shifted: what comes later is another phase; it needs a problem of one phase")
+        if self.problem is None:
+            raise TrajectoryError("shifted: the start belongs to no problem")
+        (problem,) = self.problem.parts
+        shooting = problem.shooting
+        if not problem.mesh.is_even:
+            raise TrajectoryError("shifted: intervals of other lengths come later; it needs nodes at equal distances")
+        # Linear controls stay as they are.
+        split = shooting.local.controls.split
+        still = {name: np.asarray(a) for name, a in problem.continuous.at_rest(split(np.ones(shooting.m))).items()}
+        rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
+        us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
+        with in_double():
+            instance = self.problem.started(begin=point).given._replace(params=self.params)
+            staged = self.problem.core(1e-6, point, instance).staged
+            last, data = staged.parts[0], staged.numbers.vector(instance)
+            rollout = CoreRollout(last, problem.transcription, staged.border.size, data)
+            nodes = list(last.point.joined(point.xs, 1))
+            for _ in range(steps):
+                ends = rollout.interval(shooting.intervals - 1, nodes[-1], rest, nodes[-1], np.ravel(point.border))
+                nodes.append(ends[-1])
+        inner, end = np.split(self.rows, [shooting.intervals * shooting.rows_per_interval])
+        return dataclasses.replace(
+            self,
+            point=Point(last.point.split(np.stack(nodes[steps:])), us, point.border),
+            dynamics=_moved_on(self.dynamics, steps),
+            rows=np.concatenate([_moved_on(inner.reshape(shooting.intervals, -1), steps).ravel(), end]),
+        )
+
+
+def _moved_on(values: Array, steps: int) -> Array:
+    """What comes so many intervals later, the last again and again."""
+    return values[np.minimum(np.arange(len(values)) + steps, len(values) - 1)]
+
+
+def warm_start(value: Any) -> WarmStart:
+    """The warm start itself, or that of a result.
+
+    Raises:
+        TrajectoryError: it is neither.
+    """
+    warm = value if isinstance(value, WarmStart) else getattr(value, "warm", None)
+    if not isinstance(warm, WarmStart):
+        raise TrajectoryError(f"solve: warm must be a result, or what result.shifted() gives; got {short(value)}")
+    arrays = [*jax.tree.leaves(warm.point), warm.dynamics, warm.rows]
+    if not all(np.isfinite(np.asarray(a)).all() for a in arrays):
+        raise TrajectoryError(
+            "solve: warm has values that are not finite, so nothing starts there\n  fix: solve from a guess"
+        )
+    return warm
+
+
+def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> WarmStart:
+    """The warm start at other ends, and within the limits of times and free parameters.
+
+    Raises:
+        TrajectoryError: it is of a problem with other states, controls, nodes or constraints.
+    """
+    shooting, point = problem.shooting, warm.point
+    shapes = [np.shape(a) for a in (point.us, warm.dynamics, warm.rows, point.border)]
+    expected = [(shooting.intervals, k) for k in (shooting.m, shooting.n)]
+    expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
+    if shapes != expected:
+        raise other_problem()
+    start = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
+    same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in instance.params.items())
+    return dataclasses.replace(warm, point=start, units=warm.units if same else None)
+
+
+def other_problem() -> TrajectoryError:
+    """What is raised where a warm start does not fit."""
+    return TrajectoryError(
+        "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
+        "  fix: give its xs and us as guess"
+    )

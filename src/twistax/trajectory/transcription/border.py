@@ -1,0 +1,186 @@
+"""The unknowns that all intervals share: how long each phase takes, then the free parameters, in one vector b."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+import math
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import listed, number, reals, short
+from ...errors import ModelError, TrajectoryError
+from ...expr import Control, Parameter
+from ...linear.discretize import Controls
+from ...system import entry_names, name_of
+from ...units import same_unit, seconds
+
+#: Limits of a time that are further apart than this leave it open how long things take, but for the order of magnitude.
+_WIDE = 100.0 * (1.0 + 1e-9)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Border:
+    """Where durations and free parameters sit in b, and their limits.
+
+    Attributes:
+        times: what the duration of each phase is called.
+        time_limits: (phases, 2), equal where a duration is fixed.
+        boxes: the free parameters, each with its box.
+    """
+
+    times: tuple[str, ...]
+    time_limits: Array
+    boxes: tuple[Control, ...] = ()
+
+    @functools.cached_property
+    def limits(self) -> Array:
+        """(g, 2), infinite where there is none."""
+        return np.concatenate([np.reshape(self.time_limits, (-1, 2)), *map(_sides, self.boxes)])
+
+    @property
+    def size(self) -> int:
+        return len(self.limits)
+
+    @property
+    def phases(self) -> int:
+        return len(self.times)
+
+    @property
+    def free(self) -> Array:
+        """(g,) which entries may move."""
+        return self.limits[:, 0] < self.limits[:, 1]
+
+    @functools.cached_property
+    def names(self) -> list[str]:
+        """Of every entry."""
+        return [*self.times, *(entry for box in self.boxes for entry in entry_names(box.name, box.shape))]
+
+    @functools.cached_property
+    def finite(self) -> list[tuple[int, int]]:
+        """(entry, side) of every limit that there is."""
+        there = np.isfinite(self.limits) & self.free[:, None]
+        return [(int(i), int(side)) for i, side in np.argwhere(there)]
+
+    @property
+    def row_names(self) -> list[str]:
+        return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self.finite]
+
+    def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
+        """What must be <= 0."""
+        rows = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]
+        return jnp.stack(rows) if rows else jnp.zeros(0, b.dtype)
+
+    def params(self, b: Any) -> dict[str, Any]:
+        """The free parameters by name."""
+        return Controls(self.boxes).split(b[self.phases :])
+
+    def limited(self, times: Array, free: Any) -> Array:
+        """(g, 2) limits with these of the durations, and others of free parameters by leaf or name.
+
+        Raises:
+            ModelError: as `boxes_of`, for parameters that are not free.
+            TrajectoryError: limits on other sides, or without a distance.
+        """
+        limits = np.concatenate([np.reshape(times, (-1, 2)), self.limits[self.phases :]])
+        places = Controls(self.boxes).slices
+        for name in map(name_of, free) if isinstance(free, (Mapping, list, tuple)) else ():
+            if name not in places:
+                raise ModelError(
+                    f"solve: free names {name!r}; the problem leaves free: {listed(places, name)}\n"
+                    "  fix: state the problem with free="
+                )
+        for box in boxes_of(free, [Parameter(box.name, box.shape) for box in self.boxes], ()):
+            part = slice(*(self.phases + np.array([places[box.name].start, places[box.name].stop])))
+            other = _sides(box)
+            if (np.isfinite(other) != np.isfinite(limits[part])).any():
+                raise TrajectoryError(
+                    f"solve: free[{box.name!r}] must have limits on the sides where the problem has them, "
+                    f"got {short((box.min, box.max))} for {limits[part].tolist()}"
+                )
+            if (other[:, 0] >= other[:, 1]).any():
+                raise TrajectoryError(f"solve: free[{box.name!r}] expects low below high; a value belongs to params=")
+            limits[part] = other
+        return limits
+
+    def start(self, durations: Array, params: Mapping[str, Array], guess: Mapping[str, Array], limits: Array) -> Array:
+        """b at the start, within limits (g, 2): guesses, else what is nearest to the parameters' values.
+
+        Raises:
+            TrajectoryError: a guess outside its box.
+        """
+        parts = [np.ravel(durations)]
+        places = Controls(self.boxes).slices
+        for box in self.boxes:
+            value = np.ravel(guess.get(box.name, params[box.name])).astype(float)
+            parts.append(np.clip(value, *limits[self.phases :][places[box.name]].T))
+            if box.name in guess and (value != parts[-1]).any():
+                raise TrajectoryError(f"guess[{box.name!r}] must be within its limits, got {short(guess[box.name])}")
+        return np.concatenate(parts)
+
+
+def _sides(box: Control) -> Array:
+    """(entries, 2) the limits of a leaf."""
+    ends = [np.full(box.shape, far) if end is None else end for end, far in ((box.min, -np.inf), (box.max, np.inf))]
+    return np.stack([np.ravel(end) for end in ends], axis=1)
+
+
+def boxes_of(free: Any, parameters: Iterable[Parameter], baked: Iterable[str]) -> tuple[Control, ...]:
+    """The free parameters with their boxes, from `free={parameter or name: (low, high)}`.
+
+    Raises:
+        ModelError: what is no parameter of the problem, or was baked; limits that are no pair, or low above high.
+        ShapeError: limits that do not broadcast to the parameter's shape.
+    """
+    if isinstance(free, (list, tuple)):
+        free = dict.fromkeys(free, (None, None))
+    if free is not None and not isinstance(free, Mapping):
+        raise ModelError(
+            f"free must be a dict from parameters to limits (low, high) or a list of parameters, got {short(free)}; "
+            "e.g. free={'mass': (1.0, 3.0)}"
+        )
+    known, gone, boxes = {leaf.name: leaf for leaf in parameters}, set(baked), []
+    for key, limits in (free or {}).items():
+        name = name_of(key)
+        if name in gone:
+            raise ModelError(
+                f"free names the parameter {name!r}, which was baked into the dynamics.\n  fix: do not bake it"
+            )
+        if name not in known or not isinstance(key, (str, Parameter)):
+            raise ModelError(f"free names {name!r}, but the problem reads the parameters: {listed(known, name)}")
+        if not isinstance(limits, (tuple, list)) or len(limits) != 2:
+            raise ModelError(f"free[{name!r}] expects limits (low, high), got {short(limits)}")
+        low, high = limits
+        try:
+            boxes.append(Control(name, known[name].shape, min=low, max=high))
+        except ModelError as error:
+            raise ModelError(f"free: {error}") from None
+    return tuple(boxes)
+
+
+def times_of(final_time: Any, guess: Any) -> tuple[tuple[float, float], float]:
+    """The limits of a final time, a number or (low, high), and where it starts.
+
+    Raises:
+        TrajectoryError: times that cannot be.
+        InputError: another unit than s.
+    """
+    for name, value in (("final_time", final_time), ("final_time_guess", guess)):
+        same_unit(name, value, seconds)
+    if final_time is None:
+        raise TrajectoryError("final_time expects a number in s, or limits (low, high) to leave it free, got None")
+    limits = reals("final_time", final_time, TrajectoryError)
+    if limits.shape not in ((), (2,)):
+        raise TrajectoryError(f"final_time must be a number or (low, high), got {final_time!r}")
+    low, high = np.broadcast_to(limits, 2).tolist()
+    if not (0.0 < low <= high < np.inf):
+        raise TrajectoryError(f"final_time must be positive, finite and low <= high, got {final_time!r}")
+    if guess is None:
+        guess = 0.5 * (low + high) if high <= _WIDE * low else math.sqrt(low) * math.sqrt(high)
+    number("final_time_guess", guess, f"from {low:g} to {high:g}", lambda t: low <= t <= high, TrajectoryError)
+    return (low, high), float(guess)

@@ -1,0 +1,241 @@
+"""The functions of a phase as kernels that the solver's core calls, compiled once for all that differ in numbers."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+from numpy import ndarray as Array
+
+from ...expr import Control, Expr, Leaf, Parameter, State, Time
+from ...expr.fields import freeze
+from ...expr.transformations.without_numbers import Structure
+from ...solver.kernels import Argument, SmoothKernels
+from ...solver.transcription import JoinKernels, PhaseKernels
+from ..problem.conditions import Conditions
+from .joined import Join
+from .points import Given
+from .shooting import Shooting
+from .vectors import Flat, Numbers
+
+#: Arguments by what they are.
+Known = Mapping[Argument, jax.Array]
+#: A function of arguments, parameters, and groups of expressions.
+Traced = Callable[[Known, Any, Sequence[Any]], jax.Array]
+
+
+class ExtraHessian(NamedTuple):
+    """Second derivatives in place of those of a whole function, such as those of squares.
+
+    Attributes:
+        running, final: of the running cost by q = [eta, u, b] and of the final one by z = [eta, b], flat.
+        running_parts, final_parts: the expressions that they read, in groups.
+    """
+
+    running: Traced
+    running_parts: Sequence[Sequence[Expr]]
+    final: Traced
+    final_parts: Sequence[Sequence[Expr]]
+
+
+def point_of(shooting: Shooting) -> Flat:
+    """A node's states as one vector."""
+    return Flat({name: shooting.leaves[name].shape for name in shooting.dynamics.group.factors})
+
+
+def group_key(shooting: Shooting) -> Hashable:
+    """Equal for phases whose states are of the same groups."""
+    return tuple((type(group), freeze(group), group.shape) for group in shooting.dynamics.group.factors.values())
+
+
+class _LeafPlaces:
+    """Where the leaves of a phase stand, whatever they are called.
+
+    Attributes:
+        key: equal for phases whose points, controls, parameters and times are laid out alike.
+        boxes: whose limits there are.
+    """
+
+    def __init__(self, shooting: Shooting, numbers: Numbers) -> None:
+        local, border = shooting.local, shooting.border
+        kinds = {
+            "parameter": numbers.names,
+            "free": [box.name for box in border.boxes],
+            "row": shooting.by_node.leaves,
+            "state": local.group.factors,
+            "control": local.controls.slices,
+        }
+        self._places = {name: (kind, k) for kind, names in kinds.items() for k, name in enumerate(names)}
+        self.boxes = tuple((self._places[b.leaf], b.entry, b.sign) for b in shooting.path.bounds)
+        controls = tuple(part.stop - part.start for part in local.controls.slices.values())
+        free = tuple(box.shape for box in border.boxes)
+        self.key = (group_key(shooting), controls, free, border.phases, shooting.phase, numbers.key, local.sign)
+
+    def token(self, leaf: Leaf) -> Hashable:
+        """What stands for a leaf; None where it counts with all that it has."""
+        if isinstance(leaf, Time):
+            return "time"
+        known = isinstance(leaf, (State, Control, Parameter)) and leaf.name in self._places
+        return (type(leaf), self._places[leaf.name], leaf.shape) if known else None
+
+
+class PhaseFunctions:
+    """The functions of a phase: of (eta, u, p), shares, points of nodes, and the numbers of a solve.
+
+    Numbers within expressions are arguments too: kernels of phases that differ in them alone are one.
+
+    Args:
+        extra: second derivatives of the costs, where those of the functions are not compiled.
+        order: of the derivatives that are compiled.
+    """
+
+    def __init__(self, shooting: Shooting, numbers: Numbers, extra: ExtraHessian | None = None, order: int = 2) -> None:
+        self._shooting, self._numbers, self._extra, self._order = shooting, numbers, extra, order
+        self.point, self._leaf_places = point_of(shooting), _LeafPlaces(shooting, numbers)
+
+    def smooth(
+        self,
+        function: Callable[..., jax.Array],
+        arguments: Mapping[Argument, int],
+        order: int,
+        key: Hashable,
+        numbers: Array,
+    ) -> SmoothKernels:
+        """Kernels of a function that reads unknowns, numbers of a solve, and numbers within expressions last."""
+        return SmoothKernels(function, arguments, order, key, numbers)
+
+    def kernels(self, nodes: Mapping[int, Conditions]) -> PhaseKernels:
+        """All of them, compiled."""
+        phase, exprs, group = self._shooting, self._shooting.local.expressions, group_key(self._shooting)
+        n, of_step, size = phase.n, phase.n + phase.border.size, self.point.size
+        fixed = {Argument.BASE: size, Argument.DATA: self._numbers.size}
+        if phase.by_node.leaves:
+            fixed[Argument.ROW] = phase.by_node.width
+        of_q = {Argument.Z: phase.size, Argument.SHARE: 1, **fixed}
+        of_node, of_end = {Argument.Z: of_step, Argument.SHARE: 1, **fixed}, {Argument.Z: of_step, **fixed}
+        boxes, pace = self._leaf_places.boxes, phase.paced and (phase.paced.start, phase.paced.stop)
+        places = (tuple(phase.layout.fixed), tuple(phase.layout.end_states))
+        at_end = ("end", boxes, *places, phase.is_last and tuple(phase.border.finite))
+        end = self._of(self._end, of_end, [exprs.conditions, exprs.rows, exprs.limits, exprs.final], at_end)
+        rows = self._of(self._rows, of_q, [exprs.rows, exprs.limits, exprs.running], ("rows", pace, boxes))
+        if (extra := self._extra) is not None:
+            self._add(rows, extra.running, of_q, extra.running_parts, ("running", pace))
+            self._add(end, extra.final, of_end, extra.final_parts, "final")
+        flat = all(factor.flat for factor in phase.dynamics.group.factors.values())
+        gap = {Argument.Z: n, Argument.BASE: size, Argument.TARGET: size}
+        move = {Argument.Z: n, Argument.BASE: size}
+        return PhaseKernels(
+            self._of(self._rate, of_q, [exprs.rates], ("rate", pace)),
+            rows,
+            SmoothKernels(self._gap, gap, self._order, ("gap", group)),
+            [
+                *((k, self._of(self._node(c), of_node, [c.residuals], "node")) for k, c in nodes.items()),
+                (phase.intervals, end),
+            ],
+            None if flat else SmoothKernels(self._retract, move, 0, ("retract", group)).kernels[0],
+            None if flat else SmoothKernels(self._turn, {Argument.Z: n}, 0, ("turn", group)).kernels[0],
+        )
+
+    def join(self, join: Join, after: Shooting) -> JoinKernels:
+        """The kernels of a join to the next phase."""
+        before, first = self._shooting, point_of(after)
+
+        def gap(known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
+            start, initial = (
+                first.split(known[Argument.TARGET]),
+                self._numbers.initial(known[Argument.DATA], after.phase),
+            )
+            return join.made_of(parts[0]).gap_at(known[Argument.Z], self._base(known), start, initial, params)
+
+        arguments = {Argument.Z: before.n + before.border.size, Argument.BASE: self.point.size}
+        arguments |= {Argument.TARGET: first.size, Argument.DATA: self._numbers.size}
+        rest = ("join", group_key(after), after.phase, join.key)
+        return JoinKernels(self._of(gap, arguments, [join.sources], rest), join.free)
+
+    def _of(
+        self,
+        function: Traced,
+        arguments: Mapping[Argument, int],
+        parts: Sequence[Sequence[Expr]],
+        rest: Hashable,
+        order: int | None = None,
+    ) -> SmoothKernels:
+        """The kernels of a function.
+
+        Args:
+            parts: the expressions, in groups.
+            rest: all else that it depends on, but for the layout.
+            order: of the derivatives, if not as in the whole problem.
+        """
+        structure = Structure([expr for part in parts for expr in part], self._leaf_places.token)
+        by_node = self._shooting.by_node
+
+        def traced(*arrays: jax.Array) -> jax.Array:
+            known, roots = dict(zip([*arguments, Argument.NUMBERS], arrays)), iter(structure.roots)
+            params = self._numbers.params(known[Argument.DATA])
+            if Argument.NUMBERS in known:
+                params |= structure.params(known[Argument.NUMBERS])
+            if Argument.ROW in known:
+                params |= by_node.at(known[Argument.ROW], known.get(Argument.SHARE, jnp.ones(1))[0])
+            return function(known, params, [tuple(next(roots) for _ in part) for part in parts])
+
+        shapes = tuple(leaf.shape for leaf in by_node.leaves.values())
+        key = (self._leaf_places.key, shapes, structure.key, tuple(map(len, parts)), rest)
+        return self.smooth(traced, arguments, self._order if order is None else order, key, structure.numbers)
+
+    def _add(
+        self,
+        kernels: SmoothKernels,
+        function: Traced,
+        arguments: Mapping[Argument, int],
+        parts: Sequence[Sequence[Expr]],
+        rest: Hashable,
+    ) -> None:
+        """Append a kernel of second derivatives."""
+        if parts:
+            arguments = {**arguments, Argument.WEIGHTS: kernels.rows}
+            kernels.kernels += self._of(function, arguments, parts, ("squares", rest), 0).kernels
+
+    # ---- what is traced ---------------------------------------------------------------------------------------------
+
+    def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
+        return self._shooting.made_of(self._shooting.local.expressions._replace(**exprs))
+
+    def _base(self, known: Known) -> dict[str, jax.Array]:
+        return self.point.split(known[Argument.BASE])
+
+    def _rate(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
+        phase = self._made_of(rates=parts[0])
+        return phase.rate_at(known[Argument.Z], known[Argument.SHARE][0], self._base(known), params)
+
+    def _rows(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
+        phase = self._made_of(**dict(zip(("rows", "limits", "running"), parts, strict=True)))
+        return phase.point_at(known[Argument.Z], known[Argument.SHARE][0], self._base(known), params)
+
+    def _end(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
+        phase = self._made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
+        z, data, numbers = known[Argument.Z], known[Argument.DATA], self._numbers
+        instance = Given(params, numbers.final(data, phase.phase), numbers.limits(data))
+        return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), instance)
+
+    def _node(self, conditions: Conditions) -> Traced:
+        def at_node(known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
+            d, b = jnp.split(known[Argument.Z], [self._shooting.n])
+            exchanged = dataclasses.replace(conditions, residuals=parts[0])
+            share, base = known[Argument.SHARE][0], self._base(known)
+            return self._shooting.condition_at(exchanged, d, share, base, b, params)
+
+        return at_node
+
+    def _gap(self, eta: jax.Array, base: jax.Array, target: jax.Array) -> jax.Array:
+        return self._shooting.local.gap(eta, self.point.split(base), self.point.split(target))
+
+    def _retract(self, d: jax.Array, base: jax.Array) -> jax.Array:
+        states = self._shooting.dynamics.group.retract(self.point.split(base), d)
+        return jnp.concatenate([states[name].reshape(-1) for name in self.point.shapes])
+
+    def _turn(self, c: jax.Array) -> jax.Array:
+        return self._shooting.dynamics.group.left_jacobian(c).reshape(-1)

@@ -1,0 +1,104 @@
+"""Where the nodes of a trajectory lie in time."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import reals, short, whole
+from ...errors import TrajectoryError
+
+if TYPE_CHECKING:
+    from .methods import Collocation, MultipleShooting
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Mesh:
+    """The times of the nodes, as shares of how long the trajectory takes.
+
+    Args:
+        nodes: their number, for intervals of equal length, or an increasing sequence of shares from 0 to 1.
+        free: whether the optimiser chooses how long intervals are, as a jump of a control between two nodes needs it:
+            True, or limits (low, high) of their lengths as multiples of those that `nodes` says. True is (0.01, inf).
+
+    Attributes:
+        shares: (nodes,).
+        free: the limits, None where nodes stay at their shares.
+
+    Raises:
+        TrajectoryError: fewer than two nodes; shares that do not increase from 0 to 1; limits that do not have 1
+            between them.
+    """
+
+    shares: Array
+    free: tuple[float, float] | None
+
+    def __init__(self, nodes: Any, *, free: Any = False) -> None:
+        if np.ndim(nodes) == 0:
+            whole("nodes", nodes, 2, TrajectoryError)
+            shares = np.linspace(0.0, 1.0, int(nodes))
+        else:
+            shares = reals("nodes", nodes, TrajectoryError)
+            if (
+                shares.ndim != 1
+                or len(shares) < 2
+                or not (np.diff(shares) > 0.0).all()
+                or (shares[[0, -1]] != (0, 1)).any()
+            ):
+                raise TrajectoryError(
+                    "nodes expects a whole number of 2 or more, or shares of the final time that increase from 0 to 1, "
+                    f"got {short(nodes)}; e.g. nodes=[0.0, 0.1, 0.4, 1.0]"
+                )
+        shares.setflags(write=False)
+        object.__setattr__(self, "shares", shares)
+        object.__setattr__(self, "free", _limits(free))
+
+    @property
+    def nodes(self) -> int:
+        """How many."""
+        return len(self.shares)
+
+    @property
+    def is_even(self) -> bool:
+        """Whether all intervals are equally long."""
+        return self.free is None and bool(np.allclose(self.widths, 1.0 / len(self.widths), rtol=1e-9, atol=0.0))
+
+    @property
+    def widths(self) -> Array:
+        """(nodes - 1,) of the intervals."""
+        return np.diff(self.shares)
+
+
+def _limits(free: Any) -> tuple[float, float] | None:
+    if isinstance(free, (bool, np.bool_)):
+        return (0.01, np.inf) if free else None
+    limits = reals("Mesh: free", free, TrajectoryError)
+    if limits.shape != (2,) or not 0.0 < limits[0] < 1.0 < limits[1]:
+        raise TrajectoryError(f"Mesh: free expects True, False or limits 0 < low < 1 < high, got {short(free)}")
+    return float(limits[0]), float(limits[1])
+
+
+def mesh_of(nodes: Any) -> Mesh:
+    """The mesh that was instance, or that of so many nodes, or with nodes at these shares."""
+    return nodes if isinstance(nodes, Mesh) else Mesh(nodes)
+
+
+class Remeshed(NamedTuple):
+    """What a problem of one phase, or a phase, has on another mesh; `numbers` are the new ones of its nodes."""
+
+    mesh: Mesh
+    transcription: MultipleShooting | Collocation
+    numbers: Array
+
+    def stated(self, at: Mapping[int, Any] | None) -> dict[str, Any]:
+        """What it is stated with, given conditions at inner nodes; without a guess."""
+        return {
+            "nodes": self.mesh,
+            "transcription": self.transcription,
+            "at": None if at is None else {int(self.numbers[k]): constraints for k, constraints in at.items()},
+            **dict.fromkeys(("method", "substeps", "guess")),
+        }

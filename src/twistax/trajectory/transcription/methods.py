@@ -1,0 +1,142 @@
+"""How an interval is integrated: `Problem(transcription=...)`."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import whole
+from ...errors import TrajectoryError
+from ...integrators import RKMK, ImplicitRKMK, Method
+from ...integrators.tableaus import DOP853, RK4, CollocationTableau
+from ...linear.discretize import method_of
+from ...solver.transcription import Scheme
+
+#: Steps of a close integration of an interval at least, for limits are checked at their ends; an even number.
+_LOOKS = 8
+
+
+@dataclasses.dataclass(frozen=True)
+class MultipleShooting:
+    """An explicit Runge-Kutta method in exponential coordinates about the first node of an interval.
+
+    Args:
+        method: an `RKMK` with an explicit tableau; RK4 if left out. Its chart does not matter.
+        substeps: its steps in an interval. Limits on states hold at their ends.
+
+    Raises:
+        TrajectoryError: another method, or no positive whole number of substeps.
+    """
+
+    method: Any = dataclasses.field(default_factory=lambda: RKMK(RK4))
+    substeps: Any = 2
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "method", method_of(self.method))
+        whole("substeps", self.substeps, 1, TrajectoryError)
+
+    @property
+    def scheme(self) -> Scheme:
+        """The method as the solver's core has it; the running cost by Simpson's rule at the ends of substeps."""
+        a, c = self.method.tableau.counted
+        square = np.zeros((len(c), len(c)))
+        for row, weights in zip(square, a):
+            row[: len(weights)] = weights
+        weights = np.concatenate([_simpson(self.substeps), np.zeros(self.substeps * len(c))])
+        return Scheme(square, np.asarray(self.method.tableau.b[: len(c)]), np.asarray(c), self.substeps, False, weights)
+
+    @property
+    def finer(self) -> MultipleShooting:
+        """A method of higher order in finer steps, to measure errors with."""
+        return MultipleShooting(RKMK(DOP853), max(2 * self.substeps, _LOOKS))
+
+    @property
+    def replaying(self) -> Method:
+        """The method of a replay that names none."""
+        return RKMK(RK4)
+
+    def rolling(self, samples: int) -> MultipleShooting:
+        """The same for the core, in so many steps of an interval."""
+        return MultipleShooting(RKMK(RK4), samples)
+
+
+@dataclasses.dataclass(frozen=True)
+class Collocation:
+    """Collocation on the group: a polynomial in exponential coordinates about the first node of an interval.
+
+    Its slope is that of the equation at the nodes of the tableau. For stiff systems, and for long intervals of high
+    order. The equations of a step are solved inside of the interval, with the running cost integrated to the order of
+    the tableau.
+
+    Args:
+        tableau: a `tx.tableaus.CollocationTableau`, such as `tx.tableaus.GAUSS_LEGENDRE6` or `RADAU_IIA5`.
+        substeps: its steps in an interval. Limits on states hold at their ends.
+
+    Raises:
+        TrajectoryError: another tableau, or no positive whole number of substeps.
+    """
+
+    tableau: Any
+    substeps: Any = 1
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.tableau, CollocationTableau):
+            raise TrajectoryError(
+                f"Collocation expects a tableau like tx.tableaus.GAUSS_LEGENDRE6, got {self.tableau!r}"
+            )
+        whole("substeps", self.substeps, 1, TrajectoryError)
+
+    @property
+    def scheme(self) -> Scheme:
+        """The method as the solver's core has it; the running cost by the weights of the tableau."""
+        a, b, c = self.tableau.a, self.tableau.b, self.tableau.c
+        weights = np.concatenate([np.zeros(self.substeps + 1), np.tile(b / self.substeps, self.substeps)])
+        return Scheme(a, b, c, self.substeps, True, weights)
+
+    @property
+    def finer(self) -> Collocation:
+        """The same method in finer steps, to measure errors with."""
+        return Collocation(self.tableau, max(2 * self.substeps, _LOOKS))
+
+    @property
+    def replaying(self) -> Method:
+        """The method of a replay that names none: implicit where the tableau is one for stiff systems."""
+        return ImplicitRKMK(self.tableau) if self.tableau.stiffly_accurate else RKMK(RK4)
+
+    def rolling(self, samples: int) -> MultipleShooting | Collocation:
+        """The same for the core, in so many steps of an interval."""
+        stiff = self.tableau.stiffly_accurate
+        return Collocation(self.tableau, samples) if stiff else MultipleShooting(RKMK(RK4), samples)
+
+
+def transcription_of(transcription: Any, method: Any, substeps: Any) -> MultipleShooting | Collocation:
+    """The transcription itself, or multiple shooting by a method.
+
+    Raises:
+        TrajectoryError: another object, or both are instance.
+    """
+    if transcription is None:
+        chosen = {} if substeps is None else {"substeps": substeps}
+        return MultipleShooting(method_of(method), **chosen)
+    if not isinstance(transcription, (MultipleShooting, Collocation)):
+        raise TrajectoryError(
+            "transcription expects tx.trajectory.MultipleShooting(...) or tx.trajectory.Collocation(...), "
+            f"got {transcription!r}"
+        )
+    if method is not None or substeps is not None:
+        raise TrajectoryError("transcription brings its own method and substeps; leave those out")
+    return transcription
+
+
+def _simpson(substeps: int) -> Array:
+    """Weights of the points of a unit interval: Simpson's rule, the trapezoid rule where substeps are odd."""
+    weights = np.ones(substeps + 1)
+    if substeps % 2:
+        weights[1:-1] = 2.0
+    else:
+        weights[1:-1:2] = 4.0
+        weights[2:-1:2] = 2.0
+    return weights / weights.sum()

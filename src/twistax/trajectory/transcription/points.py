@@ -1,0 +1,45 @@
+"""Points, steps and values of a transcribed problem, and what it is solved for."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+
+class Point(NamedTuple):
+    """Where a search stands."""
+
+    xs: Any  # states by name (nodes, ...); of several phases a tuple of such dicts
+    us: Any  # (intervals, m)
+    border: Any  # (g,) durations and free parameters
+
+
+class Given(NamedTuple):
+    """What a compiled problem is solved for."""
+
+    params: Any
+    final: Any  # states at the end; entries that are free stand for nothing; of phases `PhaseEnds`
+    limits: Any  # (g, 2) of the border
+    margins: Any = 0.0  # (rows,) by which rows are tightened
+
+
+class PhaseEnds(NamedTuple):
+    """States at the ends of every phase; entries that are free stand for nothing."""
+
+    initial: Any
+    final: Any
+
+
+class Step(NamedTuple):
+    """A step in the tangent space, or anything with an entry for each unknown."""
+
+    d: Any  # (nodes, n)
+    u: Any  # (intervals, m)
+    border: Any  # (g,)
+
+
+class Values(NamedTuple):
+    """A problem's values at a point."""
+
+    cost: Any
+    defects: Any  # (intervals, n)
+    rows: Any  # (rows,) those of all intervals, then those of the end; <= 0 or = 0

@@ -1,0 +1,276 @@
+"""Multiple shooting in the tangent space: the unknowns and rows of a phase, and its functions.
+
+The unknowns are a step z = (d_0, du_0, ..., d_(K-1), du_(K-1), d_K, db) away from the nodes x_k, held controls u_k, and
+the border b, which has the final time T and free parameters; nodes move by x_k (+) d_k, so the chart is re-based at
+every iterate. Interval k is integrated in exponential coordinates about x_k, in time made dimensionless by T. It gives
+
+    F_k(d_k, du_k, db) = Log(x_(k+1)^-1 x_k Exp(eta_k)),   and the dynamics say d_(k+1) = F_k,
+
+the rows of constraints at the ends of its substeps, and its share of the running cost by a rule of quadrature.
+"""
+
+from __future__ import annotations
+
+import copy
+from abc import ABC, abstractmethod
+from collections.abc import Mapping, Sequence
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+from numpy import ndarray as Array
+
+from ...expr import Control, Inputs, State
+from ...system import entry_names
+from ...system.dynamics import Arrays, Dynamics
+from ..problem.bridges.path_bounds import PathBounds
+from ..problem.by_node import ByNode
+from ..problem.conditions import Conditions, Ends
+from ..problem.statement import Objective, PathRows
+from .border import Border
+from .local import Expressions, Local
+from .mesh import Mesh
+from .methods import Collocation, MultipleShooting
+from .points import Given, Point, Step
+from .row_layout import row_layout
+
+
+class Segment(NamedTuple):
+    """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
+
+    number: int
+    shooting: Shooting
+    nodes: slice
+    stages: slice
+    alone: bool = False
+
+    def of(self, point: Point) -> Point:
+        """The point of the phase."""
+        if self.alone:
+            return point
+        return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
+
+
+class Transcribed(ABC):
+    """What solvers are instance: a discrete problem in stages.
+
+    Attributes:
+        n, m: tangents of a node and controls of an interval, of the largest phase.
+        nodes, intervals, rows_per_interval: how many.
+        border: the unknowns that all stages share.
+        names, places: of every row.
+        equality, exists: (rows,) which rows are equalities; which ones the problem has.
+        decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
+        pinned: (rows,) those of them that other rows decide.
+        own: (rows,) those of single nodes.
+        free: Step of bool, which unknowns may move.
+        stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
+            decides are evaluated at the start of a search.
+        segments, joins: the phases, and what is between them.
+    """
+
+    n: int
+    m: int
+    nodes: int
+    intervals: int
+    rows_per_interval: int
+    border: Border
+    names: Array
+    places: Array
+    equality: Array
+    exists: Array
+    decided: Array
+    pinned: Array
+    own: Array
+    free: Step
+    stirred: Array
+    segments: Sequence[Segment]
+    joins: Sequence[Any]
+
+    @abstractmethod
+    def drop(self, rows: Sequence[Array]) -> None:
+        """Take rows out, those of each phase that others decide; they are only checked."""
+
+    @abstractmethod
+    def defect(self, stage: int, column: int) -> str:
+        """What an entry of the defects is called, and where it is."""
+
+    # Those of one phase; of several see `Joined`.
+
+    @property
+    def phase_places(self) -> list[str]:
+        """What follows the place of an interval in messages, of each phase."""
+        return [""]
+
+    def named(self, part: Segment, name: str) -> str:
+        """The name of a row of a phase among those of all."""
+        return name
+
+    def whole_rows(self, parts: Sequence[Array]) -> Array:
+        """Numbers for the rows of each phase as numbers for all rows."""
+        return parts[0]
+
+    def rows_of(self, part: Segment, rows: Any) -> Any:
+        """The rows of a phase among all rows, or anything with an entry for each."""
+        return rows
+
+
+class Shooting(Transcribed):
+    """A phase, or a problem of one phase.
+
+    Args:
+        pace: the control that says how long intervals are over what their shares say.
+
+    Attributes:
+        phase: its number.
+        leaves: states and controls by name, in the order of the unknowns.
+        slacks: names of controls that are slacks.
+        states: names of the states' tangents.
+        turns: (n,) which tangents are rotations.
+        paced: where the control stands that says how long intervals are.
+        by_node: the parameters that have a value for each node.
+        alike: state -> the one whose scale it has, in this phase or in the first.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        objective: Objective,
+        *,
+        transcription: MultipleShooting | Collocation,
+        mesh: Mesh,
+        path: PathRows,
+        norms: PathBounds,
+        ends: Ends,
+        final: Conditions,
+        at_nodes: Mapping[int, Conditions],
+        border: Border,
+        phase: int = 0,
+        pace: str | None = None,
+        by_node: ByNode,
+    ) -> None:
+        self.dynamics, self.mesh, self.transcription, self.by_node = dynamics, mesh, transcription, by_node
+        self.path, self.conditions, self.border = path, at_nodes, border
+        self._interpolates = bool(by_node.leaves)
+        self.alike: dict[str, str] = {}
+        self.phase, self.is_last = phase, phase == border.phases - 1
+        leaves: list[State | Control] = [*dynamics.states, *dynamics.controls, *norms.controls]
+        self.leaves = {leaf.name: leaf for leaf in leaves}
+        self.slacks = frozenset(slack.name for slack in norms.slacks.values())
+        self.local = Local(dynamics, path, objective, norms, final)
+        self.n, self.m = dynamics.dimension, self.local.controls.dimension
+        self.size = self.n + self.m + border.size
+        self.nodes, self.intervals, self.substeps = mesh.nodes, mesh.nodes - 1, transcription.substeps
+        self.paced = None if pace is None else self.local.controls.slices[pace]
+        factors = dynamics.group.factors
+        self.turns = np.concatenate([np.zeros(0, bool), *(group.angular for group in factors.values())])
+        self.states = [entry for name, group in factors.items() for entry in entry_names(name, group.tangent_shape)]
+        self.layout = row_layout(
+            path,
+            ends,
+            final,
+            at_nodes,
+            border,
+            tangents=self.states,
+            intervals=self.intervals,
+            substeps=self.substeps,
+            phase=phase,
+        )
+        for field in ("names", "places", "equality", "exists", "decided", "own"):
+            setattr(self, field, getattr(self.layout, field))
+        self.pinned, self.rows_per_interval = np.zeros_like(self.exists), self.layout.per_interval
+        free = np.ones((self.nodes, self.n), bool)
+        if phase == 0:
+            free[0] = ~ends.initial_mask
+        self.free = Step(free, np.ones((self.intervals, self.m), bool), border.free)
+        self.stirred = free.copy()
+        self.stirred[-1, self.layout.fixed] = False
+        self.segments = [Segment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
+        self.joins = []
+
+    def made_of(self, expressions: Expressions) -> Shooting:
+        """The functions of other expressions of the same shapes; parameters of nodes come at their share."""
+        other = copy.copy(self)
+        other.local, other._interpolates = self.local.made_of(expressions), False
+        return other
+
+    # ---- rows -----------------------------------------------------------------------------------------------------
+
+    def start_rows(self) -> list[tuple[int, int]]:
+        """Of the path rows at the first node: where they are among all rows, and which they are."""
+        return [(place, int(row)) for place, row in enumerate(self.layout.asked) if row < len(self.path.names)]
+
+    def drop(self, rows: Sequence[Array]) -> None:
+        (pinned,) = rows
+        self.exists, self.decided, self.pinned = (np.array(a) for a in (self.exists, self.decided, self.pinned))
+        self.exists[pinned] = False
+        self.pinned[pinned] = self.decided[pinned] = True
+
+    def defect(self, stage: int, column: int) -> str:
+        return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
+
+    def spread_over_points(self, of_rows: Array) -> Array:
+        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
+        return self.layout.spread(of_rows)
+
+    def row_scales(self, rows: Array) -> Array:
+        """(intervals, path rows) the least scale of every path row, of those of all; infinite where there is none."""
+        return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, len(self.path.names))
+
+    # ---- functions of q = [eta, u, b], and of a node's step z = [d, db] -------------------------------------------
+
+    def inputs_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, Inputs]:
+        """How long the interval takes for a unit of shares, and the point at time share * T."""
+        eta, u, b = jnp.split(q, [self.n, self.n + self.m])
+        begin, length = self.span(b)
+        pace = 1.0 if self.paced is None else u[self.paced][0]
+        at = self.local.inputs(begin + share * length, eta, u, base, params | self.border.params(b))
+        return length * pace, at
+
+    def rate_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+        """d eta / d(t / T) at time share * T."""
+        length, at = self.inputs_at(q, share, base, params)
+        return length * self.local.rate(at, q[: self.n])
+
+    def point_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> jax.Array:
+        """The path rows, and the running cost times T."""
+        length, at = self.inputs_at(q, share, base, self._at_share(params, share))
+        density = self.local.cost(self.local.expressions.running, at)
+        return jnp.concatenate([self.local.rows(at), (length * density)[None]])
+
+    def node_at(self, k: int, z: jax.Array, here: tuple[Arrays, jax.Array], params: Arrays) -> jax.Array:
+        """The conditions at a node, from where it is and the border."""
+        b = here[1] + z[self.n :]
+        return self.condition_at(self.conditions[k], z[: self.n], self.mesh.shares[k], here[0], b, params)
+
+    def condition_at(
+        self, conditions: Conditions, d: jax.Array, share: Any, base: Arrays, b: jax.Array, params: Arrays
+    ) -> jax.Array:
+        """Conditions at a share of the duration."""
+        begin, length = self.span(b)
+        x = self.dynamics.group.retract(base, d)
+        return conditions.values(begin + share * length, x, params | self.border.params(b))
+
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
+        """The rows of the end and the final cost, from where the last node is and the border; controls are zero."""
+        base, b = last[0], last[1] + z[self.n :]
+        q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
+        _, at = self.inputs_at(q, share, base, self._at_share(given.params, 1.0))
+        gap = self.dynamics.group.difference(given.final, at.x)[self.layout.fixed]
+        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
+        path, cost = self.local.rows(at)[self.layout.end_states], self.local.cost(self.local.expressions.final, at)
+        return jnp.concatenate([self.local.conditions(at), gap, path, limits, cost[None]])
+
+    def span(self, b: Any) -> tuple[Any, Any]:
+        """When the phase begins, and how long it takes."""
+        return b[: self.phase].sum(), b[self.phase]
+
+    def times(self, border: Array) -> Array:
+        """(nodes,) of the nodes, s."""
+        begin, length = (float(a) for a in self.span(border))
+        return np.asarray(begin + length * self.mesh.shares)
+
+    def _at_share(self, params: Arrays, share: Any) -> Arrays:
+        """The parameters, those with a value for each node at a share of the duration."""
+        return params | self.by_node.along(params, share) if self._interpolates else params

@@ -1,0 +1,242 @@
+"""A transcribed problem as the solver's core has it: points, steps and rows as flat arrays.
+
+z has the points of all nodes, controls and shared unknowns, stage by stage; v the same with tangents in place of
+points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
+"""
+
+from __future__ import annotations
+
+import copy
+from collections.abc import Iterator, Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...jax_inside import in_double
+from ...solver.transcription import EQUALITY, INEQUALITY, Transcription
+from .kernels import PhaseFunctions, point_of
+from .points import Given, Point
+from .shooting import Transcribed
+from .staged_phase import StagedPhase
+from .vectors import Numbers
+
+
+class Staged:
+    """A problem for the core.
+
+    Args:
+        transcribed: the discrete problem.
+        problems: the problems of its phases.
+        instance: what it is solved for, for shapes.
+
+    Attributes:
+        numbers: what a solve is for, as one vector.
+        parts: its phases.
+        transcription: functions and sizes.
+        first: where the unknowns of each stage begin in v.
+        plain: places of what is a number: entries of z of flat states, controls and shared unknowns, and of v.
+        curved: which entries of z are of states on manifolds that are not flat.
+        turning: which entries of v are rotations.
+    """
+
+    def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Given) -> None:
+        self.transcribed, self.border = transcribed, transcribed.border
+        points = [point_of(problem.shooting) for problem in problems]
+        self.numbers = Numbers(points, instance, [problem.shooting.by_node for problem in problems])
+        with in_double():
+            every = [PhaseFunctions(p.shooting, self.numbers, p.squares, p.order) for p in problems]
+            pairs = zip(every, transcribed.joins, problems[1:])
+            joins = [functions.join(join, after.shooting) for functions, join, after in pairs]
+            self.parts = [
+                StagedPhase(segment, p.node_rows, functions.kernels(p.node_rows), join, self.numbers.node_rows(number))
+                for number, (segment, p, functions, join) in enumerate(
+                    zip(transcribed.segments, problems, every, [*joins, None])
+                )
+            ]
+        self._assemble(instance)
+
+    def _assemble(self, instance: Given) -> None:
+        phases = [part.phase for part in self.parts]
+        self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
+        stages = self.transcription.stages
+        self.first, first = stages.first, stages.first_point
+        self._shared = stages.variables - stages.parameters, stages.points - stages.parameters
+        every = np.repeat(np.arange(len(stages.controls)), stages.controls)
+        columns = np.arange(len(every)) - np.repeat(np.cumsum(stages.controls) - stages.controls, stages.controls)
+        self._us = every, columns
+        self._us_v = (self.first + stages.states)[every] + columns
+        self._us_z = (first + (stages.point_states or stages.states))[every] + columns
+        self._nodes_v = [self.first[part.stages][:, None] + np.arange(part.shooting.n) for part in self.parts]
+        self._nodes_z = [first[part.stages][:, None] + np.arange(part.point.size) for part in self.parts]
+        shared = np.arange(stages.parameters)
+        self.turning, in_v = np.zeros(stages.variables, bool), [self._us_v, self._shared[0] + shared]
+        in_z = [self._us_z, self._shared[1] + shared]
+        for part, at_v, at_z in zip(self.parts, self._nodes_v, self._nodes_z):
+            self.turning[at_v[:, part.shooting.turns]] = True
+            for name, group in part.shooting.dynamics.group.factors.items():
+                if group.flat:
+                    in_v.append(at_v[:, part.shooting.dynamics.group.slices[name]].ravel())
+                    in_z.append(at_z[:, part.point.places(name)].ravel())
+        self.plain = np.concatenate(in_z), np.concatenate(in_v)
+        self.curved = np.ones(stages.points, bool)
+        self.curved[self.plain[0]] = False
+        self._margins = np.zeros(len(self.transcribed.exists))
+        self._place_rows()
+
+    def _place_rows(self) -> None:
+        """Where each row is among inequalities, equalities, lower and upper bounds one after the other."""
+        stages, transcribed = self.transcription.stages, self.transcribed
+        counts = np.cumsum([sum(stages.inequalities), sum(stages.equalities), stages.variables, stages.variables])
+        self._kinds, nothing = counts.tolist(), int(counts[-1])
+        first = {INEQUALITY: 0, EQUALITY: self._kinds[0]}
+        bounds, places = list[tuple[Array, ...]](), list[Array]()
+        every = zip(transcribed.segments, self.parts, self.transcription.path_places, self.transcription.node_places)
+
+        def among(place: Array, kinds: Array) -> Array:
+            by_kind = [place + first[kind] for kind in (INEQUALITY, EQUALITY)]
+            return np.select([kinds == INEQUALITY, kinds == EQUALITY], by_kind, nothing)
+
+        for segment, part, path, nodes in every:
+            of_nodes = [among(*both) for both in zip(nodes, part.phase.conditions)]
+            place, bound = part.all_rows(among(path, part.phase.path), of_nodes, float(nothing)), part.bounds
+            shared = self._shared[0] + bound.columns - part.shooting.n - part.shooting.m
+            of_stage = self.first[part.stages.start + bound.stages] + bound.columns
+            at = np.where(np.isnan(bound.limits), shared, of_stage)
+            place[bound.rows] = np.where(bound.upper, self._kinds[2], self._kinds[1]) + at
+            rows = transcribed.rows_of(segment, np.arange(len(transcribed.exists)))[bound.rows]
+            bounds.append((rows, at, bound.upper, bound.limits))
+            places.append(place)
+        self._bounds = [np.concatenate(parts) for parts in zip(*bounds)]
+        # Padding of smaller phases has no place either.
+        self._places = transcribed.whole_rows([place - nothing for place in places]).astype(int) + nothing
+
+    def drop(self, rows: Sequence[Array], instance: Given) -> None:
+        """Take rows out of each phase that others decide; they are only checked."""
+        self.transcribed.drop(rows)
+        for part in self.parts:
+            part.describe()
+        self._assemble(instance)
+
+    def alone(self, instance: Given) -> Staged:
+        """The same for another thread: kernels are shared, memory is not."""
+        other = copy.copy(self)
+        other._assemble(instance)
+        return other
+
+    def set_given(self, instance: Given) -> None:
+        """What it is solved for from now on."""
+        self.transcription.set_data(self.numbers.vector(instance))
+        self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
+        for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
+            rows = self.transcribed.rows_of(segment, self._margins)
+            self.transcription.set_margins(number, *part.by_place(rows))
+
+    # ---- points ---------------------------------------------------------------------------------------------------
+
+    def flat(self, point: Point) -> Array:
+        """z of a point."""
+        z, states = np.zeros(self.transcription.stages.points), self._states(point)
+        for part, at, xs in zip(self.parts, self._nodes_z, states):
+            z[at] = part.point.joined(xs, 1)
+        z[self._us_z], z[self._shared[1] :] = np.asarray(point.us)[self._us], np.ravel(point.border)
+        return z
+
+    def point(self, z: Array) -> Point:
+        """The point of z."""
+        us = np.zeros((self.transcribed.intervals, self.transcribed.m))
+        us[self._us] = z[self._us_z]
+        xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
+        return Point(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
+
+    def coordinates(self, point: Point) -> Array:
+        """v of a point: states that are flat, controls and shared unknowns as they are, others zero."""
+        v = np.zeros(self.transcription.stages.variables)
+        v[self.plain[1]] = self.flat(point)[self.plain[0]]
+        return v
+
+    def step(self, d: Array, u: Array, border: Array) -> Array:
+        """v of a step, d (nodes, n) and u (intervals, m) padded."""
+        v = np.zeros(self.transcription.stages.variables)
+        for part, at in zip(self.parts, self._nodes_v):
+            v[at] = d[part.stages, : part.shooting.n]
+        v[self._us_v], v[self._shared[0] :] = u[self._us], border
+        return v
+
+    def tangents(self, v: Array) -> list[Array]:
+        """(nodes, n) of v, of each phase."""
+        return [v[at] for at in self._nodes_v]
+
+    def after(self, v: Array) -> Array:
+        """Of numbers of v those of the states after each interval, as defects have them."""
+        states = self.transcription.stages.states
+        return np.concatenate([v[a : a + n] for a, n in zip(self.first[1:], states[1:])])
+
+    def padded(self, of_defects: Array) -> Array:
+        """Numbers of all defects as (intervals, n)."""
+        counts = np.array(self.transcription.stages.after[:-1])
+        result = np.zeros((len(counts), self.transcribed.n))
+        result[np.arange(self.transcribed.n) < counts[:, None]] = of_defects
+        return result
+
+    def unpadded(self, dynamics: Array) -> Array:
+        """The inverse of `padded`."""
+        counts = np.array(self.transcription.stages.after[:-1])
+        flat: Array = np.asarray(dynamics)[np.arange(self.transcribed.n) < counts[:, None]]
+        return flat
+
+    def _states(self, point: Point) -> Sequence[Any]:
+        return [point.xs] if self.transcribed.segments[0].alone else point.xs
+
+    # ---- limits and rows ------------------------------------------------------------------------------------------
+
+    def limits(self, point: Point, instance: Given) -> tuple[Array, Array]:
+        """Lower and upper bounds of v; equal where an entry is fixed."""
+        v = self.coordinates(point)
+        lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
+        lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T
+        rows, places, is_upper, limits = self._bounds
+        for bound, side, most, sign in ((lower, False, np.maximum, 1.0), (upper, True, np.minimum, -1.0)):
+            at = ~np.isnan(limits) & (is_upper == side)
+            most.at(bound, places[at], limits[at] + sign * self._margins[rows[at]])
+        fixed = np.flatnonzero(~self.parts[0].shooting.free.d[0])
+        lower[fixed] = upper[fixed] = v[fixed]
+        return lower, upper
+
+    def all_rows(self, h: Array, e: Array, lower: Array, upper: Array) -> Array:
+        """Numbers of inequalities, of equalities and of both sides of v as those of all rows."""
+        rows: Array = np.concatenate([h, e, lower, upper, np.zeros(1)])[self._places]
+        return rows
+
+    def split_rows(self, rows: Array) -> tuple[Array, Array, Array, Array]:
+        """The inverse of `all_rows`; zero of what is no row."""
+        every = np.zeros(self._kinds[-1] + 1)
+        every[self._places] = rows
+        h, e, lower, upper = np.split(every[:-1], self._kinds[:-1])
+        return h, e, lower, upper
+
+    @property
+    def stages_of_rows(self) -> tuple[Array, Array]:
+        """The stage of every inequality and of every equality."""
+        stages = self.transcription.stages
+        every = np.arange(len(stages.states))
+        return np.repeat(every, stages.inequalities), np.repeat(every, stages.equalities)
+
+    def places_alone(self) -> Iterator[tuple[Array, Array]]:
+        """Places of inequalities and equalities, of which no two stand in one stage; together they are all."""
+        stages, none = self.stages_of_rows, np.zeros(0, int)
+        numbers = [np.arange(len(rows)) - np.searchsorted(rows, rows) for rows in stages]
+        for k in range(int(numbers[0].max(initial=-1)) + 1):
+            yield np.flatnonzero(numbers[0] == k), none
+        for k in range(int(numbers[1].max(initial=-1)) + 1):
+            yield none, np.flatnonzero(numbers[1] == k)
+
+    def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
+        """Sizes of rows: of a path row the largest of all its places; 1 where there is none."""
+        sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
+        for part, every in zip(self.parts, self.transcription.path_places):
+            for row in range(part.phase.path.shape[2]):
+                for kind, values in zip((INEQUALITY, EQUALITY), sizes):
+                    places = every[..., row][part.phase.path[..., row] == kind]
+                    values[places] = values[places].max(initial=0.0)
+        return sizes[0] + (sizes[0] == 0.0), sizes[1] + (sizes[1] == 0.0)

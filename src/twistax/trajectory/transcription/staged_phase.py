@@ -1,0 +1,128 @@
+"""A phase of a staged problem: its rows as the solver's core has them, and those that are bounds of single unknowns."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...solver.transcription import EQUALITY, INEQUALITY, NONE, CorePhase, JoinKernels, PhaseKernels
+from ..problem.conditions import Conditions
+from .kernels import point_of
+from .shooting import Segment, Shooting
+
+
+class Bounds(NamedTuple):
+    """Rows that are limits of single unknowns: the core takes these as bounds.
+
+    Attributes:
+        rows: places among all rows of the phase.
+        stages, columns: where the unknown stands, column n + m + i for entry i of the border.
+        upper: whether it is an upper limit.
+        limits: of leaves; NaN where it is that of a time or of a free parameter.
+    """
+
+    rows: Array
+    stages: Array
+    columns: Array
+    upper: Array
+    limits: Array
+
+
+class StagedPhase:
+    """A phase of a staged problem.
+
+    Attributes:
+        shooting: the phase.
+        point: a node's states as one vector.
+        stages: its stages among all, the last one of the next phase's join.
+        bounds: its rows that are limits of single unknowns.
+        phase: for the core.
+    """
+
+    def __init__(
+        self,
+        segment: Segment,
+        conditions: Mapping[int, Conditions],
+        kernels: PhaseKernels,
+        join: JoinKernels | None,
+        node_rows: tuple[int, int],
+    ) -> None:
+        self.shooting, self.stages = segment.shooting, segment.nodes
+        self.point = point_of(segment.shooting)
+        self._conditions, self._join, self._kernels, self._node_rows = conditions, join, kernels, node_rows
+        self.describe()
+
+    def describe(self) -> None:
+        """Describe the rows that exist now."""
+        shooting = self.shooting
+        self.bounds = _bounds_of_rows(shooting)
+        kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
+        kinds[self.bounds.rows] = NONE
+        self.phase = CorePhase(
+            shooting.n,
+            shooting.m,
+            self.point.size,
+            shooting.transcription.scheme,
+            self._kernels,
+            shooting.mesh.shares[:-1],
+            shooting.mesh.widths,
+            *self.by_place(kinds),
+            self._join,
+            self._node_rows,
+        )
+
+    def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
+        """Numbers for all rows of the phase as those of path rows at their points, and of the conditions at nodes."""
+        layout, K = self.shooting.layout, self.shooting.intervals
+        inner, end = np.split(rows, [K * layout.per_interval])
+        inner = inner.reshape(K, -1)
+        path = np.zeros((K, (self.shooting.substeps + 1) * layout.path_rows), rows.dtype)
+        path[:, layout.asked] = inner[:, : len(layout.asked)]
+        path = path.reshape(K, self.shooting.substeps + 1, layout.path_rows)[:, :, : len(self.shooting.path.names)]
+        return path, [*(inner[k, len(layout.asked) :][: layout.counts[k]] for k in self._conditions), end]
+
+    def all_rows(self, path: Array, nodes: Sequence[Array], rest: float = 0.0) -> Array:
+        """The inverse of `by_place`; rows that have no place there get `rest`."""
+        layout, K = self.shooting.layout, self.shooting.intervals
+        *inner_nodes, end = nodes
+        inner = np.full((K, layout.per_interval), rest)
+        if path.size:
+            inner[:, : len(layout.asked)] = path.reshape(K, -1)[:, layout.asked]
+        for k, values in zip(self._conditions, inner_nodes):
+            inner[k, len(layout.asked) :][: len(values)] = values
+        return np.concatenate([inner.ravel(), end])
+
+
+def _bounds_of_rows(shooting: Shooting) -> Bounds:
+    """Which rows of a phase are limits of states at nodes, of controls, of times and of free parameters."""
+    layout, path, group = shooting.layout, shooting.path, shooting.dynamics.group
+    K, count, first_box = shooting.intervals, len(shooting.exists), len(path.names) - len(path.bounds)
+    bounds: list[tuple[int, int, int, bool, float]] = []
+
+    def add(row: int, path_row: int, stage: int) -> None:
+        if path_row < first_box or not shooting.exists[row]:
+            return
+        bound = path.bounds[path_row - first_box]
+        if bound.leaf not in group.slices:
+            column = shooting.n + shooting.local.controls.slices[bound.leaf].start + bound.entry
+        elif group.factors[bound.leaf].flat:
+            column = group.slices[bound.leaf].start + bound.entry
+        else:
+            return
+        bounds.append((row, stage, column, bound.sign > 0.0, bound.limit))
+
+    for k in range(K):
+        for place, row in shooting.start_rows():
+            add(k * layout.per_interval + place, row, k)
+    limits = shooting.border.finite if shooting.is_last else []
+    first = count - len(limits) - len(layout.end_states)
+    for place, row in enumerate(layout.end_states):
+        add(first + place, int(row), K)
+    for row, (entry, side) in zip(range(count - len(limits), count), limits):
+        if shooting.exists[row]:
+            bounds.append((row, K, shooting.n + shooting.m + entry, bool(side), np.nan))
+    kinds = (int, int, int, bool, float)
+    return Bounds(*(np.array(a, kind) for a, kind in zip(zip(*bounds) if bounds else ((),) * 5, kinds)))

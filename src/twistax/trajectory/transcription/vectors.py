@@ -1,0 +1,113 @@
+"""Arrays by name as one vector, as compiled functions of vectors read them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...expr import Control, State
+from ...groups import Euclidean
+from .points import Given, PhaseEnds
+
+#: A turn, in rad, after which a rotation's tangent space looks different.
+_TURN = 0.5
+
+
+def declared_scales(leaves: Sequence[State | Control]) -> Array:
+    """The scales that leaves declare, of all their tangents in one vector; 1, and half a radian, where they do not."""
+    parts = [np.zeros(0)]
+    for leaf in leaves:
+        group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
+        parts.append(np.where(group.sized | group.flat, 1.0, _TURN) if leaf.scale is None else np.ravel(leaf.scale))
+    return np.concatenate(parts)
+
+
+class Flat:
+    """Arrays by name as one vector, in the order of the names."""
+
+    def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
+        self.shapes = dict(shapes)
+        sizes = [math.prod(shape) for shape in self.shapes.values()]
+        self.size = sum(sizes)
+        self._ends = np.cumsum([0, *sizes]).tolist()
+
+    def places(self, name: str) -> Array:
+        """Where the entries of an array stand in the vector."""
+        k = list(self.shapes).index(name)
+        return np.arange(self._ends[k], self._ends[k + 1])
+
+    def split(self, vector: Any) -> dict[str, Any]:
+        """The arrays of a vector (..., size)."""
+        places = zip(self.shapes.items(), self._ends, self._ends[1:])
+        return {name: vector[..., a:b].reshape(*vector.shape[:-1], *shape) for (name, shape), a, b in places}
+
+    def joined(self, arrays: Mapping[str, Any], axes: int = 0) -> Array:
+        """The vector (..., size) of arrays with so many axes in front."""
+        flat = [np.reshape(arrays[name], (*np.shape(arrays[name])[:axes], -1)) for name in self.shapes]
+        return np.concatenate(flat, axis=-1, dtype=float) if flat else np.zeros(0)
+
+
+class Numbers:
+    """What a problem is solved for as one vector: parameters, states at the ends of phases, limits of the border.
+
+    Args:
+        points: a node's states of each phase.
+        instance: what it is solved for, for shapes.
+        by_node: `ByNode` of each phase, the parameters that have a value for each node. Their rows follow the numbers.
+
+    Attributes:
+        size: of the vector without these rows.
+        names: the parameters, in their order.
+        key: equal where numbers are laid out alike.
+    """
+
+    def __init__(self, points: Sequence[Flat], instance: Given, by_node: Sequence[Any]) -> None:
+        self._by_node = by_node
+        with_rows = {name for part in by_node for name in part.leaves}
+        self._params = Flat({name: np.shape(value) for name, value in instance.params.items() if name not in with_rows})
+        self._points, self._limits = points, np.shape(instance.limits)
+        sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
+        self._ends = np.cumsum([0, *sizes]).tolist()
+        self.size = self._ends[-1]
+        self.names = tuple(self._params.shapes)
+        self.key = (*(tuple(p.shapes.values()) for p in (self._params, *points)), self._limits)
+
+    def vector(self, instance: Given) -> Array:
+        """The numbers of a solve."""
+        ends = (
+            instance.final if isinstance(instance.final, PhaseEnds) else PhaseEnds((instance.final,), (instance.final,))
+        )
+        parts = [self._params.joined(instance.params)]
+        for point, initial, final in zip(self._points, ends.initial, ends.final):
+            parts += [point.joined(initial), point.joined(final)]
+        rows = [part.rows(instance.params).ravel() for part in self._by_node]
+        return np.concatenate([*parts, np.ravel(instance.limits), *rows])
+
+    def node_rows(self, phase: int) -> tuple[int, int]:
+        """Where the rows of a phase begin, and how many entries each has."""
+        sizes = [part.width * len(part.shares) for part in self._by_node[:phase]]
+        return self.size + sum(sizes), self._by_node[phase].width
+
+    def places(self, params: Iterable[str], final: Iterable[str]) -> Array:
+        """Where values of parameters stand, and of states at the end of the last phase."""
+        of_final = [self._ends[-3] + self._points[-1].places(name) for name in final]
+        return np.concatenate([np.zeros(0, int), *map(self._params.places, params), *of_final])
+
+    def params(self, vector: Any) -> dict[str, Any]:
+        return self._params.split(self._part(vector, 0))
+
+    def initial(self, vector: Any, phase: int) -> dict[str, Any]:
+        return self._points[phase].split(self._part(vector, 1 + 2 * phase))
+
+    def final(self, vector: Any, phase: int) -> dict[str, Any]:
+        return self._points[phase].split(self._part(vector, 2 + 2 * phase))
+
+    def limits(self, vector: Any) -> Any:
+        return self._part(vector, len(self._ends) - 2).reshape(self._limits)
+
+    def _part(self, vector: Any, k: int) -> Any:
+        return vector[self._ends[k] : self._ends[k + 1]]

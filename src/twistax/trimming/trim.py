@@ -1,0 +1,323 @@
+"""Trim: a state, controls and parameters at which chosen rates vanish and chosen outputs have chosen values."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import number, short
+from ..errors import InputError, TrajectoryError
+from ..expr import Inputs
+from ..jax_inside import in_double
+from ..linear.linearize import Linearization, linearize
+from ..system.dynamics import Dynamics, need_compiled
+from ..system.inputs import Values
+from ..units import same_unit, seconds
+from .conditions import TrimConditions
+from .unknowns import Unknowns
+
+#: Rounds of least squares, each in the chart about the last round's end.
+_ROUNDS = 8
+#: A step, by shares of the unknowns' scales, after which no further round is taken.
+_SETTLED = 1e-9
+#: How near to a bound, by shares of the unknown's scale, counts as at it.
+_AT_BOUND = 1e-6
+#: How far an unknown is moved, by shares of its scale, to see what its conditions really change by: far beyond
+#: round-off, near enough for a curve to be straight.
+_PROBE = 1e-5
+#: Singular values, by shares of the largest, below which a direction is not determined.
+_RANK = 1e-9
+
+
+@dataclasses.dataclass(frozen=True)
+class Trim:
+    """What `trim` found.
+
+    Attributes:
+        t, x, u, params: the point, as calls of the dynamics take it; params has those that were given or free.
+        trimmed: `measure` is at most the tolerance.
+        measure: the largest remaining condition, by shares of what it changes by when every unknown changes by its
+            scale. It has no unit. What it changes by is the lesser of what its derivatives say and of what is seen at
+            points 1e-5 of the scales away, so that a derivative that is huge at one point alone hides nothing.
+        residuals: by name, "rate of V[3]", "airspeed", "slope of alpha": what is left of every condition, in its unit.
+        unknowns: by name, the values of what was free; of a group-valued state its steps from the start, added up.
+        saturated: by name, the bound at which an unknown stands.
+        undetermined: the unknowns that may move together without a change of any condition, to first order.
+        evaluations: how often the conditions were evaluated.
+        dynamics: the compiled system.
+    """
+
+    t: float
+    x: dict[str, np.ndarray]
+    u: dict[str, np.ndarray]
+    params: dict[str, np.ndarray]
+    trimmed: bool
+    measure: float
+    residuals: dict[str, float]
+    unknowns: dict[str, float]
+    saturated: dict[str, float]
+    undetermined: tuple[str, ...]
+    evaluations: int
+    dynamics: Dynamics = dataclasses.field(repr=False)
+
+    def linearize(self, outputs: Iterable[str] = ()) -> Linearization:
+        """`tx.trajectory.linearize` about this point, in double precision."""
+        with in_double():
+            return linearize(self.dynamics, self.t, self.x, self.u, self.params, outputs=outputs)
+
+    def __str__(self) -> str:
+        lines = [f"{'TRIMMED' if self.trimmed else 'NOT TRIMMED'}: {self.measure:.1e} of the unknowns' scales is left"]
+        lines += [f"  {name} = {value:.8g}" for name, value in self.unknowns.items()]
+        lines += [f"  {name} stands at its bound {value:g}" for name, value in self.saturated.items()]
+        if self.undetermined:
+            lines.append(f"  not determined by the conditions: {', '.join(self.undetermined)}")
+        if not self.trimmed:
+            largest = sorted(self.residuals.items(), key=lambda item: -abs(item[1]))[:8]
+            lines += [f"  {name} is {value:.3g} off" for name, value in largest if value]
+        return "\n".join(lines)
+
+
+def trim(
+    dynamics: Dynamics,
+    x: Values,
+    u: Values | None = None,
+    params: Values | None = None,
+    *,
+    free: Iterable[str] | Mapping[str, Any],
+    fixed: Iterable[str] | Mapping[str, Any] = (),
+    zero: Iterable[str] = (),
+    steady: Iterable[str] = (),
+    t: float = 0.0,
+    tolerance: float = 1e-9,
+    throw: bool = True,
+) -> Trim:
+    """A point near the one given at which a system is in equilibrium, or in the steady motion that is asked for.
+
+    What is named in `free` is sought, all else stays as given. Names are whole leaves, "V", or entries, "V[3]",
+    "V[3:6]", read row by row; of a pose or rotation they are entries of its body perturbation, "g[4]" the turn about
+    the body's y axis. Bounds of states and controls are kept.
+
+    Solved are the bounded nonlinear least squares of all conditions by SciPy's trust-region-reflective method in the
+    tangent space, in double precision, with exact derivatives. Conditions and unknowns are scaled, so that units do not
+    matter: an unknown by its leaf's `scale`, else by its size, at least 1, or half the distance of its bounds if that
+    is less.
+    A system is compiled for this once for the outputs that are named, with their slopes or without; other values
+    compile nothing.
+
+    Args:
+        x, u, params: the start, and the values of all that is not free.
+        free: what is sought, of states, controls and parameters; as a dict with bounds, {"throttle": (0.0, 1.0)}, in
+            place of those of the leaf; None, also for one of the two, leaves it at those of the leaf.
+        fixed: outputs with the values that they shall have, {"airspeed": 120.0}, and states with rates; as a list
+            of names, or with None, what they are at the start.
+        zero: states whose rates vanish, and outputs that vanish.
+        steady: outputs that do not change along the motion, controls held: $d/dt y(t, x(t), u, p) = 0$.
+        t: the time, s.
+        tolerance: of `measure`.
+        throw: raise where the conditions cannot be met; False returns the best point.
+    Raises:
+        InputError: an unknown name, nothing free, no condition, a value of another shape, bounds that leave no room or
+            are of a group.
+        TrajectoryError: no trim was found; it says what is off and what stands at a bound. Conditions or derivatives
+            are not finite.
+        ModelError: the system is not compiled.
+
+    Source: Branch, Coleman, Li, A subspace, interior, and conjugate gradient method for large-scale bound-constrained
+    minimization problems, SIAM J. Sci. Comput. 21 (1999), for the least squares.
+    """
+    need_compiled("trim", dynamics)
+    number("tolerance", tolerance, "a positive number", lambda v: 0.0 < v < np.inf)
+    same_unit("trim: t", t, seconds)
+    number("trim: t", t)
+    sought = _mapping("free", free)
+    named = {str(name).partition("[")[0] for name in sought}
+    parameters = tuple(leaf.name for leaf in dynamics.parameters if leaf.name in named)
+    with in_double():
+        conditions = TrimConditions(
+            dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
+        )
+        inputs = dynamics._functions.prepare(t, x, u, params, reads=conditions.reads)
+        start = _doubled(inputs)
+        unknowns = Unknowns(dynamics, start, sought, parameters)
+        conditions.hold(start)
+        solution = _solve(conditions, unknowns, start)
+    solution = dataclasses.replace(solution, trimmed=solution.measure <= tolerance)
+    if throw and not solution.trimmed:
+        raise TrajectoryError(
+            f"trim: no point meets the conditions.\n{solution}\n  fix: free more, ask for less, or start nearer"
+        )
+    return solution
+
+
+def _names(place: str, names: Any) -> list[str]:
+    if isinstance(names, str):
+        return [names]
+    found = list(names) if isinstance(names, Iterable) else [names]
+    for name in found:
+        if not isinstance(name, str):
+            raise InputError(f"trim: {place} expects names such as ['V', 'V[3]'], got {short(name)}")
+    return found
+
+
+def _mapping(place: str, value: Any) -> dict[str, Any]:
+    return dict(value) if isinstance(value, Mapping) else dict.fromkeys(_names(place, value))
+
+
+def _doubled(inputs: Inputs) -> Inputs:
+    """In double precision. Raises InputError for what is not finite."""
+
+    def doubled(values: Mapping[str, Any]) -> dict[str, jax.Array]:
+        for name, value in values.items():
+            if not np.isfinite(value).all():
+                raise InputError(f"trim: {name!r} expects finite numbers, got {short(value)}")
+        return {name: jnp.asarray(value, jnp.float64) for name, value in values.items()}
+
+    t = jnp.asarray(inputs.t, jnp.float64)
+    return Inputs(t, doubled(inputs.x), doubled(inputs.u), doubled(inputs.params), jnp.float64)
+
+
+def _solve(conditions: TrimConditions, unknowns: Unknowns, start: Inputs) -> Trim:
+    """Least squares in the chart about the start, then about its end, until nothing moves."""
+    now = unknowns.values(start)
+    point = unknowns.moved(start, np.clip(now, unknowns.lower, unknowns.upper) - now)
+    _need_finite(conditions, *conditions.at(point), "at the start")
+    turned, evaluations = np.zeros(len(now)), 0
+    for k in range(_ROUNDS):
+        step, counted = _round(conditions, unknowns, point, unknowns.scales(point, reach=k == 0))
+        point = unknowns.moved(point, step)
+        last = _to_bounds(conditions, unknowns, point)
+        point, step = unknowns.moved(point, last), step + last
+        turned, evaluations = turned + step, evaluations + counted
+        if np.abs(step / unknowns.scales(point)[unknowns.columns]).max() < _SETTLED:
+            break
+    return _judged(conditions, unknowns, point, turned, evaluations)
+
+
+def _round(conditions: TrimConditions, unknowns: Unknowns, about: Inputs, every: np.ndarray) -> tuple[np.ndarray, int]:
+    """The step to the least squares in the chart about a point, by scales, and how many evaluations it took."""
+    from scipy.optimize import least_squares
+
+    now = unknowns.values(about)
+    scales, change = every[unknowns.columns], _changes(conditions.at(about)[1], unknowns.columns, every)
+    rows = np.where(change > 0.0, change, 1.0)
+
+    @functools.lru_cache(maxsize=2)  # SciPy asks for values and derivatives one after the other
+    def at(z: bytes) -> tuple[np.ndarray, np.ndarray]:
+        step = np.frombuffer(z) * scales
+        value, slopes = conditions.at(unknowns.moved(about, step))
+        return value / rows, unknowns.in_chart(slopes, step) * scales / rows[:, None]
+
+    def derivatives(z: np.ndarray) -> np.ndarray:
+        value, slopes = at(z.tobytes())
+        _need_finite(conditions, value, slopes, "on the way")
+        return slopes
+
+    result = least_squares(
+        lambda z: at(z.tobytes())[0],
+        np.zeros(len(now)),
+        derivatives,
+        # A point that was moved to a bound may be beyond it by round-off.
+        bounds=(np.minimum((unknowns.lower - now) / scales, 0.0), np.maximum((unknowns.upper - now) / scales, 0.0)),
+        xtol=1e-15,
+        ftol=1e-15,
+        gtol=1e-15,
+    )
+    return result.x * scales, result.nfev
+
+
+def _to_bounds(conditions: TrimConditions, unknowns: Unknowns, point: Inputs) -> np.ndarray:
+    """The step of what is next to a bound to it, where that leaves less: least squares from inside never get there."""
+    now, scales = unknowns.values(point), unknowns.scales(point)
+    near = _AT_BOUND * scales[unknowns.columns]
+    step = np.where(np.abs(unknowns.lower - now) <= near, unknowns.lower - now, 0.0)
+    step = np.where(np.abs(unknowns.upper - now) <= near, unknowns.upper - now, step)
+    if not step.any():
+        return step
+    value, slopes = conditions.at(point)
+    change = _changes(slopes, unknowns.columns, scales)
+    rows = np.where(change > 0.0, change, 1.0)
+    left = [np.linalg.norm(entry / rows) for entry in (value, conditions.at(unknowns.moved(point, step))[0])]
+    return step if left[1] < left[0] else np.zeros(len(now))
+
+
+def _judged(
+    conditions: TrimConditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int
+) -> Trim:
+    """What was found, with its measures; `trimmed` is left to the caller."""
+    value, slopes = conditions.at(point)
+    every = unknowns.scales(point)
+    seen, counted = _seen(conditions, unknowns, point, value, every)
+    change = _changes(slopes, unknowns.columns, every)
+    change = np.minimum(change, _changes(seen, unknowns.columns, every))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        shares = np.where(value == 0.0, 0.0, np.abs(value) / change)
+    final, scales = unknowns.values(point), every[unknowns.columns]
+    saturated = {
+        name: bound
+        for side in (unknowns.lower, unknowns.upper)
+        for name, v, bound, scale in zip(unknowns.names, final, side.tolist(), scales)
+        if abs(v - bound) <= _AT_BOUND * scale
+    }
+    shown = np.where(unknowns.on_group, turned, final)
+    scaled = slopes[:, unknowns.columns] * scales / np.where(change > 0.0, change, 1.0)[:, None]
+    x, u, params = ({name: np.asarray(v) for name, v in own.items()} for own in (point.x, point.u, point.params))
+    return Trim(
+        t=float(point.t),
+        x=x,
+        u=u,
+        params=params,
+        trimmed=False,
+        measure=float(shares.max()),
+        residuals=dict(zip(conditions.names, value.tolist())),
+        unknowns=dict(zip(unknowns.names, shown.tolist())),
+        saturated=saturated,
+        undetermined=tuple(name for name, free in zip(unknowns.names, _undetermined(scaled)) if free),
+        evaluations=evaluations + counted,
+        dynamics=conditions.dynamics,
+    )
+
+
+def _seen(
+    conditions: TrimConditions, unknowns: Unknowns, point: Inputs, value: np.ndarray, scales: np.ndarray
+) -> tuple[np.ndarray, int]:
+    """Slopes of the conditions by every perturbation as differences show them, the flatter side, and evaluations.
+
+    A side beyond a bound, or where the conditions are not finite, is not counted.
+    """
+    slopes, counted = np.full((len(value), len(scales)), np.inf), 0
+    for k, reach in enumerate(_PROBE * scales):
+        for step in (reach, -reach):
+            if not unknowns.allows(point, k, step):
+                continue
+            full = np.zeros(len(scales))
+            full[k] = step
+            moved, counted = conditions.at(unknowns.perturbed(point, full))[0], counted + 1
+            change = np.abs(moved - value) / reach
+            slopes[:, k] = np.where(np.isfinite(change), np.minimum(slopes[:, k], change), slopes[:, k])
+    return np.where(np.isfinite(slopes), slopes, 0.0), counted
+
+
+def _need_finite(conditions: TrimConditions, value: np.ndarray, slopes: np.ndarray, where: str) -> None:
+    fine = np.isfinite(value) & np.isfinite(slopes).all(axis=1)
+    if not fine.all():
+        names = ", ".join(name for name, ok in zip(conditions.names, fine) if not ok)
+        raise TrajectoryError(f"trim: {where} these are not finite, or have no finite derivatives: {names}")
+
+
+def _changes(slopes: np.ndarray, columns: list[int], scales: np.ndarray) -> np.ndarray:
+    """By how much each condition changes where every unknown does by its scale; else, where anything at all does."""
+    own = np.abs(slopes[:, columns]) @ scales[columns]
+    return np.where(own > 0.0, own, np.abs(slopes) @ scales)
+
+
+def _undetermined(slopes: np.ndarray) -> np.ndarray:
+    """Which unknowns take part in a direction along which no condition changes, by scaled derivatives."""
+    _, sizes, directions = np.linalg.svd(slopes)
+    rank = int((sizes > _RANK * sizes.max(initial=0.0)).sum())
+    return np.abs(directions[rank:]).max(axis=0, initial=0.0) > 1e-3

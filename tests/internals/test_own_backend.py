@@ -1,0 +1,22 @@
+"""A backend that is none of the package."""
+
+from typing import Any
+
+import numpy as np
+
+import twistax as tx
+from twistax.scalar.backends import Backend
+
+
+def test_a_backend_of_ones_own() -> None:
+    class Twice(Backend):
+        def emit(self, closed: Any, fixed: Any = ()) -> Any:
+            emitted = tx.JAX().emit(closed, fixed)
+            return type(emitted)(lambda *a: [2.0 * v for v in emitted.function(*a)], None, "twice")
+
+    x = tx.State("x", shape=(2,))
+    dynamics = tx.compile(tx.System(rates={x: tx.Where(x >= 0.0, tx.Sin(x), -3.0 * x)}), backend=Twice())
+    assert repr(dynamics).endswith("backend: Twice)")
+    assert dynamics.explain().backend == "twice"
+    rates = dynamics(0.2, {"x": np.array([1.0, -2.0])})["x"]
+    np.testing.assert_allclose(rates, [2.0 * np.sin(1.0), 12.0])

@@ -1,0 +1,41 @@
+"""Rows on polynomials in loops of XLA; programs that are kept for numbers of rows."""
+
+from __future__ import annotations
+
+import gc
+from typing import Any
+
+import jax
+import numpy as np
+import pytest
+
+import twistax as tx
+from twistax.scalar.loops import Repeated
+
+
+@pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=["a loop of XLA", "a kernel's loop"])
+def test_rows_of_batches_of_batches_are_exact(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Oscillators of other frequencies, ends and starts, in loops of XLA, where each is at another row."""
+    monkeypatch.setattr(Repeated, "kernel", lambda self, rows: None)
+    x, v, w = tx.State("x"), tx.State("v"), tx.Parameter("w")
+    dynamics = tx.compile(tx.System({x: v, v: -w * w * x}), backend=backend)
+    shares = np.append(np.linspace(0.0, 0.4, 210), [0.7, 1.0, 1.0])
+
+    def flown(w: jax.Array, end: jax.Array, x: jax.Array) -> jax.Array:
+        given: dict[str, Any] = {"params": {"w": w}, "t1": end, "save_at": shares * end, "rtol": 1e-7}
+        return tx.integrate(dynamics, {"x": x, "v": 0.0}, between=tx.Between.POLYNOMIAL, **given).xs["x"]
+
+    ws, ends, begins = np.array([0.3, 2.0, 5.0]), np.array([2.0, 0.0]), np.array([1.0, -0.5])
+    every = jax.vmap(jax.vmap(jax.vmap(flown, (None, None, 0)), (None, 0, None), out_axes=1), (0, None, None))
+    found = jax.jit(every)(ws, ends, begins)
+    phases = ws[:, None, None] * ends[:, None] * shares
+    np.testing.assert_allclose(found, begins[:, None, None] * np.cos(phases)[:, None], atol=1e-6)
+
+
+def test_programs_for_numbers_of_rows_go_with_what_was_traced_with_them() -> None:
+    made = Repeated(Any, 0, lambda one: None)  # type: ignore[arg-type]
+    used = made.of_length(3)
+    assert made.of_length(3) is used
+    del used
+    gc.collect()
+    assert not len(made._others)
