@@ -55,3 +55,19 @@ def test_a_row_that_is_flat_to_any_order_is_not_solved_away_from_its_zero(power:
     ends = {"initial": {p: 0.0, v: 0.0}, "final": [p == 1.0, v**power <= 0.0]}
     result = Problem(dynamics, tx.Minimize(tx.Time()), nodes=21, final_time=(0.1, 6.0), **ends).solve()
     assert result.cost == pytest.approx(2.0, abs=1e-6) or result.status is Status.DEGENERATE
+
+
+def test_limits_that_do_not_bind_are_not_degenerate() -> None:
+    """A climb out of air of exponential density: a whole move away, below the ground, its drag overflows."""
+    h, v = tx.State("h", max=30.0), tx.State("v", max=30.0)
+    thrust = tx.Control("thrust", min=-40.0, max=40.0)
+    drag = tx.Exp(-100.0 * h) * v
+    problem = Problem(
+        tx.compile(tx.System(rates={h: v, v: thrust - drag})),
+        tx.Minimize(running=thrust**2),
+        nodes=21,
+        final_time=2.0,
+        initial={h: 0.0, v: 0.0},
+        final={h: 10.0, v: 0.0},
+    )
+    assert problem.solve().status is Status.SOLVED

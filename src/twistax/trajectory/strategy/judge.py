@@ -72,10 +72,13 @@ class Judge:
         return dataclasses.replace(outcome, status=Status.COARSE) if accuracy.coarse else outcome
 
     def _flat(self, z: Array, outcome: Outcome) -> FlatRow | None:
-        """The row whose multiplier is largest, if that has run away."""
+        """The row that binds whose multiplier is largest, if that has run away."""
         weights, scales = np.abs(outcome.rows), outcome.scales
         if not weights.any():
             return None
+        # Others have a share of the barrier for their multiplier, and a whole move may change them without end.
+        binds = self._shooting.equality | (np.abs(outcome.scaled_rows) * scales.rows >= outcome.slack)
+        weights = np.where(binds, weights, 0.0)
         step, sizes = self._staged.step(scales.d, scales.u, scales.border), np.zeros_like(weights)
         for length, seen in ((_SMALL, 1.0), (1.0, ~self._cones)):  # a whole move shows what is flat to several orders
             look = self._close.changes(z, step, length)
