@@ -85,8 +85,8 @@ class _Search:
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
         others: dict[Strategy, dict[str, bool]] = {
-            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
             Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
+            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
         }
         for strategy, options in others.items():
             if self._may_repeat(result, strategy):
