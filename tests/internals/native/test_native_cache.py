@@ -273,7 +273,7 @@ def test_the_oldest_go(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 _MANY = """
 import sys, time
-from twistax.scalar.targets.llvm import cache
+from twistax.scalar import kernel_cache as cache
 key, end = "0" * 64, float(sys.argv[1])
 code = bytes(range(256)) * 8000
 while time.time() < end:

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .entry import ALWAYS, SMALL, Entry, default, moving, up_to
-from .interface import Graph, Nodes, Reader, flat, nodes
+from .entry import ALWAYS, SMALL, Entry, Nodes, default, flat, moving, nodes, up_to
 from .operations import OPERATIONS, on
+
+if TYPE_CHECKING:
+    from ..graph import Graph
+    from ..reader import Reader
 
 #: Vectors up to this length are sorted by exchanges of neighbours.
 _LONGEST_SORTED = 16

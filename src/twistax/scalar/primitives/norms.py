@@ -4,16 +4,19 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .entry import SMALL, Entry, Operation
+from .entry import SMALL, Entry, Nodes, Operation, gathered, nodes
 from .in_range import norm, scales
-from .interface import Graph, Nodes, Reader, gathered, nodes
 from .operations import OPERATIONS, on
+
+if TYPE_CHECKING:
+    from ..graph import Graph
+    from ..reader import Reader
 
 
 def _number(*x: Any) -> Any:

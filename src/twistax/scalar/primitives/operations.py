@@ -5,13 +5,15 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from jax import lax
 
 from .entry import Forms, Operation, Select, Slope, code, convert, default, everywhere, whole
-from .interface import Graph
+
+if TYPE_CHECKING:
+    from ..graph import Graph
 
 _BOOL = np.dtype(bool)
 

@@ -15,6 +15,7 @@ from ...errors import ModelError
 from ...scalar.kernel_cache import version
 from ...scalar.primitives.entry import Operation
 from ...scalar.primitives.table_load import Table
+from ...scalar.primitives.table_loads import loaded_tables
 from ...scalar.targets.c import CType, c_type, expression
 from .programs import ExportedFunction, Exporter, Port
 
@@ -112,7 +113,7 @@ class Code:
 
     def _tables(self) -> list[Table]:
         """What the functions load from."""
-        return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
+        return list(dict.fromkeys(table for function in self.functions for table in loaded_tables(function.program)))
 
     def _head(self, function: ExportedFunction) -> str:
         """The head of a function, without what follows it."""

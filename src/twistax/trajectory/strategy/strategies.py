@@ -33,6 +33,8 @@ _USELESS = 1e3
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
 _MOST = 500
+#: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
+_ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
 _AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
@@ -46,6 +48,7 @@ class Strategy(enum.Enum):
         "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"
     )
     STATED_SCALES = "a run that fails is repeated in the units of the statement"
+    PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
     FITTED_DURATIONS = "a run that fails is repeated from the durations that limited controls need"
     LEAVING_SADDLES = "a solution that is no minimum is left along random directions"
     IMPLICIT_STEPS = (
@@ -85,13 +88,17 @@ class _Search:
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
         others: dict[Strategy, dict[str, bool]] = {
-            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
             Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
+            Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
         }
         for strategy, options in others.items():
             if self._may_repeat(result, strategy):
                 again = self._once(start, instance, **options)
                 result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result
+        for seed in range(_ASIDE_TIMES):  # where a row has no slope at the start, no step helps
+            if self._may_repeat(result, Strategy.PERTURBED_STARTS):
+                other = self._near(other_starts.beside(self._solver, start, result.scales, _ASIDE, seed), instance)
+                result = other if other.status in AT_OPTIMUM else result
         return dataclasses.replace(result, iterations=self._budget.used)
 
     def _may_repeat(self, result: Outcome, strategy: Strategy, ends: Collection[Status] = _AT_REST) -> bool:

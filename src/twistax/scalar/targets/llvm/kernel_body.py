@@ -11,11 +11,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...graph import Limits, TooLarge
-from ...primitives.entry import Operation
-from ...primitives.interface import flat
+from ...primitives.entry import Operation, flat
 from ...primitives.table import OPERATIONS
-from ...program import ScalarProgram, called_names
-from ...rewriting import emitted_form
+from ...reader import ScalarProgram, called_names, emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import Scratch, Values, in_pieces

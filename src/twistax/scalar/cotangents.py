@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from .interface import Graph
+if TYPE_CHECKING:
+    from .graph import Graph
 
 #: So many products at most stay apart: what is read further back takes as many operations for each.
 _APART = 3
