@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr
-from .primitives.entry import Nodes, Operation, flat, nodes
+from .primitives.entry import Operation
+from .primitives.interface import Limits, Nodes, flat, nodes
 from .primitives.operations import OPERATIONS
 from .primitives.powers import factors_in_range
 from .walk import walk
@@ -58,25 +59,10 @@ class Call:
         return flat(*self.arguments)
 
 
-@dataclasses.dataclass(frozen=True)
-class Limits:
-    """Up to which size parts are unrolled that a library does as well: beyond, the compiler's time outweighs it.
-
-    Attributes:
-        pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
-        table: tables read at a place known only at run time, by comparing with each place.
-        equations: loops, all iterations together, and branches.
-    """
-
-    pivoted: int = 4
-    table: int = 16
-    equations: int = 4000
-
-
 LIMITS = Limits()
 
 
-class Graph:
+class ScalarGraph:
     """A growing graph of scalars.
 
     Args:

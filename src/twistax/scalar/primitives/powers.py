@@ -6,13 +6,11 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from .entry import Operation, Slope
+from .interface import Graph
 from .operations import OPERATIONS
-
-if TYPE_CHECKING:
-    from ..graph import Graph
 
 Number = TypeVar("Number")
 
