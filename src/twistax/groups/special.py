@@ -11,10 +11,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
 from twistax.groups.group import ElementPart, Group
 
@@ -200,6 +200,10 @@ class SpecialEuclidean(_MatrixGroup):
         g, rate = of_shape("SE3.body_velocity", {"g": self.shape, "rate": self.shape}, g, rate)
         back = g[:3, :3].T
         return self.order.join(so3.act(back, rate[:3, 3]), so3.vee(so3.compose(back, rate[:3, :3])))
+
+    @property
+    def twist_order(self) -> Order:
+        return self.order
 
     def with_order(self, order: Order) -> SpecialEuclidean:
         """The same group with tangents in another order. Raises ModelError."""

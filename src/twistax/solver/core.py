@@ -36,9 +36,12 @@ class CoreStatus(enum.Enum):
     NON_FINITE = 4
     UNBOUNDED_CURVATURE = 5
     STOPPED = 6
-    _BAD_PROBLEM = 7
     UNBOUNDED = 8
     ACCEPTABLE = 9
+
+
+#: That of a problem whose bounds or units cannot be.
+_BAD_PROBLEM = 7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -243,8 +246,8 @@ def as_problem(
     Raises:
         TrajectoryError: arrays of other shapes.
     """
-    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step, **units._asdict()}
-    cost_size = by_name.pop("cost")
+    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step}
+    by_name |= {"size": units.size, "row_size": units.row_size, "equality_size": units.equality_size}
     variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
     lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
     lengths |= {"row_size": rows, "equality_size": equalities}
@@ -254,7 +257,7 @@ def as_problem(
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=units.cost)
     for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
         setattr(structure, name, address or None)
     return Described(structure, list(arrays.values()))
@@ -309,17 +312,17 @@ def solve(
     multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
-    status = CoreStatus(core.solve(*references[:2], *pointers))
+    status = core.solve(*references[:2], *pointers)
     stop.check()
     functions.check()
-    if status is CoreStatus._BAD_PROBLEM:
+    if status == _BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return CoreSolution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+    return CoreSolution(status=CoreStatus(status), **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
 class _StopFunction:

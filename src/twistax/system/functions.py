@@ -78,7 +78,7 @@ class Kept:
 class Functions:
     """The functions of a system on prepared arguments: traceable, unchecked.
 
-    `Dynamics` shows them to users; `prepare` makes the arguments. The layers above reach them as `dynamics._functions`.
+    For integrators, solvers and filters, which check arguments once: `prepare` makes these.
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
@@ -86,6 +86,7 @@ class Functions:
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
         hessians: likewise the programs of Hessians.
+        jitted: `evaluate`, in the form for calls.
         loops: likewise functions of integrators, jitted, that take a `twin` of this.
     """
 
@@ -111,7 +112,7 @@ class Functions:
         self._constants = constants
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made, self._beside = Kept(64), False
-        self._jit()
+        self.jitted = _for_calls(self)
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
 
@@ -138,14 +139,11 @@ class Functions:
     def _changed(self, **own: Any) -> Functions:
         found = object.__new__(Functions)
         found.__dict__.update(self.__dict__, **own)
-        found._jit()
+        found.jitted = _for_calls(found)
         return found
 
     def __reduce__(self) -> Any:
         return Functions, (self.system, list(self.families["outputs"]), self.baked, self.backend)
-
-    def _jit(self) -> None:
-        self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
@@ -214,7 +212,7 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""
@@ -358,6 +356,10 @@ class Functions:
         for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
             values[kind][name] = array
         return arrays[0], values["x"], values["u"], values["params"]
+
+
+def _for_calls(functions: Functions) -> Callable[..., Arrays]:
+    return jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:

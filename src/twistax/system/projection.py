@@ -32,7 +32,7 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
     now, size = dict(inputs.x), np.inf
     least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)
     for _ in range(_STEPS):
-        found = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
+        found = functions.jitted("corrections", inputs.t, now, inputs.u, inputs.params)
         step = increments(functions, found)
         now = functions.group.retract(now, step)
         before, size = size, float(jnp.abs(step).max())

@@ -29,7 +29,7 @@ from ..problem.by_node import ByNode
 from ..problem.conditions import Conditions, Ends
 from ..problem.statement import Objective, PathRows
 from .border import Border
-from .local import Expressions, Local
+from .local import Local
 from .mesh import Mesh
 from .methods import Collocation, MultipleShooting
 from .points import Given, Point, Step
@@ -189,10 +189,10 @@ class Shooting(Transcribed):
         self.segments = [Segment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
         self.joins = []
 
-    def made_of(self, expressions: Expressions) -> Shooting:
-        """The functions of other expressions of the same shapes; parameters of nodes come at their share."""
+    def made_of(self, **expressions: tuple[Expr, ...]) -> Shooting:
+        """The functions of other expressions, by name, of the same shapes; parameters of nodes come at their share."""
         other = copy.copy(self)
-        other.local, other._interpolates = self.local.made_of(expressions), False
+        other.local, other._interpolates = self.local.made_of(**expressions), False
         return other
 
     # ---- rows -----------------------------------------------------------------------------------------------------
