@@ -1,6 +1,7 @@
 """The house: each layer imports only the layers below it; importing changes nothing and stays light."""
 
 import ast
+import graphlib
 import subprocess
 import sys
 import tomllib
@@ -84,6 +85,44 @@ def test_the_check_sees_an_upward_import(tmp_path: Path, monkeypatch: pytest.Mon
     bad.write_text("from ..expr.node import Expr\nfrom .. import system\nimport twistax.trajectory\n")
     monkeypatch.setattr(sys.modules[__name__], "SOURCE", tmp_path)
     assert len(upward_imports(bad)) == 3
+
+
+def imports(source: Path) -> dict[str, set[str]]:
+    """For each module the modules of the package that it imports, lazily or for types too; packages around it aside."""
+    modules = {}
+    for path in source.rglob("*.py"):
+        parts = path.relative_to(source).with_suffix("").parts
+        modules[parts[:-1] if parts[-1] == "__init__" else parts] = path
+    graph: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        package = module if path.name == "__init__.py" else module[:-1]
+        below = graph.setdefault(".".join(module), set())
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            stem = tuple(node.module.split(".")) if node.module else ()
+            if node.level:
+                stem = (*package[: len(package) - node.level + 1], *stem)
+            elif stem[0] != "twistax":
+                continue
+            else:
+                stem = stem[1:]
+            for alias in node.names:
+                target = (*stem, alias.name) if (*stem, alias.name) in modules else stem
+                if target != module[: len(target)]:
+                    below.add(".".join(target))
+    return graph
+
+
+def test_no_imports_go_round_in_circles() -> None:
+    graphlib.TopologicalSorter(imports(SOURCE)).prepare()  # raises a CycleError that names a circle
+
+
+def test_the_check_sees_a_circle_of_lazy_imports(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("def f():\n    from .b import g\n")
+    (tmp_path / "b.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from . import a\n")
+    with pytest.raises(graphlib.CycleError, match="'a'"):
+        graphlib.TopologicalSorter(imports(tmp_path)).prepare()
 
 
 def run(code: str) -> str:

@@ -19,9 +19,9 @@ from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Norm, Sqrt
 from ..expr.fields import ExprLike
 from ..expr.lie import wrench
-from .dynamics import checked
-from .jacobians import ALIGNED, frame_twist
-from .mechanism import Mechanism, Positions
+from .algorithms.dynamics import checked
+from .algorithms.jacobians import ALIGNED, frame_twist
+from .kinematic_tree import KinematicTree, Positions
 
 _ZERO = Constant(np.zeros(3))
 
@@ -43,7 +43,7 @@ class GivenForces:
     at_rest: dict[str, Constraint]
 
 
-def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float) -> GivenForces:
+def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: float) -> GivenForces:
     """Controls for the forces at frames that touch the ground, and what holds of them and of the frames.
 
     Args:
@@ -106,7 +106,7 @@ class Ground:
         return Concat(rubbing, normal)
 
     def wrenches(
-        self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
+        self, mechanism: KinematicTree, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
     ) -> dict[str, Expr]:
         """What the ground does to the origins of frames, for `wrenches=` of `system` and of the dynamics.
 
@@ -120,7 +120,7 @@ class Ground:
         return found
 
 
-def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:
+def _at_origin(mechanism: KinematicTree, name: str, q: Positions | None, f: Expr) -> Expr:
     """The wrench (6,) of a force (3,) in the base's axes, at a frame's origin, in its axes."""
     return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
 

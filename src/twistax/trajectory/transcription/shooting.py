@@ -36,7 +36,7 @@ from .points import Given, Point, Step
 from .row_layout import row_layout
 
 
-class Segment(NamedTuple):
+class PhaseSegment(NamedTuple):
     """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
 
     number: int
@@ -85,7 +85,7 @@ class Transcribed(ABC):
     own: Array
     free: Step
     stirred: Array
-    segments: Sequence[Segment]
+    segments: Sequence[PhaseSegment]
     joins: Sequence[Any]
 
     @abstractmethod
@@ -103,7 +103,7 @@ class Transcribed(ABC):
         """What follows the place of an interval in messages, of each phase."""
         return [""]
 
-    def named(self, part: Segment, name: str) -> str:
+    def named(self, part: PhaseSegment, name: str) -> str:
         """The name of a row of a phase among those of all."""
         return name
 
@@ -111,7 +111,7 @@ class Transcribed(ABC):
         """Numbers for the rows of each phase as numbers for all rows."""
         return parts[0]
 
-    def rows_of(self, part: Segment, rows: Any) -> Any:
+    def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
         return rows
 
@@ -186,7 +186,7 @@ class Shooting(Transcribed):
         self.free = Step(free, np.ones((self.intervals, self.m), bool), border.free)
         self.stirred = free.copy()
         self.stirred[-1, self.layout.fixed] = False
-        self.segments = [Segment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
+        self.segments = [PhaseSegment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
         self.joins = []
 
     def made_of(self, **expressions: tuple[Expr, ...]) -> Shooting:
