@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import jax
@@ -158,12 +159,12 @@ class Group(ABC):
 
     # ---- what states, integrators, problems and tables ask of any group ------------------------------------------
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         """The parts of an element by unit, each entry of a tangent in one; one without a unit unless overridden."""
         return (ElementPart("distance", ..., tuple(range(self.dimension))),)
 
-    @property
+    @cached_property
     def tangent_shape(self) -> tuple[int, ...]:
         """The shape of rates: (dimension,), for flat groups that of the elements."""
         return self.shape if self.flat else (self.dimension,)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -148,7 +149,7 @@ class SpecialOrthogonal(_MatrixGroup):
     dimension: ClassVar[int] = 3
     _maps: ClassVar[ModuleType] = so3
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         return (ElementPart("attitude", np.s_[:, :], (0, 1, 2), "rad"),)
 
@@ -187,7 +188,7 @@ class SpecialEuclidean(_MatrixGroup):
     def examples(cls) -> tuple[Group, ...]:
         return cls(), cls(ANGULAR_FIRST)
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         first, last = (0, 1, 2), (3, 4, 5)
         linear, angular = (first, last) if self.order.linear_leads else (last, first)

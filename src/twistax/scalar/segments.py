@@ -285,18 +285,26 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(known, values)), reasons)
     body, reasons = emit_whole(inside, backend if around else backend.in_loops())
 
+    rolled = _rolled(body, own)
+    reasons = [f"{name}: {reason}" for reason in reasons]
+    return Part(inputs, eqn.outvars, lambda *values: small_call(rolled, *given(values)), reasons)
+
+
+def _rolled(body: Callable[..., list[jax.Array]], ring: Ring) -> Callable[..., list[jax.Array]]:
+    """A `scan` of an emitted iteration."""
+
     def rolled(*values: Any) -> list[jax.Array]:
-        constants, state, rows = values[: own.fixed], values[own.fixed :][: own.state], values[own.fixed + own.state :]
+        constants, state = values[: ring.fixed], values[ring.fixed :][: ring.state]
+        rows = values[ring.fixed + ring.state :]
 
         def iterate(state: Any, row: Any) -> tuple[Any, Any]:
             found = body(*constants, *state, *row)
-            return found[: own.state], found[own.state :]
+            return found[: ring.state], found[ring.state :]
 
-        carried, stacked = jax.lax.scan(iterate, list(state), list(rows), own.length, own.reverse)
+        carried, stacked = jax.lax.scan(iterate, list(state), list(rows), ring.length, ring.reverse)
         return [*carried, *stacked]
 
-    reasons = [f"{name}: {reason}" for reason in reasons]
-    return Part(inputs, eqn.outvars, lambda *values: small_call(rolled, *given(values)), reasons)
+    return rolled
 
 
 def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:

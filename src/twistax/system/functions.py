@@ -12,20 +12,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import listed
-from ..errors import InputError, ModelError
+from ..errors import InputError
 from ..expr import (
-    Constant,
     Control,
     Equality,
     Expr,
     Inputs,
     Parameter,
     State,
-    canonicalize_all,
     evaluate_all,
     leaves_of,
-    substitute,
 )
 from ..jax_inside import is_traced
 from ..scalar.backends import Backend, Emission
@@ -33,7 +29,8 @@ from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
 from ..scalar.walk import uncollected
-from .inputs import Values, prepare
+from .expressions import canonical, chosen_outputs, constants_of
+from .inputs import CallArguments, Values
 from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
 from .system import System, entry_names
 
@@ -91,25 +88,25 @@ class Functions:
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
-        constants = _constants(system.parameters, bake)
+        constants = constants_of(system.parameters, bake)
         self.system, self.backend = system, backend
         self.baked = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
         self.states, self.controls, self.group = system.states, system.controls, system.group
         self.parameters = tuple(p for p in system.parameters if p.name not in bake)
-        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
+        residuals = canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
         equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
         self.constraints: dict[str, dict[str, Expr]] = {
             kind: {name: own for name, own in residuals.items() if (name in equalities) == (kind == "equality")}
             for kind in ("inequality", "equality")
         }
-        chosen = _narrow(system.outputs, outputs)
+        chosen = chosen_outputs(system.outputs, outputs)
         self.families: dict[str, dict[str, list[Expr]]] = {
-            "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
-            "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
+            "rates": {name: [expr] for name, expr in canonical(system.rates, constants).items()},
+            "outputs": {name: [expr] for name, expr in canonical(chosen, constants).items()},
             "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
-            "corrections": {name: [expr] for name, expr in _canonical(system.corrections, constants).items()},
+            "corrections": {name: [expr] for name, expr in canonical(system.corrections, constants).items()},
         }
-        self._constants = constants
+        self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made, self._beside = Kept(64), False
         self.jitted = _for_calls(self)
@@ -168,7 +165,7 @@ class Functions:
             InputError: as a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
-        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names, on_host)
+        return self._arguments.prepare(required, t, x, u, params, names=names, on_host=on_host)
 
     def zeros(self) -> Inputs:
         """Zeros for all leaves that anything reads, in JAX's default precision."""
@@ -185,7 +182,7 @@ class Functions:
         """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
         known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
         flat = {f"{k} {part}": each for k, (_, pair) in enumerate(known) for part, each in enumerate(pair)}
-        simple, found = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
+        simple, found = canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
         for k, (name, _) in enumerate(known):
             found.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
         return found
@@ -374,41 +371,6 @@ def check_kinds(wrt: tuple[str, ...]) -> None:
             raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
     if len(set(wrt)) < len(wrt):
         raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
-
-
-def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
-    """The outputs of these names; all if None."""
-    if names is None:
-        return dict(outputs)
-    names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
-    for name in names:
-        if name not in outputs:
-            raise ModelError(f"outputs names {name!r}, which is no output; the system has: {listed(outputs, name)}")
-    return {name: outputs[name] for name in names}
-
-
-def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
-    """The baked parameters: key of the leaf -> constant."""
-    known = {p.name: p for p in parameters}
-    constants: dict[str, Constant] = {}
-    for name, value in bake.items():
-        if name not in known:
-            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {listed(known, name)}")
-        if value is None:
-            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
-        if is_traced(value):
-            raise ModelError(
-                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its number is not known.\n"
-                f"  fix: do not bake it, and pass params={{{name!r}: ...}}"
-            )
-        constants[known[name].key()] = Constant(known[name].replace(value=value).value)
-    return constants
-
-
-def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
-    """The expressions with constants in place of what is baked, simplified together."""
-    roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
-    return dict(zip(exprs, canonicalize_all(roots), strict=True))
 
 
 def _names(*roots: list[Expr]) -> set[str]:

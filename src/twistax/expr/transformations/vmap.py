@@ -16,7 +16,7 @@ from ..fields import Operands
 from ..graph import evaluate_all, leaves_of, substitute
 from ..leaves import Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
-from ..operations.arithmetic import Constraint
+from ..operations.comparisons import Constraint
 
 #: The placeholders of the Vmaps that are being built around the current one.
 _around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextvars.ContextVar("around", default=())

@@ -18,7 +18,7 @@ from ..charts.coordinates import Blocks
 from ..events.search import Stride, find_crossings, halted_code
 from ..method import Stepper
 from .kernels import Packed
-from .outcome import Result, Run, Saved, StepPart, Trail, Watched
+from .outcome import Run, Saved, StepPart, Trail, Watched
 from .progress_callback import Meter
 
 
@@ -193,11 +193,6 @@ class Steps(ABC):
 
 def _packed(y: Any) -> Packed:
     return y if isinstance(y, Packed) else Packed.of(y)
-
-
-def ended_well(code: Any) -> Any:
-    """Whether numbers of a `Result` are no failures."""
-    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 # ---- tables that the loop fills ------------------------------------------------------------------------------------
