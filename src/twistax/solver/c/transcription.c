@@ -57,17 +57,38 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
   }
 }
 
-/* H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. */
+static int32_t is_zero(const double *a, size_t count) {
+  for (size_t i = 0; i < count; i++)
+    if (a[i] != 0) return 0;
+  return 1;
+}
+
+/* The upper triangle of H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. Many
+ * rows of M are zero: rates are linear in most of their arguments. */
 static void add_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
   const size_t n = t->n, size = t->size;
-  twx_along(size, n, size, M, maps, t->moved);
-  for (size_t i = 0; i < n; i++)
-    for (size_t r = 0; r < size; r++) {
-      const double factor = maps[i * size + r];
+  double *restrict moved = t->moved;
+  for (size_t i = 0; i < size; i++) {
+    const double *const row = M + i * size, *const map = maps + i * size;
+    if (is_zero(row, size)) continue;
+    twx_along(1, n, size, row, maps, moved);
+    for (size_t r = i < n ? 0 : i; r < (i < n ? size : i + 1); r++) {
+      const double factor = i < n ? map[r] : 1;
+      double *restrict to = H + r * size;
       if (factor != 0)
-        for (size_t j = 0; j < size; j++) H[r * size + j] += factor * t->moved[i * size + j];
+        for (size_t j = r; j < size; j++) to[j] += factor * moved[j];
     }
-  for (size_t i = n * size; i < size * size; i++) H[i] += t->moved[i];
+  }
+}
+
+/* The lower triangles of the blocks of all intervals from the upper ones. */
+static void mirror_hessians(const twx_memory *t, double *H) {
+  const size_t size = t->size;
+  for (size_t k = 0; k < t->K; k++) {
+    double *const block = twx_at_stage(H, t->phase->at.H, k);
+    for (size_t r = 0; r < size; r++)
+      for (size_t j = r + 1; j < size; j++) block[j * size + r] = block[r * size + j];
+  }
 }
 
 /* Second derivatives of rows and cost, and their gradients by eta. */
@@ -226,6 +247,7 @@ int32_t twx_transcribed_hessians(void *user, const double *z, double weight, con
     twx_node_hessians(&t, z, weight, y, ye, H);
     gap_hessians(&t, z, lambda, t.adjoint, H);
     rate_hessians(&t, z, t.adjoint, H);
+    mirror_hessians(&t, H);
     if (f->join) twx_join_hessians(&t, z, lambda, H);
   }
   return 0;
