@@ -39,7 +39,7 @@ class StartUnits:
         self.v = np.concatenate([*self._by_stage(staged), self.border])
         kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
         changes = [at.changes(*kind, self.v) for kind in kinds]
-        for places in staged.places_alone():
+        for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0

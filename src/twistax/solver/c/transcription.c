@@ -1,6 +1,12 @@
 /* Values, derivatives and moves of a transcribed problem, phase by phase. */
 #include "phase.h"
 
+static int32_t is_zero(const double *a, size_t count) {
+  for (size_t i = 0; i < count; i++)
+    if (a[i] != 0) return 0;
+  return 1;
+}
+
 /* ---- path rows and cost --------------------------------------------------------------------------------------- */
 
 static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
@@ -57,12 +63,6 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
   }
 }
 
-static int32_t is_zero(const double *a, size_t count) {
-  for (size_t i = 0; i < count; i++)
-    if (a[i] != 0) return 0;
-  return 1;
-}
-
 /* The upper triangle of H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. Many
  * rows of M are zero: rates are linear in most of their arguments. */
 static void add_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
@@ -105,6 +105,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
         w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
       w[R] = weight * f->widths[k] * f->weights[point];
     }
+    if (is_zero(t->weights, t->K * (R + 1))) continue; /* the curvature of other rows is asked for */
     twx_inputs in = twx_inputs_at(t, z, point);
     in.weights = t->weights, in.weight_width = R + 1;
     twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
@@ -161,8 +162,9 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
   const twx_phase *f = t->phase;
   const size_t n = t->n, size = t->size;
   const double *weights = lambda + f->at.c[0];
-  gap_slopes(t, z);
   memset(adjoint, 0, sizeof(double) * t->K * n);
+  if (is_zero(weights, t->K * n)) return;
+  gap_slopes(t, z);
   for (size_t k = 0; k < t->K; k++)
     for (size_t i = 0; i < n; i++)
       for (size_t j = 0; j < n; j++) adjoint[k * n + j] += weights[k * n + i] * t->gap_slopes[(k * n + i) * n + j];
@@ -192,6 +194,7 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint, doubl
     twx_adjoint_stages(t, j, adjoint);
     for (size_t i = 0; i < s && f->rate.bends.run; i++) {
       const size_t place = S + 1 + j * s + i;
+      if (is_zero(t->adjoints + i * t->K * n, t->K * n)) continue;
       twx_inputs in = twx_inputs_at(t, z, place);
       in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
       twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
