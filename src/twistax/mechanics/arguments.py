@@ -79,7 +79,7 @@ def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
     return T
 
 
-def told(own: Any) -> str:
+def told(record: Any) -> str:
     """A dataclass as text: what differs from its defaults."""
 
     def usual(field: Any) -> str | None:
@@ -87,5 +87,5 @@ def told(own: Any) -> str:
             return repr(field.default_factory())
         return None if field.default is dataclasses.MISSING else repr(field.default)
 
-    texts = {field: repr(getattr(own, field.name)) for field in dataclasses.fields(own)}
-    return f"{type(own).__name__}({', '.join(f'{f.name}={text}' for f, text in texts.items() if text != usual(f))})"
+    texts = {field: repr(getattr(record, field.name)) for field in dataclasses.fields(record)}
+    return f"{type(record).__name__}({', '.join(f'{f.name}={text}' for f, text in texts.items() if text != usual(f))})"

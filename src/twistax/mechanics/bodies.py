@@ -85,9 +85,9 @@ class SpatialInertia:
                 "comes from somewhere and goes somewhere, with its momentum.\n"
                 "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
             )
-        moves = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
+        has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
         #: The parts whose centre or inertia changes; those of bodies that are merged stand side by side.
-        self._parts: tuple[MovingMass, ...] = (part,) if moves else ()
+        self._parts: tuple[MovingMass, ...] = (part,) if has_moving_part else ()
         #: The poses that `in_frame` has brought it by.
         self._poses: tuple[Expr, ...] = ()
 
@@ -269,9 +269,9 @@ class SpatialInertia:
                 return self._derived(parts, physical, changing_parts, poses)
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
-        apart = self.center_of_mass - other.center_of_mass
+        offset = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
-        tensor = self.inertia + other.inertia + _steiner(reduced, apart)
+        tensor = self.inertia + other.inertia + _steiner(reduced, offset)
         return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:

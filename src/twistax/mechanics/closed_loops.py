@@ -74,26 +74,26 @@ class ClosedLoops:
     def drift(self) -> Expr:
         """c (m,): what G qdd + c is besides G qdd."""
         rates = self._twist_rates()
-        found: list[Expr] = []
+        rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             V = [self.mechanism.twist(name, self.q, self.qd) for name in (loop.frame, loop.other)]
             A = [self._of_frame(name, rates) for name in (loop.frame, loop.other)]
             seen = AdjointAction(T, V[0], inverse=True)
             # Ad_T^-1 changes by -ad of the relative twist.
             rate = A[1] - AdjointAction(T, A[0], inverse=True) + Adjoint(V[1] - seen, seen)
-            found.append(loop.constraint_basis.T @ rate)
-        return Concat(*found)
+            rows.append(loop.constraint_basis.T @ rate)
+        return Concat(*rows)
 
     def _twist_rates(self) -> list[Expr]:
         """The rates (6,) of the twists of all segments while no joint accelerates."""
-        mechanism, found = self.mechanism, list[Expr]()
+        mechanism, twist_rates = self.mechanism, list[Expr]()
         qd = mechanism.coordinates("closed loops", "qd", self.qd)
         steps, twists = mechanism.transforms(self.q), mechanism.twists(self.q, self.qd)
         for segment, T, V in zip(mechanism.segments, steps, twists, strict=True):
             turned = Adjoint(V, mechanism.along(segment, qd))
             before = segment.before
-            found.append(turned if before < 0 else AdjointAction(T, found[before], inverse=True) + turned)
-        return found
+            twist_rates.append(turned if before < 0 else AdjointAction(T, twist_rates[before], inverse=True) + turned)
+        return twist_rates
 
     def _of_frame(self, name: str, rates: list[Expr]) -> Expr:
         at = self.mechanism.frame(name)
@@ -189,11 +189,11 @@ def closed_dynamics(
         ModelError: positions or frames that are not known; no loops.
     """
     motion = _motion("closed_dynamics", mechanism, q, qd, tau, wrenches)
-    found, at = dict[str, Expr](), 0
+    constraint_wrenches, row = dict[str, Expr](), 0
     for loop in mechanism.loops:
-        found[loop.name] = loop.constraint_basis @ motion.multipliers[at : at + loop.rows]
-        at += loop.rows
-    return motion.accelerations, found
+        constraint_wrenches[loop.name] = loop.constraint_basis @ motion.multipliers[row : row + loop.rows]
+        row += loop.rows
+    return motion.accelerations, constraint_wrenches
 
 
 def _motion(
@@ -278,12 +278,12 @@ def loop_wrenches(
     `closed_dynamics` does.
     """
     forces = closed_dynamics(mechanism, q, qd, tau, wrenches=wrenches)[1]
-    found: dict[str, ExprLike] = dict(wrenches or {})
+    total: dict[str, ExprLike] = dict(wrenches or {})
     for loop, T in zip(mechanism.loops, ClosedLoops(mechanism, q, qd).poses, strict=True):
         F = forces[loop.name]
-        for name, own in ((loop.other, F), (loop.frame, -(SE3AdjointDual(T) @ F))):
-            found[name] = found[name] + own if name in found else own
-    return found  # type: ignore[return-value]
+        for name, F_frame in ((loop.other, F), (loop.frame, -(SE3AdjointDual(T) @ F))):
+            total[name] = total[name] + F_frame if name in total else F_frame
+    return total  # type: ignore[return-value]
 
 
 def loop_gap(mechanism: Mechanism, loop: str, q: Positions | None = None) -> Expr:

@@ -54,13 +54,13 @@ def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float)
     """
     checked("given_forces", mechanism)
     mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
-    found = GivenForces({}, {}, {}, {})
+    contact = GivenForces({}, {}, {}, {})
     for name in [frames] if isinstance(frames, str) else frames:
-        f = found.controls[name] = Control(f"force_{name}", (3,))
-        found.wrenches[name] = _at_origin(mechanism, name, None, f)
-        found.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
-        found.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
-    return found
+        f = contact.controls[name] = Control(f"force_{name}", (3,))
+        contact.wrenches[name] = _at_origin(mechanism, name, None, f)
+        contact.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
+        contact.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
+    return contact
 
 
 @dataclasses.dataclass(frozen=True)
@@ -97,13 +97,13 @@ class Ground:
         number("Ground: height", self.height, error=ModelError)
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
-        """On a point at a place (3,) with a velocity (3,), both in the base: (3,), N."""
-        depth, sinking = self.height - place[2], -velocity[2]
-        firm = _positive(1.0 + self.damping * sinking, 1e-3)
-        normal = self.stiffness * _positive(depth, self.sharpness) * firm
-        along = velocity[:2]
-        rubbing = (-self.friction) * normal * along / Sqrt(Dot(along, along) + self.slip**2)
-        return Concat(rubbing, normal)
+        """The force (3,), N, on a point at `place` (3,) that moves with `velocity` (3,), all in axes of the base."""
+        depth, penetration_rate = self.height - place[2], -velocity[2]
+        damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
+        normal = self.stiffness * _positive(depth, self.sharpness) * damping_factor
+        v = velocity[:2]  # tangential
+        friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
+        return Concat(friction, normal)
 
     def wrenches(
         self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
@@ -112,12 +112,12 @@ class Ground:
 
         Raises: ModelError for a frame that is not known; ShapeError for positions of another shape.
         """
-        found: dict[str, Expr] = {}
+        wrenches: dict[str, Expr] = {}
         for name in [frames] if isinstance(frames, str) else frames:
             velocity = frame_twist(mechanism, name, q, qd, axes=ALIGNED)[:3]
             f = self.force(mechanism.pose(name, q)[:3, 3], velocity)
-            found[name] = _at_origin(mechanism, name, q, f)
-        return found
+            wrenches[name] = _at_origin(mechanism, name, q, f)
+        return wrenches
 
 
 def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:

@@ -74,13 +74,13 @@ def carried_wrenches(
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     accelerations: list[Expr] = []
     needed: list[Expr] = []
-    for each, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
-        before = each.segment.before
+    for state, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
+        before = state.segment.before
         base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
-        B = each.carried(base if before < 0 else accelerations[before])
-        accelerations.append(B + mechanism.along(each.segment, qdd))
-        own = each.gyroscopic if of_velocities else each.needed
-        needed.append(_less(each.inertia @ accelerations[-1] + own, pushed))
+        B = state.carried(base if before < 0 else accelerations[before])
+        accelerations.append(B + mechanism.along(state.segment, qdd))
+        bias = state.gyroscopic if of_velocities else state.needed
+        needed.append(_less(state.inertia @ accelerations[-1] + bias, pushed))
     for i in reversed(range(len(moving))):
         if moving[i].segment.before >= 0:
             needed[moving[i].segment.before] += CoadjointAction(moving[i].T, needed[i])
@@ -167,8 +167,8 @@ def forward_dynamics(
     turning = turning_of_rotors(mechanism, rates)
     forces = forces if turning is None else forces - turning
     moving = motion(mechanism, mechanism.positions(owner, q), rates)
-    I = [each.inertia for each in moving]
-    b = [_less(each.needed, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
+    I = [state.inertia for state in moving]
+    b = [_less(state.needed, out) for state, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []
     for i in reversed(range(len(moving))):
         hinges.append(_Hinge(moving[i], I[i], b[i], forces))
@@ -217,24 +217,24 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
         M[a][b].append(value if ratio == 1.0 else ratio * value)
 
     for i, segment in enumerate(mechanism.segments):
-        rotor, own = segment.link.drive.rotor, segment.ratio
+        rotor, gear = segment.link.drive.rotor, segment.ratio
         for k, a in enumerate(segment.freedoms):
             F = I[i] @ segment.link.joint.motion_subspace[:, k]
             for other, c in enumerate(segment.freedoms[: k + 1]):
                 value: Expr = Dot(segment.link.joint.motion_subspace[:, other], F)
                 if c == a and rotor is not None:
                     value = value + rotor
-                add(a, c, value, own**2)
+                add(a, c, value, gear**2)
                 if c != a:
                     add(c, a, value, 1.0)
             j = i
             while mechanism.segments[j].before >= 0:
                 F, j = CoadjointAction(T[j], F), mechanism.segments[j].before
-                ahead = mechanism.segments[j]
-                for other, c in enumerate(ahead.freedoms):
-                    value = Dot(ahead.link.joint.motion_subspace[:, other], F)
-                    add(a, c, value, own * ahead.ratio)
-                    add(c, a, value, own * ahead.ratio)
+                ancestor = mechanism.segments[j]
+                for other, c in enumerate(ancestor.freedoms):
+                    value = Dot(ancestor.link.joint.motion_subspace[:, other], F)
+                    add(a, c, value, gear * ancestor.ratio)
+                    add(c, a, value, gear * ancestor.ratio)
     return Block([[sum(terms[1:], terms[0]) if terms else _NOTHING for terms in row] for row in M])
 
 
@@ -261,20 +261,20 @@ def checked(owner: str, mechanism: Mechanism) -> Mechanism:
 
 def outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
     """The sum of the outer wrenches on each segment, in its frame; None without any."""
-    found: list[Expr | None] = [None] * len(mechanism.segments)
+    outer_wrenches: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
     for name, value in (wrenches or {}).items():
         at = mechanism.frame(name)
         F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
         if at.segment >= 0:
-            F, before = CoadjointAction(at.T, F), found[at.segment]
-            found[at.segment] = F if before is None else before + F
-    return found
+            F, before = CoadjointAction(at.T, F), outer_wrenches[at.segment]
+            outer_wrenches[at.segment] = F if before is None else before + F
+    return outer_wrenches
 
 
-def _less(needed: Expr, given: Expr | None) -> Expr:
-    return needed if given is None else needed - given
+def _less(needed: Expr, applied: Expr | None) -> Expr:
+    return needed if applied is None else needed - applied
 
 
 class _Hinge:

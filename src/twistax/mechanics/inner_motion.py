@@ -80,21 +80,21 @@ class InnerMotion(NamedTuple):
 
 def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
     """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None where none moves."""
-    found: list[tuple[Expr, Expr]] = []
+    momenta_and_energies: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity = part.rate(part.center_of_mass)
         if velocity is not None:
             p = part.mass * velocity
-            found.append((wrench(force=p, torque=Cross(part.center_of_mass, p)), 0.5 * Dot(p, velocity)))
-    if not found:
+            momenta_and_energies.append((wrench(force=p, torque=Cross(part.center_of_mass, p)), 0.5 * Dot(p, velocity)))
+    if not momenta_and_energies:
         return None
-    momenta, energies = zip(*found, strict=True)
+    momenta, energies = zip(*momenta_and_energies, strict=True)
     return sum(momenta[1:], momenta[0]), sum(energies[1:], energies[0])
 
 
 def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
     """What the parts of a body do to it; None where nothing changes."""
-    found: list[tuple[Expr, Expr]] = []
+    terms: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity, tensor_rate = part.rate(part.center_of_mass), part.rate(part.inertia)
         still, turning = list[Expr](), list[Expr]()
@@ -109,9 +109,9 @@ def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
             turning.append(Vstack(Constant(np.zeros((3, 3))), tensor_rate))
         if turning:
             zero = Constant(np.zeros(6))
-            found.append((sum(still[1:], still[0]) if still else zero, sum(turning[1:], turning[0])))
-    if not found:
+            terms.append((sum(still[1:], still[0]) if still else zero, sum(turning[1:], turning[0])))
+    if not terms:
         return None
     momentum, energy = momentum_of(parts) or (Constant(np.zeros(6)), Constant(0.0))
-    stills, turnings = zip(*found, strict=True)
+    stills, turnings = zip(*terms, strict=True)
     return InnerMotion(momentum, energy, sum(stills[1:], stills[0]), sum(turnings[1:], turnings[0]))

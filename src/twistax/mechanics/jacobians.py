@@ -88,9 +88,9 @@ def frame_jacobian_rate(
     if axes is WORLD:
         return rate
     # The point that it is about moves as well: of [v - p x w; w] the term p' x w.
-    moves = linear(AdjointAction(_to(axes, path.pose), V))
+    v = linear(AdjointAction(_to(axes, path.pose), V))
     dragged = path.gathered(
-        lambda j, H: twist(linear=Cross(moves, angular(AdjointAction(path.poses[j], H))), angular=Constant(np.zeros(3)))
+        lambda j, H: twist(linear=Cross(v, angular(AdjointAction(path.poses[j], H))), angular=Constant(np.zeros(3)))
     )
     return AdjointAction(_about(path.pose), rate, inverse=True) - dragged
 
@@ -109,7 +109,7 @@ def _to(axes: Axes, T: Expr) -> Expr:
 
 def _known(axes: Axes) -> Axes:
     """The axes themselves. Raises ModelError for anything else."""
-    if not any(axes is each for each in (BODY, WORLD, ALIGNED)):
+    if not any(axes is known for known in (BODY, WORLD, ALIGNED)):
         raise ModelError(f"axes must be BODY, WORLD or ALIGNED of twistax.mechanics, got {axes!r}")
     return axes
 
@@ -134,11 +134,11 @@ class _Path:
 
     def gathered(self, column: Callable[[int, Expr], Expr]) -> Expr:
         """(6, n): of every freedom on the path the column of its motions H in segment j."""
-        found: list[list[Expr]] = [[] for _ in range(self.mechanism.dofs)]
+        columns: list[list[Expr]] = [[] for _ in range(self.mechanism.dofs)]
         for j in self._between:
             segment = self.mechanism.segments[j]
             ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
             for k, a in enumerate(segment.freedoms):
-                one = column(j, segment.link.joint.motion_subspace[:, k])
-                found[a].append(one if segment.link.mimic is None else ratio * one)
-        return Stack(*(sum(each[1:], each[0]) if each else _ZERO for each in found)).T
+                motion = column(j, segment.link.joint.motion_subspace[:, k])
+                columns[a].append(motion if segment.link.mimic is None else ratio * motion)
+        return Stack(*(sum(terms[1:], terms[0]) if terms else _ZERO for terms in columns)).T

@@ -118,9 +118,9 @@ def characteristic_length(mechanism: Mechanism) -> float:
     on_base = [link.parent in (None, mechanism.base) for link in mechanism.links]
     # Where the mechanism stands is not its size: places on the base are seen from the first of them.
     origin = places[on_base.index(True)]
-    apart = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
-    apart = [length for length in apart if length > 0.0]
-    return float(np.mean(apart)) if apart else 1.0
+    distances = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
+    distances = [length for length in distances if length > 0.0]
+    return float(np.mean(distances)) if distances else 1.0
 
 
 def numbers(expr: Expr) -> np.ndarray:
@@ -135,8 +135,8 @@ def numbers(expr: Expr) -> np.ndarray:
             params[leaf.name] = jnp.asarray(np.ones(leaf.shape) if leaf.value is None else leaf.value)
     inputs = Inputs(jnp.zeros(()), x, {}, params, jnp.zeros(()).dtype)
     with jax.ensure_compile_time_eval():
-        (found,) = evaluate_all([expr], lambda leaf: leaf.read(inputs))
-    return np.asarray(found, np.float64)
+        (value,) = evaluate_all([expr], lambda leaf: leaf.read(inputs))
+    return np.asarray(value, np.float64)
 
 
 def _lengths(wrenches: np.ndarray, length: float) -> np.ndarray:

@@ -37,8 +37,8 @@ def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLik
     for segment in mechanism.segments:
         rotor = segment.link.drive.rotor
         for i in segment.freedoms if rotor is not None else ():
-            own = segment.scaled(rates[i])
-            terms.append(0.5 * (rotor * own * own))
+            rotor_rate = segment.scaled(rates[i])
+            terms.append(0.5 * (rotor * rotor_rate * rotor_rate))
     return _sum(terms)
 
 
@@ -64,10 +64,10 @@ def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 def total_mass(mechanism: Mechanism) -> Expr:
     """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
-    found = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
-    if not found:
+    masses = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
+    if not masses:
         raise ModelError("total_mass expects a mechanism with bodies, got rotors only")
-    return _sum(found)
+    return _sum(masses)
 
 
 def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:

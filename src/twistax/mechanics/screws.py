@@ -49,8 +49,8 @@ class Subspaces:
 
         Raises: ShapeError if F is not of shape (6,).
         """
-        whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
-        return whole - self.actuation_basis @ (self.motion_subspace.T @ whole)
+        wrench = of_shape("reaction of a joint", "the wrench F", F, (6,))
+        return wrench - self.actuation_basis @ (self.motion_subspace.T @ wrench)
 
 
 @dataclasses.dataclass(frozen=True)

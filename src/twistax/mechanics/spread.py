@@ -36,9 +36,9 @@ class Spread(NamedTuple):
         body, inner = segment.body, segment.inner_motion
         if body is None:
             return cls(*(Constant(np.zeros(shape)) for shape in ((), (3,), (3, 3), (3,), (3, 3))))
-        own = 0.5 * Trace(body.inertia) * np.eye(3) - body.inertia
+        second_about_center = 0.5 * Trace(body.inertia) * np.eye(3) - body.inertia
         R, c = T[:3, :3], Act(T, body.center_of_mass)
-        second, h = R @ own @ R.T + body.mass * Outer(c, c), body.mass * c
+        second, h = R @ second_about_center @ R.T + body.mass * Outer(c, c), body.mass * c
         v, w = linear(V), angular(V)
         turning, p = Dot(h, v) * np.eye(3) - Outer(v, h) - Hat(w) @ second, body.mass * v + Cross(w, h)
         if inner is not None:

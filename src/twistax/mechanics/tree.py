@@ -106,11 +106,11 @@ class Link:
 
 def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
     """Shapes, or one, as a tuple. Raises ModelError for something else."""
-    found = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
-    wrong = [shape for shape in found if not isinstance(shape, Shape)]
+    sequence = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    wrong = [shape for shape in sequence if not isinstance(shape, Shape)]
     if wrong:
         raise ModelError(f"{owner} expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
-    return found
+    return sequence
 
 
 @dataclasses.dataclass(frozen=True)

@@ -39,24 +39,26 @@ class StartUnits:
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         by_stage = self._by_stage(staged)
         self.v = np.concatenate([*by_stage, self.border])
-        columns = [np.concatenate([own, self.border]) for own in by_stage]
+        columns = [np.concatenate([units, self.border]) for units in by_stage]
         slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
-        changes = [np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(own, columns))]) for own in slopes]
+        changes = [
+            np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(stages_J, columns))]) for stages_J in slopes
+        ]
         for places in staged.places_alone():
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0
             bends = [c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.bends(*weights), stages.columns))]
-            for change, own, at_place in zip(changes, staged.stages_of_rows, places):
-                change[at_place] += 0.5 * np.array(bends)[own[at_place]]
+            for change, stage_of_row, at_place in zip(changes, staged.stages_of_rows, places):
+                change[at_place] += 0.5 * np.array(bends)[stage_of_row[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
         bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
-        moves = np.abs(at.gradient) @ self.v + 0.5 * bends
-        if not moves > 0.0:  # no slope and no curvature there: what a whole move changes
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * bends
+        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
-            moves = abs(there.cost[0] - at.cost[0])
-        self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+            change_of_cost = abs(there.cost[0] - at.cost[0])
+        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that limited controls need."""
@@ -102,36 +104,36 @@ class StartUnits:
         """Count everything in the units of its statement."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
         self.border, self.v, self.rows, self.equalities = ones
-        self.parts = [own._replace(d=np.ones_like(own.d), u=np.ones_like(own.u)) for own in self.parts]
+        self.parts = [sizes._replace(d=np.ones_like(sizes.d), u=np.ones_like(sizes.u)) for sizes in self.parts]
         self.cost = 1.0
 
     @staticmethod
     def _measured(staged: Staged, point: Point, blocks: list[Array], gaps: Array) -> list[Sizes]:
-        found, sizes_of = list[Sizes](), dict[str, Array]()
+        by_part, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
-            own, first = part.shooting, part.stages.start
-            moved = np.stack(blocks[first : first + own.intervals])
+            shooting, first = part.shooting, part.stages.start
+            moved = np.stack(blocks[first : first + shooting.intervals])
             moved = np.where(np.isfinite(moved).all(), moved, 0.0)
             at = sum(staged.transcription.stages.after[:first])
-            drift = gaps[at : at + own.intervals * own.n].reshape(-1, own.n)
+            drift = gaps[at : at + shooting.intervals * shooting.n].reshape(-1, shooting.n)
             drift = np.where(np.isfinite(drift).all(), drift, 0.0)
-            sizes = measured_sizes(own, segment.of(point), moved, drift)
-            for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
-                slices = own.dynamics.group.slices
+            sizes = measured_sizes(shooting, segment.of(point), moved, drift)
+            for name, other in shooting.alike.items():  # an extreme counts as what it is one of, in all phases alike
+                slices = shooting.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
                 sizes.d[slices[name]] = sizes_of[name]
-            found.append(sizes)
-        return found
+            by_part.append(sizes)
+        return by_part
 
     def _by_stage(self, staged: Staged) -> list[Array]:
         """Of the unknowns of each stage."""
-        found = list[Array]()
+        units = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            found += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            units += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
             join = part.phase.join
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
-            found.append(np.concatenate([sizes.d, free]))
-        return found
+            units.append(np.concatenate([sizes.d, free]))
+        return units
 
 
 def _reserve(parts: list[Sizes]) -> float:

@@ -93,8 +93,8 @@ class AirData:
         Source: NACA Report 1135, Equations, tables and charts for compressible flow (1953), eqs. (44) and (100).
         """
         square = self.mach * self.mach
-        behind = 166.921580 * square**3.5 / (7.0 * Max(square, 1.0) - 1.0) ** 2.5
-        return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, behind) - 1.0)
+        ratio_behind_shock = 166.921580 * square**3.5 / (7.0 * Max(square, 1.0) - 1.0) ** 2.5
+        return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, ratio_behind_shock) - 1.0)
 
 
 #: The rotation (3, 3) to body axes from the axes in which coefficients are given.
@@ -170,8 +170,8 @@ class Aerodynamics:
 
     def reduced_rates(self, air: AirData) -> Expr:
         """(p b, q c, r b) / (2 V) (3,), of rates relative to the air; 0 at rest, where they exert nothing."""
-        moves = air.airspeed > 0.0
-        return Where(moves, 0.5 / Where(moves, air.airspeed, 1.0), 0.0) * air.rate * self.lengths
+        has_airspeed = air.airspeed > 0.0
+        return Where(has_airspeed, 0.5 / Where(has_airspeed, air.airspeed, 1.0), 0.0) * air.rate * self.lengths
 
     def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
         """[f; tau] (6,) at the body's origin in its axes: q S R C_f, and q S R (b C_l, c C_m, b C_n) moved there.

@@ -93,7 +93,7 @@ class NasaColumns(Layout):
         outputs = {name: np.asarray(value) for name, value in solution.outputs.items()}
         if "ned_velocity" in outputs:
             outputs = {"altitude_rate": -outputs["ned_velocity"][:, 2]} | outputs
-        found = [Column("time", "", np.asarray(solution.ts))]
+        columns = [Column("time", "", np.asarray(solution.ts))]
         for quantity, name, english, si, components in _QUANTITIES:
             if name in outputs:
                 unit = si if self.si else english
@@ -104,10 +104,10 @@ class NasaColumns(Layout):
                     )
                 values = values / float(UNITS[unit]) if unit else values
                 parts = zip(components or ("",), values.reshape(len(values), -1).T, strict=True)
-                found += [Column("_".join(filter(None, (quantity, unit, part))), "", own) for part, own in parts]
-        if len(found) == 1:
+                columns += [Column("_".join(filter(None, (quantity, unit, part))), "", v) for part, v in parts]
+        if len(columns) == 1:
             raise InputError(
                 f"NasaColumns expects outputs of a flight, such as 'position', got {listed(outputs)}.\n"
                 "  fix: integrate vehicle.system(...), or name outputs as NasaColumns says"
             )
-        return found
+        return columns

@@ -53,14 +53,14 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
 
 def _folded(*expressions: Expr) -> list[np.ndarray]:
     """The numbers that expressions of numbers amount to, what they share computed once. Raises ModelError."""
-    found = canonicalize_all(expressions)
-    for expr in found:
+    folded = canonicalize_all(expressions)
+    for expr in folded:
         if not isinstance(expr, Constant):
             raise ModelError(
                 f"numbers expects an expression with finite numbers at the values given, got {short(expr)}.\n"
                 "  fix: give a value for each of its states, controls and parameters"
             )
-    return [np.array(expr.value, float) for expr in found if isinstance(expr, Constant)]
+    return [np.array(expr.value, float) for expr in folded if isinstance(expr, Constant)]
 
 
 def start(
@@ -103,7 +103,7 @@ def start(
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
-    given = {
+    arguments = {
         "latitude": _angle("latitude", latitude, 0.25),
         "longitude": _angle("longitude", longitude, 1.0),
         "altitude": _taken("altitude", altitude, metres),
@@ -112,23 +112,23 @@ def start(
         "rate": _taken("rate", rate, radians / seconds, (3,)),
         "t": _taken("t", t, seconds),
     }
-    traced = is_traced(given)
-    own: dict[str, Any] = {k: Parameter(k, np.shape(v)) if traced else Constant(v) for k, v in given.items()}
-    north, east, up, over_ground = (own[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
-    turn = planet.figure.to_inertial(own["t"])
-    local, attitude = turn @ north_east_down(north, east), EulerRotation(own["euler"])
+    traced = is_traced(arguments)
+    leaves: dict[str, Any] = {k: Parameter(k, np.shape(v)) if traced else Constant(v) for k, v in arguments.items()}
+    north, east, up, over_ground = (leaves[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
+    turn = planet.figure.to_inertial(leaves["t"])
+    local, attitude = turn @ north_east_down(north, east), EulerRotation(leaves["euler"])
     position = turn @ planet.figure.position(north, east, up)
     carried = Cross([0.0, 0.0, planet.figure.rate], position)
     velocity = attitude.T @ (over_ground + local.T @ carried)
     spin = relative_to(planet, north, up, over_ground)
     if not traced:
-        _need_rate(relative_to, spin, given["latitude"])
-    turning = own["rate"] + attitude.T @ spin
+        _need_rate(relative_to, spin, arguments["latitude"])
+    turning = leaves["rate"] + attitude.T @ spin
     state: dict[str, Expr] = {pose: Pose(local @ attitude, position), twist: Concat(velocity, turning)}
     if not traced:
         return dict(zip(state, _folded(*state.values()), strict=True))
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
-    inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in given.items()}, dtype)
+    inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in arguments.items()}, dtype)
     return dict(zip(state, evaluate_all([*state.values()], lambda leaf: leaf.read(inputs)), strict=True))
 
 

@@ -61,8 +61,8 @@ def low_altitude_turbulence(wind: Any) -> Scales:
     def scales(height: Expr) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
         h = Min(Max(height / float(feet), 10.0), 1000.0)
         factor = 0.177 + 0.000823 * h
-        along, size = float(feet) * h / factor**1.2, sigma / factor**0.4
-        return (along, along, float(feet) * h), (size, size, sigma)
+        length, size = float(feet) * h / factor**1.2, sigma / factor**0.4
+        return (length, length, float(feet) * h), (size, size, sigma)
 
     return scales
 

@@ -180,11 +180,11 @@ class Vehicle:
         }
         if self.turbulence is not None and self._gust is not None:
             motion[self.turbulence.state] = self._gust.state_rate
-        given = {state if isinstance(state, str) else state.name for state in rates or {}}
-        own = [name for name in (getattr(state, "name", state) for state in motion) if name in given]
-        if own:
+        named = {state if isinstance(state, str) else state.name for state in rates or {}}
+        motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
+        if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of further states, got {listed(own)}, the motion itself.\n"
+                f"Vehicle.system expects rates of further states, got {listed(motion_states)}, the motion itself.\n"
                 "  fix: put what acts on the body into wrench, or write a System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()

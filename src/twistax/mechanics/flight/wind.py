@@ -103,8 +103,8 @@ class LogarithmicShear:
 
     def __post_init__(self) -> None:
         for name, unit in (("speed", _SPEED), ("towards", radians), ("roughness", metres), ("ground", metres)):
-            found = float(taken(f"LogarithmicShear: {name}", getattr(self, name), unit))
-            object.__setattr__(self, name, found)
+            value = float(taken(f"LogarithmicShear: {name}", getattr(self, name), unit))
+            object.__setattr__(self, name, value)
         if not 0.0 < self.roughness < _TWENTY_FEET:
             raise ModelError(f"LogarithmicShear expects a roughness between 0 and 20 ft, got {self.roughness!r} m")
 

@@ -149,10 +149,10 @@ class Choices:
             else:
                 refused.append(owner)
         if refused:
-            doubt, others = self.doubts[refused[0]], ", ".join(map(repr, refused[1:]))
+            doubt, further = self.doubts[refused[0]], ", ".join(map(repr, refused[1:]))
             raise doubt.element.wrong(
                 f"link {refused[0]!r} has a mass or inertia that no body has{doubt.hint}. {doubt.why}\n"
-                + (f"  so have {others}\n" if others else "")
+                + (f"  so have {further}\n" if further else "")
                 + f"  or take them as they are by physical={dict.fromkeys(refused, False)}"
             )
 

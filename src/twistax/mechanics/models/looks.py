@@ -116,7 +116,7 @@ def looks_of_mjcf(
         int(kinds.mjGEOM_CAPSULE): lambda a, b, c, looks: Capsule(a, 2.0 * b, **looks),
     }
     shown: dict[int, list[Shape]] = collections.defaultdict(list)
-    others: dict[int, list[Shape]] = collections.defaultdict(list)
+    hidden: dict[int, list[Shape]] = collections.defaultdict(list)
     for i in range(model.ngeom):
         color, opacity = _painted(model.geom_rgba[i])
         if opacity == 0.0:
@@ -129,7 +129,7 @@ def looks_of_mjcf(
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
         if kind in known:
-            (others if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
+            (hidden if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
         else:
             left_out += 1
-    return {i: tuple(shown[i] or others[i]) for i in range(model.nbody)}, left_out
+    return {i: tuple(shown[i] or hidden[i]) for i in range(model.nbody)}, left_out

@@ -127,8 +127,8 @@ class Urdf:
         if kind == "planar":
             from ..inertia_frames import rotation_to
 
-            along = unit_vector(f"Planar {name!r}", "axis", axis)
-            return Planar(name), None if np.array_equal(along, [0.0, 0.0, 1.0]) else rotation_to(tuple(along))
+            normal = unit_vector(f"Planar {name!r}", "axis", axis)
+            return Planar(name), None if np.array_equal(normal, [0.0, 0.0, 1.0]) else rotation_to(tuple(normal))
         raise element.wrong(
             f"expected the type revolute, continuous, prismatic, fixed, floating or planar, got {kind!r}"
         )

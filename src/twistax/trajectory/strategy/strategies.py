@@ -87,11 +87,11 @@ class _Search:
             return dataclasses.replace(result, iterations=self._budget.used)
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
-        others: dict[Strategy, dict[str, bool]] = {
+        repeats: dict[Strategy, dict[str, bool]] = {
             Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
             Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
         }
-        for strategy, options in others.items():
+        for strategy, options in repeats.items():
             if self._may_repeat(result, strategy):
                 again = self._once(start, instance, **options)
                 result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result

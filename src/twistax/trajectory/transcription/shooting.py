@@ -252,13 +252,13 @@ class Shooting(Transcribed):
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
-    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Given) -> jax.Array:
         """The rows of the end and the final cost, from where the last node is and the border; controls are zero."""
         base, b = last[0], last[1] + z[self.n :]
         q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
-        _, at = self.inputs_at(q, share, base, self._at_share(given.params, 1.0))
-        gap = self.dynamics.group.difference(given.final, at.x)[self.layout.fixed]
-        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
+        _, at = self.inputs_at(q, share, base, self._at_share(data.params, 1.0))
+        gap = self.dynamics.group.difference(data.final, at.x)[self.layout.fixed]
+        limits = self.border.rows(b, data.limits) if self.is_last else jnp.zeros(0, b.dtype)
         path, cost = self.local.rows(at)[self.layout.end_states], self.local.cost(self.local.expressions.final, at)
         return jnp.concatenate([self.local.conditions(at), gap, path, limits, cost[None]])
 

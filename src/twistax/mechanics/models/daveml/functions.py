@@ -38,29 +38,29 @@ class Function:
 
 def by_id(elements: Iterable[Element], attribute: str) -> dict[str, Element]:
     """Elements by a name that only one may have. Raises ModelError."""
-    found: dict[str, Element] = {}
+    by_name: dict[str, Element] = {}
     for element in elements:
         name = element.text(attribute).strip()
-        if name in found:
-            raise element.wrong(f"{attribute} {name!r} was defined before, in line {found[name].line}")
-        found[name] = element
-    return found
+        if name in by_name:
+            raise element.wrong(f"{attribute} {name!r} was defined before, in line {by_name[name].line}")
+        by_name[name] = element
+    return by_name
 
 
 def within(element: Element) -> Iterator[Element]:
     """An element and all in it."""
-    ahead = [element]
-    while ahead:
-        yield (here := ahead.pop())
-        ahead += reversed(here.children)
+    pending = [element]
+    while pending:
+        yield (current := pending.pop())
+        pending += reversed(current.children)
 
 
 def needed(element: Element, *tags: str) -> Element:
     """The first child of one of these tags. Raises ModelError where there is none."""
-    found = next((child for child in element.children if child.tag in tags), None)
-    if found is None:
+    matching = next((child for child in element.children if child.tag in tags), None)
+    if matching is None:
         raise element.wrong(f"expected <{'> or <'.join(tags)}> inside")
-    return found
+    return matching
 
 
 class Functions:
