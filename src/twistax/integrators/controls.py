@@ -156,12 +156,13 @@ class ControlTable(ABC):
 
 
 class ZeroOrderHold(ControlTable):
-    """A zero-order hold: row i holds from ts[i] until ts[i + 1], the last one from its time on.
+    """A control that is piecewise constant (a zero-order hold): row i from ts[i] until ts[i + 1], the last row from its
+    time on.
 
-    Before ts[0] there is no value: an integration must not begin earlier.
+    There is no value before ts[0]: an integration must not begin earlier.
 
-    A step that starts or ends at a jump sees the value within the step at all its stages, and `tx.integrate` ends a
-    step at every jump, so that the method keeps its order.
+    A step that starts or ends at a jump uses the value inside the step for all of its stages, and `tx.integrate` ends a
+    step at every jump. So the method keeps its order.
 
     Args:
         ts: (n,) times in s, increasing.
@@ -179,9 +180,10 @@ class ZeroOrderHold(ControlTable):
 
 
 class PiecewisePolynomial(ControlTable):
-    """Polynomials: from ts[i] until ts[i + 1] $sum_k values[i, k] (t - ts[i])^k / k!$, the last from its time on.
+    """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
+    $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] has the value at ts[i] and its derivatives from there on. Before ts[0] there is no value.
+    So values[i] holds the value at ts[i] and the derivatives to the right of it. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.
@@ -214,7 +216,9 @@ class PiecewisePolynomial(ControlTable):
 
 
 class FirstOrderHold(ControlTable):
-    """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration.
+    """A control that is interpolated linearly between the rows of a table (a first-order hold).
+
+    There is no value outside of `ts`: the table must cover the whole integration.
 
     Args, Raises: ts and values as for `ZeroOrderHold`, two rows or more.
     """

@@ -293,7 +293,9 @@ class SpatialInertia:
 
 
 def power(F: ExprLike, V: ExprLike) -> Expr:
-    """$F . V$ (), W, of a wrench (6,) on a body with twist (6,), both in one frame. The same in every frame.
+    """The power $F . V$ (), W, of a wrench F (6,) on a body with twist V (6,), both expressed in the same frame.
+
+    The value does not depend on that frame.
 
     Raises: ShapeError if an argument is not of shape (6,).
     """

@@ -175,11 +175,11 @@ def closed_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> tuple[Expr, dict[str, Expr]]:
-    """The accelerations (n,) of a mechanism with loops, and the wrench (6,) that each puts on its second frame.
+    """The accelerations (n,) of a mechanism with closed loops, and the constraint wrench (6,) of each loop.
 
-    The wrenches are those on `other`, about its origin in its axes, by the names of the loops. On `frame` the loop
-    puts their opposite. Where closures say one thing twice, or a planar linkage is closed in space, the wrenches are
-    the shortest that give the motion, by the measure of `loops.Metric`.
+    The wrench acts on the frame `other`, about its origin in its axes, by the name of the loop; its opposite acts on
+    `frame`. If closures are redundant, for example a planar linkage that is closed in space, the wrenches are not
+    unique: the result is the smallest set, in the norm of `loops.Metric`, that gives the motion.
 
     Args:
         mechanism: with one loop or more.
@@ -218,23 +218,25 @@ def loop_diagnostics(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """How far the closures determine motion and wrenches in a posture, each a scalar (), by name.
+    """How well the loop closures determine the motion and the constraint wrenches at a configuration, scalars () by
+    name.
 
-    With d the distances of rows of $G_s = D G E^-1$ from those chosen before, by the measure of `loops.Metric`:
+    With $G_s = D G E^-1$ the closure rows in the norm of `loops.Metric`, and d the distance of each row from the span
+    of the rows selected before it:
 
-    - `rank`: how many rows of the closures are independent here, of all m.
-    - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
-    - `reciprocal_condition`: $d_min / max(d_max, 1)$ of the rows chosen, from 1 down to the tolerance: how far the
-      posture is from a singular one, where a row begins to depend on the others. It is 1 where no row is chosen.
-    - `misalignment`: the largest d of a row that was left out, over the same: what closures say twice and not quite
-      alike, such as axes that are not parallel to the last digit.
-    - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
-      round-off leaves of the equations, and what misalignment makes of redundant wrenches, both over the smallest
+    - `rank`: number of independent rows, of all m.
+    - `redundant`: m minus the rank: number of closure rows that follow from others at this configuration.
+    - `reciprocal_condition`: $d_min / max(d_max, 1)$ over the selected rows, from 1 down to the tolerance: small near a
+      singular configuration, where a row begins to depend on the others. It is 1 if no row is selected.
+    - `misalignment`: the largest d of a row that was left out, over the same: how far redundant closures contradict
+      each other, for example by axes that are not exactly parallel.
+    - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the norm of `loops.Metric`: the
+      residual from round-off plus the effect of misalignment on redundant wrenches, both divided by the smallest
       distance.
 
     Args:
         mechanism: with one loop or more.
-        q, qd, tau, wrenches: as for `forward_dynamics`; of the last two `wrench_error` depends alone.
+        q, qd, tau, wrenches: as for `forward_dynamics`; only `wrench_error` depends on the last two.
     Raises: as `closed_dynamics`.
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, for ranks by pivots.
     """
@@ -251,9 +253,11 @@ def loop_wrench(
     frame: str | None = None,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """$F = [f; tau]$ (6,), N and N m, that a closure puts on its second frame, in any frame; its own unless given.
+    """The constraint wrench $F = [f; tau]$ (6,), N and N m, of a loop on its frame `other`, expressed in any frame, by
+    default in `other`.
 
-    With tau of `mechanism.system(outputs=lambda qdd, tau: ...)` it is that of the motion. Without, motors are off.
+    Pass the tau of `mechanism.system(outputs=lambda qdd, tau: ...)` for the wrench during the motion; without it the
+    motors give no force.
 
     Raises: as `closed_dynamics`; ModelError for a loop that is not known.
     """
@@ -272,9 +276,10 @@ def loop_wrenches(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """All that the closures put on the tree, by frame, with `wrenches`: for the `wrenches` of functions of the tree.
+    """The constraint wrenches of all loops plus `wrenches`, by frame: pass them as `wrenches=` to functions of the
+    tree.
 
-    With them `joint_wrench` and `inverse_dynamics` are those of the mechanism with closed loops. Raises as
+    With them `joint_wrench` and `inverse_dynamics` hold for the mechanism with closed loops. Raises as
     `closed_dynamics` does.
     """
     forces = closed_dynamics(mechanism, q, qd, tau, wrenches=wrenches)[1]
@@ -287,7 +292,9 @@ def loop_wrenches(
 
 
 def loop_gap(mechanism: Mechanism, loop: str, q: Positions | None = None) -> Expr:
-    """How far a loop is from closed (m,), m and rad. Raises ShapeError; ModelError for a loop that is not known."""
+    """The closure residual (m,) of a loop, m and rad; zero if it is closed. Raises ShapeError; ModelError for an
+    unknown loop.
+    """
     of = loop_of(mechanism, loop)
     return of.gap(mechanism.pose(of.other, q, relative_to=of.frame))
 

@@ -28,13 +28,13 @@ _ZERO = Constant(np.zeros(3))
 
 @dataclasses.dataclass(frozen=True)
 class GivenForces:
-    """Forces at points of contact that an optimiser chooses. Made by `given_forces`.
+    """Contact forces as decision variables of an optimal control problem. Made by `given_forces`.
 
     Attributes:
-        controls: by frame the Control "force_<frame>" (3,), N in the base's axes.
+        controls: the Control "force_<frame>" (3,) of each frame, N in the base's axes.
         wrenches: for `wrenches=` of `system` and of the dynamics.
-        cones: the friction cones |f_t| <= mu f_z, for `constraints=` of `system`, by name.
-        at_rest: the velocities (3,) of the points are zero, likewise, m/s.
+        cones: the friction cones |f_t| <= mu f_z, by name, for `constraints=` of `system`.
+        at_rest: the constraints that the contact points have zero velocity (3,), m/s, by name.
     """
 
     controls: dict[str, Control]
@@ -44,13 +44,13 @@ class GivenForces:
 
 
 def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float) -> GivenForces:
-    """Controls for the forces at frames that touch the ground, and what holds of them and of the frames.
+    """Contact forces at frames that touch the ground, as controls, with the friction cones and no-slip constraints.
 
     Args:
         mechanism: a tree or a chain.
-        frames: names; the points are their origins.
-        friction: mu, not negative.
-    Raises: ModelError: a frame that is not known; a friction that is no such number.
+        frames: names of the frames; the contact points are their origins.
+        friction: the friction coefficient mu, not negative.
+    Raises: ModelError: a frame that is not known; a friction that is not a number >= 0.
     """
     checked("given_forces", mechanism)
     mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
@@ -65,19 +65,20 @@ def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float)
 
 @dataclasses.dataclass(frozen=True)
 class Ground:
-    """A soft, level ground: a smooth force on every point below it, and almost none above.
+    """A compliant, level ground: a smooth contact force on every point below it, and almost none on points above it.
 
-    With the depth d of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, which is smooth and about max(d, 0), the
-    normal force is $n = stiffness s(d) g(1 + damping d')$, g a smooth max(., 0), and friction is
-    $-mu n v / sqrt(|v|^2 + slip^2)$ along the ground. It is stiff: fly it by `tx.ImplicitRKMK` with Radau.
+    With d the penetration depth of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, a smooth max(d, 0), the
+    normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction is
+    $-mu n v / sqrt(|v|^2 + slip^2)$, with v the tangential velocity. The equations are stiff: integrate them with
+    `tx.ImplicitRKMK` and a Radau tableau.
 
     Attributes:
         stiffness: N/m, positive.
-        damping: s/m, not negative: how much harder the ground is pushed into than left.
-        friction: mu, not negative.
+        damping: s/m, not negative: the factor of the penetration rate in the normal force (Hunt and Crossley).
+        friction: friction coefficient mu, not negative.
         height: z of the ground in the base, m.
-        sharpness: m, positive: how near to the ground the force begins.
-        slip: m/s, positive: the speed at which friction has come to 71 % of mu n.
+        sharpness: m, positive: the height over the ground at which the force begins.
+        slip: m/s, positive: the sliding speed at which friction reaches 71 % of mu n.
     Raises: ModelError for other values.
     """
 

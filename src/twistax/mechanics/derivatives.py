@@ -69,11 +69,12 @@ def inverse_dynamics_derivatives(
     *,
     wrenches: Wrenches | None = None,
 ) -> ForceDerivatives:
-    """The derivatives (n, n) of `inverse_dynamics`; that by accelerations is the mass matrix.
+    """The derivatives (n, n) of `inverse_dynamics` with respect to positions, velocities and accelerations.
 
-    Columns are freedoms, in the order of velocities: of a ball, a free and a planar joint those of its body velocity.
+    The derivative with respect to accelerations is the mass matrix. Columns follow the order of the velocities; a
+    position on a group is varied by a right perturbation, in the order of its body velocity.
 
-    Args: as for `inverse_dynamics`. Wrenches move with their frames and are held fixed in their axes.
+    Args: as for `inverse_dynamics`. A wrench is constant in the axes of its frame.
     Raises: as `inverse_dynamics` does.
     """
     owner = "inverse_dynamics_derivatives"
@@ -92,9 +93,10 @@ def forward_dynamics_derivatives(
     *,
     wrenches: Wrenches | None = None,
 ) -> AccelerationDerivatives:
-    """The derivatives (n, n) of `forward_dynamics`; that by forces is the inverse of the mass matrix.
+    """The derivatives (n, n) of `forward_dynamics` with respect to positions, velocities and joint forces.
 
-    Columns are freedoms, as for `inverse_dynamics_derivatives`.
+    The derivative with respect to forces is the inverse of the mass matrix. Columns are as for
+    `inverse_dynamics_derivatives`.
 
     Args, Raises: as for `forward_dynamics`; wrenches as for `inverse_dynamics_derivatives`.
     """

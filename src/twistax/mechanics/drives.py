@@ -23,26 +23,26 @@ _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Drive:
-    """Motor, friction, spring and limits of a joint; every freedom of the joint has the same.
+    """Motor, friction, spring and limits of a joint. All freedoms of the joint share the same values.
 
     The generalised force on a freedom with position q, velocity v and control u is
 
         $gear u - damping v - friction tanh(v / speed) - stiffness (q - rest)$.
 
     Attributes:
-        armature: inertia of the rotor as the joint feels it, $gear^2$ times its own: kg m2 about an axis, kg along one.
-            That of a planar or free joint has a momentum in the child's axes, which turn.
-        damping: N m s/rad or N s/m.
-        friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
-        friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.
-        stiffness, rest: of a spring, N m/rad or N/m, and the position where it gives no force. That of a ball feels
-            Log R. A free joint has none.
-        gear: force of the joint for each unit of control.
-        lower, upper: bounds of the position; None for none.
-        speed: largest absolute velocity; None for none.
-        effort: largest absolute control, or the pair of the least and the largest control; None for none.
+        armature: reflected inertia of the rotor, $gear^2$ times the rotor's inertia: kg m2 about an axis, kg along an
+            axis. For a planar or free joint its momentum is in the child's axes, which turn.
+        damping: viscous friction, N m s/rad or N s/m.
+        friction: dry (Coulomb) friction while sliding, N m or N. The force is smooth in the velocity and zero at rest.
+        friction_speed: velocity at which dry friction reaches 76 % of that value, rad/s or m/s, positive.
+        stiffness, rest: of a spring: its stiffness, N m/rad or N/m, and the position without force. For a ball joint
+            the deflection is Log R. A free joint has no spring.
+        gear: joint force per unit of control.
+        lower, upper: bounds of the position, or None.
+        speed: largest absolute velocity, or None.
+        effort: largest absolute control, or a pair of the smallest and the largest control, or None.
 
-        Limits are numbers. The others are numbers or expressions; the armature does not change with the motion.
+        Limits are numbers. The other values are numbers or expressions; the armature must not change with the motion.
     Raises:
         ModelError: something other than a number or scalar expression; a negative value where that means nothing;
             bounds that exclude each other; an armature that depends on time, states or controls.

@@ -35,21 +35,22 @@ def inverse_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The forces of the joints (n,) that give a mechanism the accelerations qdd: N for a slide, N m for a turn.
+    """The joint forces (n,) that cause accelerations qdd, by the recursive Newton-Euler algorithm (RNEA): N for a
+    slide, N m for a turn.
 
-    The recursive Newton-Euler algorithm (RNEA). From base to tips the motion, from tips to base
+    A pass from the base to the tips computes twists W and accelerations B; a pass from the tips to the base computes
 
         $F = M B + ad*_W(M W) + X - F_given + sum Ad*_T F_after, tau = H^T F$
 
-    with X what masses that move within bodies take, see `inner_motion`.
+    with X the wrench of masses that move inside their bodies, see `inner_motion`.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5.
 
     Args:
         mechanism: a tree or a chain.
-        q, qd: positions and velocities (n,); the mechanism's own states unless given.
-        qdd: accelerations (n,), the rates of qd; zero unless given.
-        wrenches: what acts on the mechanism from outside.
+        q, qd: positions and velocities (n,); the states of the mechanism by default.
+        qdd: accelerations (n,), the rates of qd; zero by default.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known.
@@ -102,7 +103,7 @@ def _gathered(mechanism: Mechanism, needed: list[Expr], qd: Expr, qdd: Expr) -> 
 def bias_forces(
     mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None, *, wrenches: Wrenches | None = None
 ) -> Expr:
-    """b (n,) of $M qdd + b = tau$: gravity, Coriolis and centrifugal forces, less the wrenches, N or N m.
+    """The bias b (n,) in $M qdd + b = tau$: gravity, Coriolis and centrifugal forces minus external wrenches, N or N m.
 
     Raises as `inverse_dynamics` does.
     """
@@ -110,9 +111,9 @@ def bias_forces(
 
 
 def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """$g(q) = b(q, 0)$ (n,), N or N m: the forces of the joints that hold the mechanism at rest.
+    """The joint forces $g(q) = b(q, 0)$ (n,), N or N m, that hold the mechanism at rest.
 
-    Those of masses that move within bodies are in it.
+    They include the forces of masses that move inside their bodies.
 
     Raises as `inverse_dynamics` does.
     """
@@ -121,7 +122,8 @@ def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """$c(q, qd) = C(q, qd) qd$ (n,), N or N m: Coriolis and centrifugal forces, all that vanishes at rest.
+    """Coriolis and centrifugal forces $c(q, qd) = C(q, qd) qd$ (n,), N or N m: the part of the bias that vanishes at
+    rest.
 
     Raises as `inverse_dynamics` does.
     """
@@ -138,18 +140,21 @@ def forward_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The accelerations (n,) of a mechanism whose joints have the forces tau: m/s2 for a slide, rad/s2 for a turn.
+    """The joint accelerations (n,) under joint forces tau, by the articulated-body algorithm (ABA): m/s2 for a slide,
+    rad/s2 for a turn.
 
-    It solves $M(q) qdd + b(q, qd) = tau$. The articulated-body algorithm (ABA), Featherstone, Rigid Body Dynamics
-    Algorithms (2008), chapter 7. From tips to base it finds what a segment and all that hangs on it need for
-    the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
-    others the equations of the mass matrix are solved instead, and with them those of closed loops where there are any.
+    It solves $M(q) qdd + b(q, qd) = tau$ in O(n). A pass from the tips to the base computes for each segment the
+    articulated inertia I and bias b, so that the wrench on the segment is I B + b at an acceleration B of the segment;
+    a pass from the base to the tips computes the accelerations. If joints mimic others, or loops are closed, the
+    equations of the mass matrix are solved instead.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7.
 
     Args:
         mechanism: a tree or a chain.
-        q, qd: positions and velocities (n,); the mechanism's own states unless given.
-        tau: forces of the joints (n,), N for a slide, N m for a turn; zero unless given.
-        wrenches: what acts on the mechanism from outside.
+        q, qd: positions and velocities (n,); the states of the mechanism by default.
+        tau: joint forces (n,), N for a slide, N m for a turn; zero by default.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known; a joint that moves no mass.
@@ -194,16 +199,18 @@ rnea, aba = inverse_dynamics, forward_dynamics
 
 
 def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """The inertia M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, forces of the joints $M qdd + b(q, qd)$.
+    """The mass matrix M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, joint forces $M qdd + b(q, qd)$.
 
-    The composite-rigid-body algorithm (CRBA). From tips to base I_c, the inertia of a segment with all that hangs on it
-    as if it were rigid; $M_ij = H_j^T Ad* I_c H_i$ for every j between the base and i. Rotors add to the diagonal.
+    Its entries are in kg, kg m and kg m2.
+
+    The composite-rigid-body algorithm (CRBA): with I_c the inertia of a segment and all segments it carries, as one
+    rigid body, $M_ij = H_j^T Ad* I_c H_i$ for every j between the base and i. Rotors add to the diagonal.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6.
 
     Args:
-        mechanism: a tree or a chain; gravity has no part in it.
-        q: positions; the mechanism's own states unless given.
+        mechanism: a tree or a chain; gravity does not matter.
+        q: positions; the states of the mechanism by default.
     Raises: ShapeError, ModelError: positions of another shape or name.
     """
     checked("mass_matrix", mechanism)

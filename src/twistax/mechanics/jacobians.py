@@ -47,7 +47,7 @@ ALIGNED = Axes("ALIGNED")
 def frame_twist(
     mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
-    """The velocity (6,) of a frame seen from the base, $[v; w] = J qd$ in m/s and rad/s, in the axes wanted.
+    """The velocity (6,) of a frame relative to the base, $[v; w] = J qd$ in m/s and rad/s, in the chosen axes.
 
     Raises:
         ShapeError: positions or velocities of another shape.
@@ -58,7 +58,7 @@ def frame_twist(
 
 
 def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
-    """J (6, n) with $J qd = [v; w]$ the velocity of a frame, m/s and rad/s, in the axes wanted.
+    """The Jacobian J (6, n) of a frame: $J qd = [v; w]$ is its velocity, m/s and rad/s, in the chosen axes.
 
     Raises as `frame_twist` does.
     """
@@ -73,7 +73,9 @@ def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None,
 def frame_jacobian_rate(
     mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
-    """The rate of `frame_jacobian` (6, n): $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that does."""
+    """The time derivative J' (6, n) of `frame_jacobian`: $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that
+    does.
+    """
     path = _Path("frame_jacobian_rate", mechanism, frame, q)
     _known(axes)
     twists, V = mechanism.twists(q, qd), mechanism.twist(frame, q, qd)

@@ -27,7 +27,7 @@ from .joints import Joint
 
 @dataclasses.dataclass(frozen=True)
 class Mimic:
-    """A joint that follows another: its position is ratio times that of the other, plus offset.
+    """A joint that follows another joint: its position is ratio times the position of that joint, plus offset.
 
     Attributes:
         joint: the name of the joint that leads.
@@ -48,24 +48,25 @@ class Mimic:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Link:
-    """A body, the joint that carries it, and where that joint sits. The link's frame is the joint's child frame.
+    """A body, the joint that carries it, and the pose of that joint on the link before. The link's frame is the joint's
+    child frame.
 
-    A link on a `Fixed` joint is merged with the one it sits on; its frame stays known by its name. So a link on a Fixed
-    joint without a body is a frame and nothing else.
+    A link on a `Fixed` joint is merged with the link that it sits on; its frame keeps its name. So a link on a Fixed
+    joint without a body is nothing but a frame.
 
     Attributes:
-        joint: of any kind.
+        joint: a joint of any kind.
         body: mass, centre of mass and inertia in the link's frame; None for a link without mass.
-        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base; numbers, or an
+        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base: numbers, or an
             expression that does not change with the motion.
-        parent: the name of the link before; None for the base. In a `Chain` it is the one before in the list.
-        name: the link's; the joint's unless given.
-        drive: what the joint has beside its geometry: rotor, damping, friction, spring, gear and limits.
-        mimic: the joint it follows, if it does not move on its own.
-        shapes: what it looks like in its frame, for `solution.show`; the ellipsoid of its inertia unless given.
+        parent: the name of the link before; None for the base. In a `Chain` it is the link before in the list.
+        name: of the link; the name of the joint by default.
+        drive: rotor, damping, friction, spring, gear and limits of the joint.
+        mimic: the joint that this one follows, or None.
+        shapes: what `solution.show` draws for the link; by default the ellipsoid of its inertia.
     Raises:
-        ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose, or one that
-            depends on time, states or controls; a follower with a position on a group.
+        ModelError: something else as joint, body, drive or mimic; a mount made of numbers that is not a pose, or one
+            that depends on time, states or controls; a follower with a position on a group.
         ShapeError: mount is not of shape (4, 4).
     """
 

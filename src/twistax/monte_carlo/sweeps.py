@@ -28,12 +28,14 @@ __all__ = ["Statistics", "Sweep", "sweep"]
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Moments and ends of each result over the members that did not fail, shaped as one member's results.
+    """Mean, standard deviation and extremes of each result over all members that did not fail.
+
+    Every array has the shape and the unit of the result of one member.
 
     Attributes:
-        count: how many members there are.
-        mean, std: the mean, and the standard deviation of the sample (n - 1).
-        least, most: the ends.
+        count: number of members that did not fail.
+        mean, std: the mean, and the sample standard deviation (divisor n - 1).
+        least, most: the smallest and the largest value.
     """
 
     count: int

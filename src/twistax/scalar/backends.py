@@ -107,7 +107,7 @@ class Backend(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
-    """As written, in small arrays, by JAX."""
+    """Runs every function as it is written, as operations of JAX on small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(as_arrays(closed), None, "arrays, as written")

@@ -55,10 +55,10 @@ _ROOM = 128
 
 
 class AtStart(enum.Enum):
-    """How an event is treated whose condition is zero at the start, or past zero already.
+    """What an event does if its condition is zero at the start, or has already crossed zero there.
 
-    It is past zero on the side that the event's direction leads to. Zero means zero up to round-off. Whatever is
-    chosen, `Solution.at_start` says of which events the conditions were zero or past it.
+    "Already crossed" means that the condition is on the side of zero that the event's `direction` leads to. Zero means
+    zero to round-off. For every choice, `Solution.at_start` tells for which events this was the case.
     """
 
     #: The event is met at the start: an integration that it ends is over at once. Not where the condition is zero and

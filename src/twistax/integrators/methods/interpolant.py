@@ -18,7 +18,7 @@ _UNREAD = 1e-6
 
 
 class Between(enum.Enum):
-    """How states at saved times between the ends of steps are had."""
+    """How `tx.integrate` computes states at saved times that lie inside a step."""
 
     #: By one shorter step of the same method: as accurate as the ends, at the cost of a step for each saved time.
     STEP = "a shorter step"

@@ -54,16 +54,16 @@ class Stats:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Crossings:
-    """Where conditions of events that do not end the integration became zero, in the order of their times.
+    """The roots of event conditions that did not end the integration, in the order of their times.
 
-    Under jit and in batches there are rows for `max_crossings` of them; those beyond the count are NaN.
+    Under `jit` and `vmap` the arrays have `max_crossings` rows; rows from `count` on are NaN.
 
     Attributes:
         ts: (n,) times in s.
         xs: states by name, leading axis n.
-        events: (n,) the number of the event of each, as it was given; -1 beyond the count.
-        directions: (n,) 1 where the condition rises along the integration, -1 where it falls; 0 beyond the count.
-        count: how many there are.
+        events: (n,) index of the event in `event=`; -1 in unused rows.
+        directions: (n,) 1 if the condition rises along the integration, -1 if it falls; 0 in unused rows.
+        count: number of crossings.
     """
 
     ts: jax.Array
