@@ -23,7 +23,8 @@ from .modes import Mode, modes
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Linearization:
-    """$d' = A d + B du$, $dy = C d + D du$ to first order, with $x(t) (+) d$ the neighbour of the trajectory.
+    """The linearised system $d' = A d + B du$, $dy = C d + D du$ about a trajectory x(t), with $x(t) (+) d$ its
+    neighbour.
 
     Attributes:
         rate: the rates as one tangent vector, (n,).

@@ -50,7 +50,7 @@ def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float)
         mechanism: a tree or a chain.
         frames: names of the frames; the contact points are their origins.
         friction: the friction coefficient mu, not negative.
-    Raises: ModelError: a frame that is not known; a friction that is not a number >= 0.
+    Raises: ModelError: a frame that is not known; a friction that is no number, or negative.
     """
     checked("given_forces", mechanism)
     mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))

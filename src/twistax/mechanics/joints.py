@@ -218,7 +218,7 @@ class Fixed(Joint):
 
 
 class Revolute(Joint):
-    """One turn about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
+    """Rotation about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
 
     Args:
         name: of the joint.
@@ -243,7 +243,7 @@ class Revolute(Joint):
 
 
 class Prismatic(Joint):
-    """One translation along a fixed axis a: $H = [a; 0]$, $T_pc = [I, q a; 0, 1]$, q in m.
+    """Translation along a fixed axis a: $H = [a; 0]$, $T_pc = [I, q a; 0, 1]$, q in m.
 
     Args:
         name, axis: as for `Revolute`.
@@ -289,7 +289,7 @@ class Helical(Joint):
 
 
 class Cylindrical(Joint):
-    """A slide along a fixed axis a and a turn about it: $H = [a, 0; 0, a]$, q = [way in m, angle in rad].
+    """Translation along a fixed axis a and rotation about it: $H = [a, 0; 0, a]$, q = [distance in m, angle in rad].
 
     Args:
         name, axis: as for `Revolute`.
@@ -309,10 +309,10 @@ class Cylindrical(Joint):
 
 
 class Planar(Joint):
-    """All motions in the parent's plane through the origin with normal z: q = [x, y, angle], in m and rad.
+    """Motion in a plane of the parent, through the origin with normal z: q = [x, y, angle], in m and rad.
 
-    The velocity is [v_x, v_y, w] in the CHILD's axes, so that H is constant there: x' and y' are it, turned by the
-    angle. Mount the joint with z along the normal that is wanted.
+    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: x' and y' are v_x and v_y turned by the
+    angle. Mount the joint with z along the normal of the plane.
 
     Args:
         name: of the joint.
@@ -336,7 +336,7 @@ class Planar(Joint):
 
 
 class Spherical(Joint):
-    """All turns about the joint's origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
+    """A ball joint, rotation about its origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
 
     The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, $R' = R [w]x$.
 
@@ -360,7 +360,7 @@ class Spherical(Joint):
 
 
 class Free(Joint):
-    """All motions: $H = I$, T_pc is the position itself, on SE(3); the velocity is the body twist [v; w] (6,).
+    """A joint with six freedoms: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w] (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 

@@ -55,12 +55,14 @@ class Subspaces:
 
 @dataclasses.dataclass(frozen=True)
 class Screws(Subspaces):
-    """The subspaces of a joint in one frame, and the wrenches split by them. Six-vectors are [v; w] and [f; tau].
+    """Motion and force subspaces of a joint in one frame, and projections of wrenches onto them. Six-vectors are [v; w]
+    and [f; tau].
 
     Attributes:
         motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
         actuation_basis: h* (6, k), the wrench of a unit actuator on the child; $h*^T H = I$.
-        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; $H^T Hbar* = 0$.
+        constraint_basis: H-bar* (6, 6 - k), a basis of the wrenches that do no work on the joint's motions;
+            $H^T Hbar* = 0$.
     """
 
     motion_subspace: Expr

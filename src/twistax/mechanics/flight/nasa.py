@@ -72,14 +72,14 @@ _QUANTITIES: tuple[tuple[str, str, str, str, tuple[str, ...]], ...] = (
 
 @dataclasses.dataclass(frozen=True)
 class NasaColumns(Layout):
-    """The columns of NASA's check-cases: `solution.to_csv(path, flight.NasaColumns())`.
+    """Table columns with the names and units of NASA's check-cases: `solution.to_csv(path, flight.NasaColumns())`.
 
-    Those of `Vehicle.outputs()` are there, and the altitude rate $h' = -v_d$. Outputs of yours join them by their
-    names: local_gravity, speed_of_sound, pressure, temperature, mach and dynamic_pressure (), aero_force and
-    aero_moment (3,). What a system does not have is left out.
+    They cover `Vehicle.outputs()` and the altitude rate $h' = -v_d$. Other outputs of the system are included if they
+    have one of these names: local_gravity, speed_of_sound, pressure, temperature, mach and dynamic_pressure (),
+    aero_force and aero_moment (3,). Columns that the system does not have are left out.
 
     Attributes:
-        si: in m, s, rad, kg, N, Pa and K, as the files called _si; else in feet, degrees, slugs, pounds and knots.
+        si: in m, s, rad, kg, N, Pa and K, as in the files called _si; else in feet, degrees, slugs, pounds and knots.
     Raises: ModelError for an `si` that is no bool.
     """
 

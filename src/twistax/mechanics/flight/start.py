@@ -36,13 +36,13 @@ __all__ = ["numbers", "start"]
 
 
 def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> np.ndarray:
-    """The numbers that an expression amounts to, in double precision and without compiling.
+    """The numerical value of an expression, in double precision, without compiling.
 
-    `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as numbers, by the function that makes it an expression.
+    `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as an array.
 
     Args:
         values: of the leaves it depends on: states, controls, parameters, the time.
-    Raises: ModelError where a leaf is left, or the result is not finite.
+    Raises: ModelError if a leaf has no value, or the result is not finite.
     """
     for leaf in values or {}:
         if not isinstance(leaf, Leaf):
@@ -77,24 +77,25 @@ def start(
     pose: str = "g",
     twist: str = "V",
 ) -> dict[str, Any]:
-    """The state at a place: its pose in inertial axes and its body twist relative to them, in double precision.
+    """The state of a vehicle from geodetic position, velocity over the ground and attitude: its pose in inertial axes
+    and its body twist relative to them, in double precision.
 
-    A number has a unit of `tx.units`, or is in m, s and rad. Traced values may come, as in a Monte Carlo over starts;
-    the state is then traced, in JAX's precision, an angle that is out of range is not seen, and a rate relative to axes
-    that do not exist is NaN.
+    Numbers have a unit of `tx.units`, or are in m, s and rad. Values may be traced, for example in a Monte Carlo
+    simulation over starts. The state is then traced too, in JAX's precision; angles are not checked, and a rate
+    relative to axes that do not exist is NaN.
 
-    At a pole north-east-down are the axes of the meridian of the longitude given. They do not turn at any finite rate
-    there, so nothing can be said relative to `local_axes`.
+    At a pole north-east-down axes are those of the meridian of `longitude`. They do not turn at a finite rate there, so
+    a rate relative to `local_axes` does not exist.
 
     Args:
         latitude, longitude: geodetic.
         altitude: above the ellipsoid.
         ned_velocity: relative to the turning planet, north, east and down.
-        euler: roll, pitch and yaw of the body relative to north-east-down, turned about z, y and x in this order.
+        euler: roll, pitch and yaw of the body relative to north-east-down: turns about z, y and x in this order.
         rate: about body axes.
-        relative_to: what the rate is relative to: `fixed_axes`, so that it stands still on the planet if it is zero,
-            `local_axes`, as of a steady flight, or `inertial_axes`.
-        planet: where it is.
+        relative_to: the axes to which the rate is relative: `fixed_axes` (zero for a body at rest on the planet),
+            `local_axes` (zero in steady flight), or `inertial_axes`.
+        planet: where the vehicle is.
         t: the time, which turns the planet.
         pose, twist: names of the states.
     Raises:

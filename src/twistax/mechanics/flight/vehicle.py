@@ -29,18 +29,18 @@ __all__ = ["Vehicle"]
 
 
 class Vehicle:
-    """A rigid body over a planet, by two states: its pose g in inertial axes and its body twist V.
+    """A rigid body in flight over a planet. Its states are the pose g in inertial axes and the body twist V.
 
-    What is below is made when it is first read, each once, so that whatever is not used costs nothing. Angles are in
+    The properties are expressions, each made when it is first read, so what is not used costs nothing. Angles are in
     rad. The longitude of `place` is the geographic one.
 
-    On the planet's axis there is no north: `attitude`, `euler`, `ned_velocity` and a wind are NaN there, and so is
-    `rate(local_axes)` at a pole.
+    On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
+    and so is `rate(local_axes)` at a pole.
 
     Args:
         planet: figure, rotation, gravity and air.
         wind: velocity of the air over the planet, a function of (place, t).
-        turbulence: gusts beside the wind; their state and noise belong to `system`.
+        turbulence: gusts in addition to the wind; their state and noise become part of `system`.
         pose, twist: names of the states.
     Raises:
         ModelError: planet is not a `Planet`, turbulence is not a `Dryden`, or wind is not a function of (place, t).

@@ -37,16 +37,16 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 
 @dataclasses.dataclass(frozen=True)
 class Optimality:
-    """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
+    """How far a trajectory is from the first-order (KKT) conditions of an optimum, in scaled form.
 
-    Unknowns count in units of how far they move along the trajectory, the objective in units of what that does to it.
+    The unit of an unknown is how far it moves along the trajectory; that of the objective is how much these moves
+    change it.
 
     Attributes:
         stationarity: largest entry of the gradient of the Lagrangian.
-        feasibility: largest residual of the dynamics and of a constraint.
+        feasibility: largest residual of the dynamics or of a constraint.
         complementarity: largest product of a slack and its multiplier.
-        gap: what slacks, and the residuals that are left, can change of the objective: the sum of |multiplier times
-            slack or residual|.
+        gap: how much the objective can still change: the sum of |multiplier times slack or residual|.
     """
 
     stationarity: float

@@ -35,11 +35,11 @@ _MESHES, _NODES, _SUBSTEPS, _SHARE, _LEAST = 12, 1000, 8, 0.9, 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Meshed:
-    """One mesh of a refinement.
+    """One mesh of a mesh refinement, and the solve on it.
 
     Attributes:
-        nodes, substeps: how many; of all phases the sum of nodes, and the most substeps of an interval.
-        error: the largest error of an interval, in scales of the states.
+        nodes, substeps: the nodes of all phases, and the most substeps that an interval has.
+        error: the largest integration error of an interval, in scales of the states.
         cost: the objective as stated.
         status: of its solve.
         seconds: wall time, with compiling.

@@ -42,7 +42,9 @@ _AWAY = (0.1, 0.3, 1.0)
 
 
 class Strategy(enum.Enum):
-    """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
+    """What `Problem.solve` may do besides one run of the interior-point method. All are allowed unless `strategies=`
+    names some.
+    """
 
     RESCALING = (
         "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"

@@ -20,15 +20,15 @@ from .outcome import Scales
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where a solve may start instead of at a guess: `problem.solve(warm=...)`.
+    """A solution as the start of another solve: `problem.solve(warm=...)`.
 
     Attributes:
-        problem: whose solution it was.
+        problem: the problem that was solved.
         point: states, controls with the bounds on norms among them, times and free parameters.
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
-        params: the parameters that it was solved for.
-        units: of the solver, where these are known and fit the problem.
+        params: the parameters of that solve.
+        units: of the solver, if they are known and fit the problem.
     """
 
     problem: Any
