@@ -1,4 +1,4 @@
-"""What the functions of this floor accept, and the one place where it is checked."""
+"""Checks of the arguments of the functions of mechanics, in one place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def of_shape(
     hint: str | None = None,
     unit: Quantity | None = None,
 ) -> Expr:
-    """The argument `name` of `owner` as an expression of the shape expected.
+    """The argument `name` of `owner` as an expression of an expected shape.
 
     Raises:
         InputError: it is a quantity of another unit.
@@ -79,8 +79,8 @@ def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
     return T
 
 
-def told(record: Any) -> str:
-    """A dataclass as text: what differs from its defaults."""
+def dataclass_repr(record: Any) -> str:
+    """The repr of a dataclass, with the fields that differ from their defaults."""
 
     def usual(field: Any) -> str | None:
         if field.default_factory is not dataclasses.MISSING:

@@ -34,7 +34,7 @@ from .mechanism import Mechanism, Positions
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoops:
-    """The equations of the loops of a mechanism in one state. Expressions, made when they are asked for.
+    """The equations of a mechanism's loops in one state, as expressions that are made when first read.
 
     Args:
         mechanism: with one loop or more.
@@ -52,12 +52,12 @@ class ClosedLoops:
 
     @functools.cached_property
     def gaps(self) -> Expr:
-        """How far all loops are from closed (m,)."""
+        """The closure residuals of all loops (m,)."""
         return Concat(*(loop.gap(T) for loop, T in zip(self.mechanism.loops, self.poses, strict=True)))
 
     @functools.cached_property
     def jacobian(self) -> Expr:
-        """G (m, n)."""
+        """The closure Jacobian G (m, n)."""
         rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             first, second = (frame_jacobian(self.mechanism, name, self.q) for name in (loop.frame, loop.other))
@@ -67,12 +67,12 @@ class ClosedLoops:
 
     @functools.cached_property
     def velocities(self) -> Expr:
-        """G qd (m,): zero where the loops stay closed."""
+        """The closure velocities G qd (m,), zero while the loops stay closed."""
         return self.jacobian @ self.mechanism.coordinates("closed loops", "qd", self.qd)
 
     @functools.cached_property
     def drift(self) -> Expr:
-        """c (m,): what G qdd + c is besides G qdd."""
+        """The velocity term c (m,) of the closure accelerations G qdd + c."""
         rates = self._twist_rates()
         rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
@@ -85,7 +85,7 @@ class ClosedLoops:
         return Concat(*rows)
 
     def _twist_rates(self) -> list[Expr]:
-        """The rates (6,) of the twists of all segments while no joint accelerates."""
+        """The rates (6,) of the twists of all segments at zero joint accelerations."""
         mechanism, twist_rates = self.mechanism, list[Expr]()
         qd = mechanism.coordinates("closed loops", "qd", self.qd)
         steps, twists = mechanism.transforms(self.q), mechanism.twists(self.q, self.qd)
@@ -115,7 +115,7 @@ class ClosedLoops:
 
     @functools.cached_property
     def corrections(self) -> tuple[Expr, Expr]:
-        """What to add to positions, as velocities (n,), and to velocities (n,): one step of Newton's to closed loops.
+        """Corrections of positions, as velocities (n,), and of velocities (n,): one Newton step towards closed loops.
 
         The shortest steps, measured by the mass matrix; so what is added to the velocities takes energy to second order
         only.
@@ -308,7 +308,7 @@ def loop_of(mechanism: Mechanism, name: str) -> Loop:
 
 
 def redundant_rows(mechanism: Mechanism) -> int:
-    """How many rows of G depend on others, in a posture drawn at random; parameters have their values, or one."""
+    """The number of redundant rows of G at a random configuration; parameters have their values, or one."""
     rows = ClosedLoops(mechanism).rows
     lengths = np.linalg.svd(numbers(rows.scaled), compute_uv=False)
     return int(np.sum(lengths <= max(mechanism.loop_metric.tolerance, 1e-5) * lengths[0])) + max(

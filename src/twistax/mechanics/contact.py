@@ -109,7 +109,7 @@ class Ground:
     def wrenches(
         self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
     ) -> dict[str, Expr]:
-        """What the ground does to the origins of frames, for `wrenches=` of `system` and of the dynamics.
+        """The wrenches of the ground on the origins of frames, for `wrenches=` of `system` and of the dynamics.
 
         Raises: ModelError for a frame that is not known; ShapeError for positions of another shape.
         """
@@ -122,7 +122,7 @@ class Ground:
 
 
 def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:
-    """The wrench (6,) of a force (3,) in the base's axes, at a frame's origin, in its axes."""
+    """The wrench (6,), in the axes of a frame, of a force (3,) at its origin in the base's axes."""
     return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
 
 

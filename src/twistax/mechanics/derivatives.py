@@ -46,7 +46,7 @@ _NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
-    """Of the forces of the joints (n,): by right perturbations of the positions, by velocities, by accelerations."""
+    """Derivatives of the joint forces (n,): by right perturbations of the positions, by velocities, by accelerations."""
 
     q: Expr
     qd: Expr
@@ -54,7 +54,7 @@ class ForceDerivatives(NamedTuple):
 
 
 class AccelerationDerivatives(NamedTuple):
-    """Of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
+    """Derivatives of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
 
     q: Expr
     qd: Expr
@@ -124,7 +124,7 @@ def forward_dynamics_derivatives(
 
 @dataclasses.dataclass(frozen=True)
 class _Freedom:
-    """What a unit of one freedom does. Six-vectors are in the frame of its tree's first segment."""
+    """The effect of a unit of one freedom. Six-vectors are in the frame of the first segment of its tree."""
 
     place: int  # of its segment
     entry: int  # of the velocities
@@ -141,7 +141,7 @@ class _Segment(NamedTuple):
 
 
 class _Perturbed:
-    """A motion with all that small changes of it do to the forces."""
+    """A motion, and the change of the joint forces under small perturbations of it."""
 
     def __init__(
         self,
@@ -214,7 +214,8 @@ class _Perturbed:
 
     @functools.cached_property
     def _tree(self) -> list[tuple[int, int, Constant]]:
-        """Of each freedom j: the first of its joint, the end of those beyond, and which of those before are on its way.
+        """For each freedom j: the first freedom of its joint, the end of its subtree, and a mask of its ancestors among
+        the freedoms before it.
 
         Branches stand one after the other: what is beyond j stands together.
         """
@@ -232,21 +233,21 @@ class _Perturbed:
 
     @functools.cached_property
     def _motions(self) -> Expr:
-        """S of all freedoms, one a row (N, 6)."""
+        """S of all freedoms, as rows (N, 6)."""
         return Stack(*(freedom.S for freedom in self._freedoms))
 
     @functools.cached_property
     def _felt(self) -> Expr:
-        """I S of all freedoms, one a row: what a force feels of an acceleration (N, 6)."""
+        """I S of all freedoms, as rows (N, 6): the wrench of a unit acceleration."""
         return Stack(*(self._spreads[freedom.place].inertia(freedom.S) for freedom in self._freedoms))
 
     @functools.cached_property
     def _turned(self) -> Expr:
-        """The angular parts of B' S of all freedoms, one a row (N, 3)."""
+        """The angular parts of B' S of all freedoms, as rows (N, 3)."""
         return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self._freedoms))
 
     def by_motion(self) -> tuple[Expr, Expr]:
-        """The derivatives of the forces by positions and velocities, but for what enters by `moved`, `hastened`."""
+        """The derivatives of the forces by positions and velocities, without the parts that `moved` and `hastened` add."""
         by_q, by_qd = list[Expr](), list[Expr]()
         for freedom, place in zip(self._freedoms, self._tree, strict=True):
             spread, (first, end, _) = self._spreads[freedom.place], place
@@ -260,7 +261,7 @@ class _Perturbed:
 
     @functools.cached_property
     def mass_matrix(self) -> Expr:
-        """M (n, n), with the rotors."""
+        """The mass matrix M (n, n), with the rotors."""
         columns: list[Expr] = []
         for k, (freedom, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
             column = self._column(place, self._felt[place[0] : place[1]] @ freedom.S, self._felt[k])
@@ -269,7 +270,9 @@ class _Perturbed:
         return self._gathered(columns)
 
     def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
-        """Of forces of all joints (N,): of those beyond a freedom, and what those before feel of a wrench."""
+        """One column of joint forces (N,): `beyond` for the subtree of a freedom, and for its ancestors the force of
+        the wrench `carried`.
+        """
         first, end, on_path = place
         parts = [beyond, Constant(np.zeros(len(self._freedoms) - end))]
         if first:
@@ -277,7 +280,7 @@ class _Perturbed:
         return Concat(*parts)
 
     def _gathered(self, columns: list[Expr]) -> Expr:
-        """Followers with their leaders: from rows and columns of joints to those of the velocities (n, n)."""
+        """From rows and columns of joints to those of the velocities (n, n): followers add to their leaders."""
         pairs = Stack(*columns).T
         G = np.zeros((len(self._freedoms), self.mechanism.dofs))
         for row, freedom in enumerate(self._freedoms):
@@ -287,7 +290,7 @@ class _Perturbed:
     # ---- by the acceleration of the first segments -------------------------------------------------------------------
 
     def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
-        """The derivatives of the forces by what changes the accelerations of the first segments."""
+        """The change of the forces by a change of the accelerations of the first segments."""
         N, columns = len(self._freedoms), list[Expr]()
         for number, (first, end, _) in enumerate(self._tree):
             felt = self._felt[first:end] @ changes.get(number, _NOTHING)
@@ -295,7 +298,7 @@ class _Perturbed:
         return self._gathered(columns)
 
     def free_root(self, changes: dict[int, Expr]) -> Expr | None:
-        """The same changes as accelerations of a free first joint (n, n); None where another one is first."""
+        """The same change as accelerations of a free first joint (n, n); None if the first joint is another one."""
         segments, n = self.mechanism.segments, self.mechanism.dofs
         roots = [root for root in segments if root.before < 0]
         if any(len(root.freedoms) < 6 or root.link.drive.rotor is not None for root in roots):

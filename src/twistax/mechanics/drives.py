@@ -1,4 +1,4 @@
-"""What a joint has beside its geometry: rotor, friction, spring, gear, and limits."""
+"""Drives: rotor, friction, spring, gear and limits of a joint."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..checks import reals
 from ..errors import ModelError
 from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
-from .arguments import constant, told
+from .arguments import constant, dataclass_repr
 
 #: Numbers only: they become bounds of states and controls.
 _LIMITS = ("lower", "upper", "speed")
@@ -80,7 +80,7 @@ class Drive:
             raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
 
     def __repr__(self) -> str:
-        return told(self)
+        return dataclass_repr(self)
 
     @staticmethod
     def _check(name: str, value: Any, shape: tuple[int, ...]) -> None:
@@ -93,7 +93,7 @@ class Drive:
 
     @property
     def efforts(self) -> tuple[float | None, float | None]:
-        """The least and the largest control; None for none."""
+        """The smallest and the largest control, or None."""
         if self.effort is None:
             return None, None
         ends = reals("Drive: effort", self.effort, ModelError)
@@ -107,7 +107,7 @@ class Drive:
         return None if _is_zero(self.armature) else to_expr(self.armature)
 
     def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
-        """What damping, friction and spring do to one freedom (); None without any."""
+        """The force () of damping, friction and spring on one freedom; None without any."""
         terms: list[Expr] = []
         if not _is_zero(self.damping):
             terms.append(-(to_expr(self.damping) * velocity))
@@ -118,12 +118,11 @@ class Drive:
         return sum(terms[1:], terms[0]) if terms else None
 
     def stored(self, position: Expr) -> Expr:
-        """$k (q - q_0)^2 / 2$ (), J, in the spring of one freedom."""
+        """The energy $k (q - q_0)^2 / 2$ (), J, of the spring of one freedom."""
         return 0.5 * (to_expr(self.stiffness) * (position - self.rest) ** 2)
 
     @property
     def sprung(self) -> bool:
-        """Whether it has a spring."""
         return not _is_zero(self.stiffness)
 
 

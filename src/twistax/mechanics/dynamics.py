@@ -71,7 +71,7 @@ def carried_wrenches(
     *,
     of_velocities: bool = False,
 ) -> list[Expr]:
-    """F (6,) of every segment, in its frame: what its joint has to give; or of that only what vanishes with qd."""
+    """F (6,) of every segment, in its frame: the wrench through its joint; or only the part that vanishes with qd."""
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     accelerations: list[Expr] = []
     needed: list[Expr] = []
@@ -89,7 +89,7 @@ def carried_wrenches(
 
 
 def _gathered(mechanism: Mechanism, needed: list[Expr], qd: Expr, qdd: Expr) -> Expr:
-    """H' F of all joints, followers with their leaders, and what the rotors take (n,)."""
+    """The joint forces H' F (n,) plus those of the rotors; forces of followers add to those of their leaders."""
     tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for segment, F in zip(mechanism.segments, needed, strict=True):
         for k, i in enumerate(segment.freedoms):
@@ -246,7 +246,7 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def composite_inertias(mechanism: Mechanism, positions: list[Expr]) -> list[Expr]:
-    """I_c (6, 6) of each segment with all that hangs on it, as if it were rigid, in its frame."""
+    """I_c (6, 6) of each segment with its whole subtree as one rigid body, in its frame."""
     I = [inertia_of(segment) for segment in mechanism.segments]
     for i in reversed(range(len(I))):
         link, before = mechanism.segments[i].link, mechanism.segments[i].before
@@ -267,7 +267,7 @@ def checked(owner: str, mechanism: Mechanism) -> Mechanism:
 
 
 def outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
-    """The sum of the outer wrenches on each segment, in its frame; None without any."""
+    """The sum of the external wrenches on each segment, in its frame; None without any."""
     outer_wrenches: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
@@ -285,7 +285,7 @@ def _less(needed: Expr, applied: Expr | None) -> Expr:
 
 
 class _Hinge:
-    """A joint with all that hangs on it, which needs the wrench I B + b. Its freedoms are eliminated one by one."""
+    """A joint with its subtree, on which the wrench I B + b acts. Its freedoms are eliminated one by one."""
 
     def __init__(self, moving: Moving, I: Expr, b: Expr, forces: Expr) -> None:
         self.moving, self.freedoms = moving, list[_Freedom]()
@@ -296,7 +296,7 @@ class _Hinge:
         self.rigid = None if self.freedoms else (I, b)
 
     def felt_before(self) -> tuple[Expr, Expr]:
-        """What it adds to I and b of the segment before, in its frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
+        """Its contribution to I and b of the segment before, in that frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
 
         c is what B gets from the velocities.
         """
@@ -310,7 +310,7 @@ class _Hinge:
 
 
 class _Freedom:
-    """One freedom of a joint, the column H of its motions, on bodies that need the wrench I B + b.
+    """One freedom of a joint, with motion column H, on bodies with the wrench I B + b.
 
     With U = I H and D = H' U + the rotor's inertia it accelerates by (tau - H' b - U' B) / D, B that of the segment but
     for this freedom's. Without a rotor U / D is h* + U_R / D, with h* the working wrench and U_R what the bearing
@@ -333,7 +333,7 @@ class _Freedom:
         return F - self.working * Dot(self.H, F)
 
     def acceleration(self, B: Expr) -> Expr:
-        """The acceleration () where the segment has the acceleration B (6,) but for this freedom's."""
+        """Its acceleration () if the segment has the acceleration B (6,) apart from it."""
         return self.left / self.D - Dot(self.share, B)
 
     def eliminated(self) -> tuple[Expr, Expr]:

@@ -37,7 +37,7 @@ class MovingMass(NamedTuple):
     rates: Mapping[str, Expr]
 
     def knowing(self, rates: Mapping[str, Expr]) -> MovingMass:
-        """With further rates; those that are there stay."""
+        """A copy with further rates; present ones stay."""
         return self._replace(rates={**rates, **self.rates})
 
     @property
@@ -66,7 +66,7 @@ class MovingMass(NamedTuple):
 
 
 class InnerMotion(NamedTuple):
-    """What the parts of a body that move in it do to it: six-vectors at its origin, in its axes."""
+    """The effect of the moving parts of a body on its motion: six-vectors at its origin, in its axes."""
 
     momentum: Expr  # [m c'; c x m c'] (6,)
     energy: Expr  # m |c'|^2 / 2 ()
@@ -74,12 +74,12 @@ class InnerMotion(NamedTuple):
     turning: Expr  # X_1 (6, 3)
 
     def wrench(self, w: Expr) -> Expr:
-        """X (6,): what it takes beyond what a rigid body would take."""
+        """X (6,): the wrench in addition to that of a rigid body."""
         return self.still + self.turning @ w
 
 
 def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
-    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None where none moves."""
+    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None if none moves."""
     momenta_and_energies: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity = part.rate(part.center_of_mass)
@@ -93,7 +93,7 @@ def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
 
 
 def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
-    """What the parts of a body do to it; None where nothing changes."""
+    """The effect of the parts of a body on it; None if nothing changes."""
     terms: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity, tensor_rate = part.rate(part.center_of_mass), part.rate(part.inertia)

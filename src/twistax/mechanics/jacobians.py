@@ -24,7 +24,7 @@ _ZERO = Constant(np.zeros(6))
 
 @dataclasses.dataclass(frozen=True)
 class Axes:
-    """How a twist is written. `BODY`, `WORLD` and `ALIGNED` are all there are.
+    """The axes and the reference point of a twist: one of `BODY`, `WORLD` and `ALIGNED`.
 
     Attributes:
         name: for messages.
@@ -117,7 +117,7 @@ def _known(axes: Axes) -> Axes:
 
 
 class _Path:
-    """From a frame to the base."""
+    """The path from a frame to the base."""
 
     def __init__(self, owner: str, mechanism: Mechanism, frame: str, q: Positions | None) -> None:
         checked(owner, mechanism)
@@ -135,7 +135,7 @@ class _Path:
         return self._between[j]
 
     def gathered(self, column: Callable[[int, Expr], Expr]) -> Expr:
-        """(6, n): of every freedom on the path the column of its motions H in segment j."""
+        """(6, n): the column of each freedom on the path, from its motion H in segment j."""
         columns: list[list[Expr]] = [[] for _ in range(self.mechanism.dofs)]
         for j in self._between:
             segment = self.mechanism.segments[j]

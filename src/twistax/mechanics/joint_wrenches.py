@@ -1,4 +1,4 @@
-"""The wrench that a joint carries, in any frame: its coscrew."""
+"""The wrench that a joint carries, in any frame."""
 
 from __future__ import annotations
 

@@ -79,7 +79,7 @@ class Joint(Subspaces, ABC):
             self.velocity = State(f"{name}_velocity", (self.dofs,))
 
     def _fix(self, motion: Any, actuation_basis: Any) -> None:
-        """The subspaces of numbers."""
+        """Compute the subspaces, as numbers."""
         H = self._motion(motion)
         self.dofs = H.shape[1]
         if self.group is not None and self.group.dimension != self.dofs:
@@ -130,11 +130,13 @@ class Joint(Subspaces, ABC):
         return velocity
 
     def deflection(self, position: Expr) -> Expr | None:
-        """What a spring feels of the position (k,): the coordinates themselves; None where there is no spring."""
+        """The deflection (k,) of a spring: by default the coordinates; None if there is no spring."""
         return position if self.group is None else None
 
     def velocity_of(self, position: Expr, rate: Expr) -> Expr:
-        """The velocity that gives a rate of the position: the reverse of `rate`, by its matrix unless written anew."""
+        """The velocity from a rate of the position: the inverse of `rate`, by solving with its matrix unless a subclass
+        overrides it.
+        """
         if type(self).rate is Joint.rate:
             return rate
         columns = [self.rate(position, Constant(unit)) for unit in np.eye(self.dofs)]
@@ -156,7 +158,7 @@ class Joint(Subspaces, ABC):
 
     @property
     def rates(self) -> dict[State | str, ExprLike]:
-        """The kinematics {position: its rate}, for the rates of a System; empty where nothing moves."""
+        """The kinematics {position: its rate}, for the rates of a System; empty for a fixed joint."""
         if self.position is None or self.velocity is None:
             return {}
         return {self.position: self.rate(self.position, self.velocity)}
@@ -182,14 +184,14 @@ def _direction(owner: str, axis: Any) -> Any:
 
 
 def _screw(linear: Any, angular: Any) -> Any:
-    """H of one freedom, of numbers where both halves are."""
+    """H of one freedom; numbers if both halves are numbers."""
     if isinstance(linear, Expr) or isinstance(angular, Expr):
         return twist(linear=linear, angular=angular)[:, None]
     return np.concatenate([linear, angular])
 
 
 def _across(a: Expr) -> Expr:
-    """Two unit vectors (3, 2) at right angles to a unit vector and to each other.
+    """Two orthonormal vectors (3, 2) perpendicular to a unit vector.
 
     Source: T. Duff and others, Building an Orthonormal Basis, Revisited (2017).
     """

@@ -1,4 +1,4 @@
-"""What the links of a mechanism look like, and where they are along a motion."""
+"""The shapes of a mechanism's links and their poses along a motion, for the view."""
 
 from __future__ import annotations
 

@@ -80,12 +80,12 @@ class Loop(ABC):
 
     @property
     def rows(self) -> int:
-        """m."""
+        """The number m of its closure rows."""
         return self.constraint_basis.shape[1]
 
     @abstractmethod
     def gap(self, T: Expr) -> Expr:
-        """How far the loop is from closed (m,), m and rad."""
+        """The closure residual (m,), m and rad."""
 
 
 class Point(Loop):
@@ -143,7 +143,7 @@ class Pose(Loop):
 
 
 def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]) -> None:
-    """Raise ModelError for loops of a mechanism that are none, or join a body with itself; for two of one name.
+    """Raise ModelError for something that is no loop, for a loop that joins a body with itself, or for two of one name.
 
     Args:
         segment: the number of the segment that a frame is fixed to.

@@ -1,4 +1,4 @@
-"""Mechanisms: a tree of links on a base, its coordinates and its frames, and where all of them are."""
+"""Mechanisms: a tree of links on a base, its coordinates, its frames and their kinematics."""
 
 from __future__ import annotations
 
@@ -102,14 +102,14 @@ class Mechanism:
 
     @functools.cached_property
     def redundant_closures(self) -> int:
-        """How many of the things that the loops say follow from others, in whatever posture. Looked at in one."""
+        """The number of closure rows that follow from others at a random configuration."""
         from .closed_loops import redundant_rows
 
         return redundant_rows(self) if self.loops else 0
 
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
-        """What else there is to say about the model."""
+        """Remarks on the model, for example what a file has that is not used."""
         if not self.redundant_closures:
             return self._notes
         rows = sum(loop.rows for loop in self.loops)
@@ -157,7 +157,7 @@ class Mechanism:
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:
-        """The mass of every segment that has one, with all that is fixed to it, by the segment's number."""
+        """The body of every segment that has mass, with all that is fixed to it, by the index of the segment."""
         return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
 
     # ---- coordinates -------------------------------------------------------------------------------------------------
@@ -219,7 +219,7 @@ class Mechanism:
         return entries
 
     def segment_of(self, joint: str) -> Segment:
-        """The segment that a joint carries. Raises ModelError for a name that no joint has, or a merged one."""
+        """The segment that a joint carries. Raises ModelError for an unknown name, or a merged joint."""
         for segment in self.segments:
             if segment.link.joint.name == joint:
                 return segment
@@ -263,7 +263,9 @@ class Mechanism:
         return coordinates if mimic is None else mimic.ratio * coordinates + mimic.offset
 
     def along(self, segment: Segment, velocities: Expr) -> Expr:
-        """H qd (6,): the part of the joint of a segment in velocities or accelerations (n,), in the segment's frame."""
+        """H qd (6,): the twist of a segment's joint for velocities (n,), or its part of accelerations, in the segment's
+        frame.
+        """
         H = segment.link.joint.motion_subspace
         if not segment.freedoms:
             return Constant(np.zeros(6))

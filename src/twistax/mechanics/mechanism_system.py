@@ -28,7 +28,7 @@ def system_of(
     outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
     constraints: Asked | Iterable[Asked] | Mapping[str, Asked],
 ) -> System:
-    """What `Mechanism.system` does."""
+    """Implements `Mechanism.system`."""
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
     further = rates_by_name(rates or {})
@@ -76,7 +76,7 @@ def system_of(
 
 
 def _with_rates(mechanism: Mechanism, rates: Mapping[str, Expr]) -> Mechanism:
-    """A copy whose bodies know the rates of states that they depend on."""
+    """A copy whose bodies have the rates of the states that they depend on."""
     links = [
         link if link.body is None else dataclasses.replace(link, body=link.body.with_rates(rates))
         for link in mechanism.links

@@ -23,7 +23,7 @@ from .arguments import of_shape, pose
 
 
 class Subspaces:
-    """Wrenches split by the subspaces of a joint, in one frame."""
+    """Projections of wrenches onto the subspaces of a joint, in one frame."""
 
     motion_subspace: Expr
     actuation_basis: Expr

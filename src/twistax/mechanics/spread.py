@@ -22,7 +22,7 @@ from .tree import Segment
 
 
 class Spread(NamedTuple):
-    """How mass is spread about the origin of a frame, and how it moves."""
+    """The mass distribution about the origin of a frame, and its motion."""
 
     mass: Expr  # ()
     moment: Expr  # h (3,)
@@ -32,7 +32,7 @@ class Spread(NamedTuple):
 
     @classmethod
     def of(cls, segment: Segment, T: Expr, V: Expr) -> Spread:
-        """Of a segment's body, T its pose and V its twist in the frame."""
+        """The spread of a segment's body with pose T and twist V in the frame."""
         body, inner = segment.body, segment.inner_motion
         if body is None:
             return cls(*(Constant(np.zeros(shape)) for shape in ((), (3,), (3, 3), (3,), (3, 3))))

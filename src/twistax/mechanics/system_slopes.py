@@ -1,4 +1,4 @@
-"""What a system of a mechanism knows of its derivatives: those of the accelerations, by the recursions."""
+"""Derivatives of the accelerations of a mechanism's system, by the recursions."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ def slopes_of_accelerations(
 
 
 def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
-    """From columns of velocities to columns of coordinates, whose rates may be another thing."""
+    """From columns of velocities to columns of coordinates, whose rates may differ from the velocities."""
     joint = segment.link.joint
     if type(joint).rate is Joint.rate:
         return columns
@@ -52,7 +52,7 @@ def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
 
 
 def _numbers(mechanism: Mechanism) -> list[Expr]:
-    """All that says how a mechanism is built."""
+    """All constants of a mechanism: geometry and inertia."""
     numbers: list[Expr] = [mechanism.gravity]
     for segment in mechanism.segments:
         link, body = segment.link, segment.body

@@ -1,4 +1,4 @@
-"""Trees of bodies and joints: links as an engineer writes them, and what the recursions make of them.
+"""Trees of bodies and joints: the links of the user, and the segments of the recursions.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 4, for trees; [v; w] here.
 """
@@ -18,7 +18,7 @@ from ..expr import Constant, Expr, canonicalize_all
 from ..expr.lie import Act, Compose, Pose
 from ..expr.lie.elements import parts_of_pose
 from ..view import Shape
-from .arguments import constant, pose, told
+from .arguments import constant, dataclass_repr, pose
 from .bodies import SpatialInertia
 from .drives import Drive
 from .inner_motion import InnerMotion
@@ -102,7 +102,7 @@ class Link:
         return Pose(Compose(R, turn), Act(self.mount, shift))
 
     def __repr__(self) -> str:
-        return told(self)
+        return dataclass_repr(self)
 
 
 def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
@@ -116,7 +116,7 @@ def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class Segment:
-    """A link with all that is fixed to it, as the recursions see it.
+    """A link with all that is fixed to it, one node of the recursions.
 
     Attributes:
         link: its mount is in the segment before.
@@ -134,23 +134,23 @@ class Segment:
 
     @property
     def ratio(self) -> float:
-        """Of a follower that to its leader, else 1."""
+        """The ratio of a follower to its leader, else 1."""
         return 1.0 if self.link.mimic is None else self.link.mimic.ratio
 
     @functools.cached_property
     def inner_motion(self) -> InnerMotion | None:
-        """What masses that move in the body do to it; None where nothing moves. Raises ModelError for unknown rates."""
+        """The effect of masses that move inside the body; None if nothing moves. Raises ModelError for unknown rates."""
         return None if self.body is None else self.body.inner_motion
 
     @property
     def moves_by_motor(self) -> bool:
-        """Whether its joint has a motor where nobody says which have: it is passive on a spring without an effort."""
+        """Whether its joint has a motor by default: it is passive if it has a spring and no effort."""
         drive, joint = self.link.drive, self.link.joint
         passive = drive.sprung and drive.effort is None
         return joint.dofs < 6 and self.link.mimic is None and not passive
 
     def scaled(self, value: Expr) -> Expr:
-        """The value times the ratio; of what moves by itself the value as it is."""
+        """The value times the ratio of a follower; the value itself for other joints."""
         return value if self.link.mimic is None else self.ratio * value
 
 
@@ -163,7 +163,7 @@ class Frame:
 
 
 def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
-    """The links, every one after the one it sits on; branches one after the other.
+    """The links, every one after its parent, branch by branch.
 
     Raises: ModelError for no links; something else among them; two of one name; a parent that is not there; a circle.
     """
@@ -206,7 +206,7 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
 def segments_of(
     links: tuple[Link, ...], keep: Collection[str], base: str
 ) -> tuple[tuple[Segment, ...], dict[str, Frame]]:
-    """The links that move, with those merged that do not, and the frame of every link.
+    """The segments of moving links, with fixed links merged, and the frame of every link.
 
     Raises: ModelError for a follower of something that does not move by itself with one freedom.
     """
@@ -242,7 +242,7 @@ def _folded(T: Expr) -> Expr:
 
 
 def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, slice | None]]:
-    """Which entries of the velocity and of the position vector belong to each joint."""
+    """The entries of the velocity vector and of the position vector that belong to each joint."""
     freedoms: dict[str, tuple[int, ...]] = {}
     coordinates: dict[str, slice | None] = {}
     free, coordinate = 0, 0

@@ -148,7 +148,7 @@ _SMALL = LayeredAtmosphere(
 
 
 class _OfAltitude(Entrywise):
-    """Base of temperature and pressure."""
+    """Base class of temperature and pressure."""
 
     altitude: Operand
     air: LayeredAtmosphere = US1976

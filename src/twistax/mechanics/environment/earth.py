@@ -219,7 +219,7 @@ def _latitude_and_altitude_jvp(
 
 
 def _direction(y: Array, x: Array) -> tuple[Array, Array]:
-    """Sine and cosine of the angle of the point (x, y); zeros at the origin."""
+    """Sine and cosine of the angle of the point (x, y); zero at the origin."""
     square = x * x + y * y
     scale = 1.0 / jnp.sqrt(jnp.where(square == 0.0, 1.0, square))
     return y * scale, x * scale

@@ -67,7 +67,7 @@ class Harmonics:
 
     @cached_property
     def degree(self) -> int:
-        """The largest."""
+        """The largest degree."""
         return max((n for n, *_ in self.terms), default=0)
 
     def up_to(self, degree: int, order: int | None = None) -> Harmonics:
@@ -140,7 +140,7 @@ class HarmonicPull(Expr):
 
 
 def _plain(n: int, m: int) -> float:
-    """What a normalised coefficient is multiplied with to be one without normalisation."""
+    """The factor from a fully normalised coefficient to one that is not normalised."""
     return math.sqrt((1 if m == 0 else 2) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m))
 
 

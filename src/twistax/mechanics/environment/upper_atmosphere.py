@@ -81,7 +81,7 @@ class UpperAtmosphere:
         return Where(z <= bottom, low, high)
 
     def _left(self, z: Expr, top: float, by_mass: bool) -> Expr:
-        """The share of the last pressure, or of the last density, that is left at altitudes from the last one up."""
+        """The ratio of pressure or density to its value at the last altitude, at altitudes above."""
         air = self.below
         temperature, log_pressure, log_density = np.asarray(self.table)[-1, 1:]
         mean = np.exp(log_density - log_pressure) * air.gas_constant * temperature

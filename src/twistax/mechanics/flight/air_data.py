@@ -1,4 +1,4 @@
-"""What the air does to a body that moves through it: angles, Mach number, pressures, and forces in three kinds of axes.
+"""Air data of a body in flight (angles, Mach number, pressures), and aerodynamic forces in three kinds of axes.
 
 Body axes: x forward, y to the right, z down.
 """
@@ -122,7 +122,7 @@ def wind_axes(air: AirData) -> Expr:
 
 
 def _not_negative(place: str, value: ExprLike) -> None:
-    """Raise ModelError for a number below 0; what an expression comes to is not known."""
+    """Raise ModelError for a number below 0; the value of an expression is not known."""
     known = value.value if isinstance(value, Constant) else value
     if not isinstance(known, Expr):
         number(place, known, "0 or more", lambda x: 0.0 <= x < np.inf, ModelError)

@@ -1,4 +1,4 @@
-"""A flight as a table with the columns of NASA's published trajectories, to be laid beside them.
+"""Columns of NASA's published trajectories for a flight, so that both can be compared.
 
 Source of names and units: the files that come with NASA/TM-2015-218675, Check-Cases for Verification of
 6-Degree-of-Freedom Flight Vehicle Simulations (2015).

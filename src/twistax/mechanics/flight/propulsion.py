@@ -1,4 +1,4 @@
-"""Engines, and what burning does to a body beside the thrust.
+"""Engines, and the effect of burning propellant besides thrust.
 
 Six-vectors are [f; tau] at the body's origin in its axes.
 """

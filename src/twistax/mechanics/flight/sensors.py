@@ -1,4 +1,4 @@
-"""What instruments in a vehicle read. Biases may be numbers, Parameters, or states that noise drives."""
+"""Measurements of instruments in a vehicle. Biases may be numbers, Parameters, or states that noise drives."""
 
 from __future__ import annotations
 

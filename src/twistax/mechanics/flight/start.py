@@ -1,4 +1,4 @@
-"""The state of a body from what people say of it: where it is, how it moves over the ground, how it is turned."""
+"""The initial state of a vehicle from its position, its velocity over the ground and its attitude."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A body over a planet: its pose and twist, and all that follows from them."""
+"""A rigid body in flight over a planet: its pose and twist, and the quantities that follow from them."""
 
 from __future__ import annotations
 
@@ -197,7 +197,7 @@ class Vehicle:
         return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
-        """What flights are compared by.
+        """The outputs by which flights are usually compared.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
         attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
@@ -228,23 +228,25 @@ class Vehicle:
 
     @cached_property
     def _over(self) -> Geodetic:
-        """With the longitude from the inertial x axis, which needs no turn."""
+        """The geodetic position with the longitude from the inertial x axis, which does not need the rotation of the
+        planet.
+        """
         return self.planet.figure.geodetic(self.position)
 
     @cached_property
     def _local(self) -> Expr:
-        """From north-east-down to inertial axes; NaN on the axis of the planet, where there is no north."""
+        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, where there is no north."""
         off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
         return north_east_down(self._over.latitude, self._over.longitude * off_axis)
 
     @cached_property
     def _ground_velocity(self) -> Expr:
-        """Relative to the planet, in inertial axes."""
+        """The velocity relative to the planet, in inertial axes."""
         return self.planet.figure.air_velocity(self.position, self.velocity)
 
     @cached_property
     def _steady_air_velocity(self) -> Expr:
-        """Relative to the wind, in body axes."""
+        """The velocity relative to the wind, in body axes."""
         velocity = self._ground_velocity
         if self.wind is not CALM:
             blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))

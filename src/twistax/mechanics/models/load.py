@@ -87,7 +87,7 @@ def load(
 
 
 def _folder(root: Element, within: str | Path | None) -> Path:
-    """Where other files may be. Raises ModelError for a folder that the file is not in."""
+    """The folder within which other files may be opened. Raises ModelError if the file is not in it."""
     file_folder = root.path.resolve().parent
     if within is None:
         return file_folder

@@ -50,7 +50,7 @@ class _Servo:
 
 
 class Mjcf:
-    """The links of a model, and what the file has beside them.
+    """The links of an MJCF model, and notes on the rest of the file.
 
     Args:
         root: the element <mujoco>.
@@ -96,7 +96,7 @@ class Mjcf:
         return getattr(self.model, kind)(i).name or f"{kind}_{i}"
 
     def _switched_on(self, what: str) -> bool:
-        """Whether the file leaves a part of the dynamics in: of its <flag>."""
+        """Whether the <flag> of the file leaves a part of the dynamics enabled."""
         return not self.model.opt.disableflags & getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{what}")
 
     # ---- bodies ------------------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ class Mjcf:
     # ---- actuators ---------------------------------------------------------------------------------------------------
 
     def _actuators(self) -> dict[int, _Servo]:
-        """By joint the actuator whose control is the joint's."""
+        """For each joint the actuator whose control becomes that of the joint."""
         model, servos = self.model, dict[int, _Servo]()
         for a in range(model.nu):
             j = int(model.actuator_trnid[a, 0])
@@ -233,7 +233,7 @@ class Mjcf:
         return servos
 
     def _actuator(self, a: int) -> str:
-        """What an actuator is called in notes."""
+        """The name of an actuator in notes."""
         name, joint = self.model.actuator(a).name, self._name("joint", int(self.model.actuator_trnid[a, 0]))
         return f"actuator {name!r} of joint {joint!r}" if name else f"an actuator of joint {joint!r}"
 

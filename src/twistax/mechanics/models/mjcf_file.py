@@ -42,7 +42,7 @@ def compiler(element: Element) -> Any:
 
 
 class Compiled:
-    """A file as MuJoCo compiles it, without what its dynamics do not need.
+    """A file compiled by MuJoCo, without the parts that do not affect the dynamics.
 
     Args:
         root: the element <mujoco>.
@@ -75,7 +75,7 @@ class Compiled:
         self.warnings = [f"MuJoCo warns: {str(warning.message).strip()}" for warning in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
-        """The element with what it includes in place. Raises ModelError where something is not to be read."""
+        """The element with included files in place. Raises ModelError for a file that may not be read."""
         if element.tag in _REFUSED and (element.tag != "model" or "file" in element.attributes):
             raise element.wrong(_REFUSED[element.tag])
         if depth > _DEEPEST:
@@ -126,7 +126,7 @@ class Compiled:
         return f"<{head}>\n{inner.removesuffix(chr(10))}</{element.tag}>\n" if inner else f"<{head}/>\n"
 
     def _said(self, message: str) -> ModelError:
-        """MuJoCo's message with the place in the file that it is about."""
+        """An error with MuJoCo's message and the place in the file."""
         at = re.search(r"line (\d+)", message)
         element = self._elements[int(at[1]) - 1] if at else self._about(message)
         return element.wrong(re.sub(r"^(XML )?Error:\s*", "", message.strip()).splitlines()[0])
@@ -138,7 +138,7 @@ class Compiled:
         return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
     def _lighten(self, spec: Any, mujoco: Any) -> None:
-        """Take out what the dynamics of the bodies do not need: so meshes need not be there."""
+        """Remove what does not affect the dynamics, so that its meshes need not exist."""
         for kind, elements in (
             ("sensors", spec.sensors),
             ("keyframes", spec.keys),
@@ -172,7 +172,7 @@ class Compiled:
             spec.delete(asset)
 
     def _without_shapes(self, spec: Any, mujoco: Any, body: Any, is_moving: bool, needed: set[str]) -> None:
-        """Take out geoms that come from files, but for those from which the mass of a body that moves follows."""
+        """Remove geoms that refer to files, except those that determine the mass of a moving body."""
         by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
         is_moving = is_moving or bool(body.joints)
         for geom in list(body.geoms):

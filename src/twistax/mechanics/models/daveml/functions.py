@@ -1,4 +1,4 @@
-"""The functions of a file: which variable is which table of which inputs."""
+"""Functions of a DAVE-ML file: variables that are tables of other variables."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def by_id(elements: Iterable[Element], attribute: str) -> dict[str, Element]:
 
 
 def within(element: Element) -> Iterator[Element]:
-    """An element and all in it."""
+    """An element and all its descendants."""
     pending = [element]
     while pending:
         yield (current := pending.pop())
@@ -111,7 +111,7 @@ class Functions:
 
 
 def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
-    """What a reference means. Raises ModelError where nothing has that name."""
+    """The element that a reference names. Raises ModelError if there is none."""
     name = element.text(attribute).strip()
     if name not in known:
         raise element.wrong(f"{attribute} {name!r} is not defined; there are {listed(known, name)}")
@@ -127,7 +127,7 @@ def increasing(element: Element) -> np.ndarray:
 
 
 def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element) -> Table:
-    """Values in the order of the file as a table. Raises ModelError where their number is another."""
+    """Values in the order of the file as an array over the grid. Raises ModelError for another number of values."""
     shape = tuple(map(len, breakpoints))
     if not shape or values.size != np.prod(shape):
         raise element.wrong(f"expected {' x '.join(map(str, shape)) or 'breakpoints and'} values, got {values.size}")

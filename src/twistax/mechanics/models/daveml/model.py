@@ -53,7 +53,7 @@ class Signal:
 
 @dataclasses.dataclass(frozen=True)
 class _Rule:
-    """How a variable follows from others."""
+    """How a variable is computed from others."""
 
     needs: tuple[str, ...]
     build: Callable[[Mapping[str, Expr]], Expr]
@@ -211,7 +211,7 @@ class DaveModel:
     # ---- building --------------------------------------------------------------------------------------------------
 
     def _build(self, arguments: Mapping[str, Expr], wanted: Iterable[str]) -> dict[str, Expr]:
-        """Variables as expressions: those wanted and what they need."""
+        """The wanted variables, and those that they need, as expressions."""
         required, pending = set[str](), list(wanted)
         while pending:
             name = pending.pop()
@@ -245,7 +245,7 @@ class DaveModel:
     # ---- checking --------------------------------------------------------------------------------------------------
 
     def _at_shots(self) -> dict[str, list[float]]:
-        """Every variable at every shot."""
+        """The values of every variable at all static shots."""
         columns: dict[str, list[float]] = {name: [] for name in self.inputs}
         for shot in self._shots:
             for name, given_value in shot.inputs.items():
@@ -264,7 +264,7 @@ class DaveModel:
             return {name: np.broadcast_to(v, len(self._shots)).tolist() for name, v in computed.items()}
 
     def _first_off(self, shot_name: str, computed: Mapping[str, list[float]]) -> str:
-        """In words, the internal value of a shot that is off first, in the order of the calculation."""
+        """A text that names the first wrong internal value of a shot, in the order of the calculation."""
         i, shot = next((i, shot) for i, shot in enumerate(self._shots) if shot.name == shot_name)
         for name in self._order:
             if name in shot.internal:
@@ -318,7 +318,7 @@ def _unknown(name: str, known: Iterable[str]) -> str:
 
 
 def _sorted(rules: Mapping[str, _Rule], elements: Mapping[str, Element]) -> list[str]:
-    """The variables, each after what it needs. Raises ModelError where one needs itself."""
+    """The variables in an order in which each comes after those that it needs. Raises ModelError for a cycle."""
     order: dict[str, None] = {}
     for first in elements:
         stack, ancestors = [(first, False)], dict[str, None]()

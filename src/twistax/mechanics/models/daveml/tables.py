@@ -66,7 +66,7 @@ class Axis:
         return cls(element, element.text("varID").strip(), lower, upper, below, above, _LOOKUPS[kind])
 
     def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
-        """Where to look in a piecewise linear table, and its breakpoints; of steps the number of the value, whole.
+        """The coordinate for a piecewise linear table, and its breakpoints; for steps the whole index of the value.
 
         NaN stays NaN.
         """
@@ -97,7 +97,7 @@ class Table:
     values: np.ndarray
 
     def at(self, inputs: Sequence[Expr], axes: Sequence[Axis]) -> Expr:
-        """The value of the function."""
+        """The interpolated value."""
         places, points, outside = [], [], list[Any]()
         for x, axis, breakpoints in zip(inputs, axes, self.breakpoints):
             place, numbers = axis.place(x, breakpoints)
