@@ -46,7 +46,7 @@ _NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
-    """Derivatives of the joint forces (n,): by right perturbations of the positions, by velocities, by accelerations."""
+    """Derivatives of joint forces (n,): by right perturbations of positions, by velocities, by accelerations."""
 
     q: Expr
     qd: Expr
@@ -247,7 +247,7 @@ class _Perturbed:
         return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self._freedoms))
 
     def by_motion(self) -> tuple[Expr, Expr]:
-        """The derivatives of the forces by positions and velocities, without the parts that `moved` and `hastened` add."""
+        """The derivatives of the forces by positions and velocities, without the parts of `moved` and `hastened`."""
         by_q, by_qd = list[Expr](), list[Expr]()
         for freedom, place in zip(self._freedoms, self._tree, strict=True):
             spread, (first, end, _) = self._spreads[freedom.place], place

@@ -139,7 +139,7 @@ class Segment:
 
     @functools.cached_property
     def inner_motion(self) -> InnerMotion | None:
-        """The effect of masses that move inside the body; None if nothing moves. Raises ModelError for unknown rates."""
+        """The effect of masses that move inside the body; None if nothing moves. Raises ModelError."""
         return None if self.body is None else self.body.inner_motion
 
     @property

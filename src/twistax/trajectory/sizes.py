@@ -1,4 +1,4 @@
-"""Sizes of states, controls and shared unknowns, measured at a start: how far things move, whatever their units."""
+"""Typical sizes of states, controls and shared unknowns, measured at a start, so that units do not matter."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WIDE = 1e3
 
 
 class Sizes(NamedTuple):
-    """Units, of one stage: of all stages alike."""
+    """The units of one stage: the same for all stages."""
 
     d: Array  # (n,)
     u: Array  # (m,)
@@ -103,7 +103,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
 
 
 def _reserve(d: Array, u: Array, box: Array, through: Array, among: Array, between: Array, steering: Array) -> float:
-    """The least of what controls move states of known size by, over that size; infinite where none is moved."""
+    """The smallest ratio of the change of a state of known size by controls to that size; infinite if none changes."""
     known = np.where(between > 0.0, between, d)
     limited = np.nan_to_num(np.where(np.isnan(u), box, u))
     direct, among = through @ limited, among * (1.0 - np.eye(len(d)))
@@ -120,7 +120,7 @@ def usable(sizes: Array) -> Array:
 
 
 def _most(leaf: State) -> Array:
-    """What a size is at most: half the distance between limits of a flat state, a turn; infinite where neither is."""
+    """The upper limit of a size: half the distance between limits of a flat state, or a turn; else infinite."""
     group = leaf.group
     if not group.flat:
         most = np.full(group.dimension, _TURN)
@@ -155,7 +155,7 @@ def _between_ends(shooting: Shooting, point: Point) -> Array:
 
 
 def _drifting(d: Array, drift: Array, among: Array) -> Array:
-    """Sizes with those of states that only the guess itself moves; what states of unknown size move comes later."""
+    """Sizes, with those of states that only the drift of the guess moves; states that they move come later."""
     unknown = np.isnan(d) & (drift > 0.0)
     first = unknown & ~(among & np.isnan(d)).any(axis=1)
     sizes = np.where(first if first.any() else unknown, drift, d)

@@ -235,7 +235,7 @@ class Vehicle:
 
     @cached_property
     def _local(self) -> Expr:
-        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, where there is no north."""
+        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, which has no north."""
         off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
         return north_east_down(self._over.latitude, self._over.longitude * off_axis)
 

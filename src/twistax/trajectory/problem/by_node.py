@@ -35,7 +35,7 @@ class ByNode:
 
     @classmethod
     def of(cls, value: Any, shares: Array) -> ByNode:
-        """From what a problem was stated with.
+        """The parameters of `by_node=`.
 
         Raises:
             ModelError: no list of parameters.
@@ -50,7 +50,7 @@ class ByNode:
     def check(
         self, objective: Iterable[Expr], elsewhere: Iterable[Expr], read: Iterable[str], free: Iterable[str]
     ) -> None:
-        """Raise ModelError unless the objective alone reads them, and none is free.
+        """Raise ModelError unless only the objective reads them, and none is free.
 
         Args:
             objective, elsewhere: expressions of the objective, and all others.

@@ -1,4 +1,4 @@
-"""How a control goes on between nodes: `Problem(controls=...)`."""
+"""Parametrisations of controls between nodes: `Problem(controls=...)`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a problem may ask of a whole path: integrals, extremes, and where it began."""
+"""Functionals of a whole path: integrals, extremes, and initial values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...expr import Expr, Inputs, Leaf, State, to_expr
 
 
 class Functional(Leaf):
-    """A value that a whole path has. It stands for an unknown of the problem that it is stated in.
+    """A functional of a whole path. It stands for an unknown of the problem in which it occurs.
 
     Attributes:
         operand: the expression along the path.

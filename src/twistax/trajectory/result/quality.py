@@ -1,4 +1,4 @@
-"""What every optimisation gives back, of one phase or of several: how good what it found is."""
+"""The quality of a result, for one phase or several."""
 
 from __future__ import annotations
 
@@ -57,7 +57,7 @@ class Optimality:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """How well what was found solves its problem. All arrays are NumPy, double precision.
+    """How well a result solves its problem. All arrays are NumPy, double precision.
 
     Attributes:
         final_time: when it ends, s.
@@ -113,7 +113,8 @@ class Quality:
 
     @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
-        """Name of an entry of a control -> (intervals,) which share of a move of it alone changes nothing, 0 to 1.
+        """Controls that the optimum does not determine: name of an entry -> (intervals,) the share, 0 to 1, of a change
+        of it that has no effect.
 
         Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
         order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
@@ -131,7 +132,7 @@ class Quality:
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
-        """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
+        """The quality as text, one fact a line: errors, active constraints, undetermined controls, a finer rollout."""
         return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:
@@ -182,7 +183,7 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
 
 
 def _rolled_out(result: Any) -> list[str]:
-    """What a finer rollout says.
+    """The lines on a finer rollout.
 
     Raises:
         TrajectoryError: node times go back.
@@ -200,7 +201,7 @@ def _rolled_out(result: Any) -> list[str]:
 
 
 def _open(every: list[Undetermined], sign: float) -> str:
-    """Which controls are not determined, and what would determine them."""
+    """The undetermined controls, and what would determine them."""
     named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.moves)} intervals)" for entry in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
         f"{entry.weight:g} * {entry.entry}**2" for entry in every
@@ -238,7 +239,9 @@ class Attempts:
 
     @property
     def best(self) -> Outcome:
-        """A solved one of least cost; else one on the least coarse mesh; else the one that violates least."""
+        """The best attempt: a solved one of least cost, else one on the finest mesh, else the one with the least
+        violation.
+        """
 
         def rank(outcome: Outcome) -> tuple[int, float]:
             order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE]

@@ -85,7 +85,7 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
 
 
 def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: float) -> str:
-    """Why a refinement ended without success, how far it came, and what else may help."""
+    """Why a mesh refinement failed, how far it came, and what else may help."""
     last, accuracy = meshes[-1], result.accuracy
     limit = f"at most {_MESHES} meshes" if len(meshes) >= _MESHES else f"a finer mesh has more than {_NODES:,} nodes"
     moved = f", and the objective still changes by {change:.1g} of itself" if np.isfinite(change) else ""
@@ -110,7 +110,7 @@ def _states(trajectory: Trajectory) -> dict[str, Array]:
 
 
 def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: bool) -> tuple[Any, WarmStart] | None:
-    """The problem on finer meshes and a warm start for it; None where these would be too large."""
+    """The problem on finer meshes with a warm start; None if these would be too large."""
     problem, segments = result.problem, result.problem.shooting.segments
     meshes, splits = [], []
     for trajectory, segment, interval_errors in zip(_trajectories(result), segments, errors):
@@ -134,7 +134,7 @@ def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: b
 
 
 def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
-    """(intervals,) by how much, squared, controls change about an interval, in their scales, times its length.
+    """(intervals,) the squared change of the controls about an interval, in their scales, times its length.
 
     Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.
     """
@@ -151,7 +151,7 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
 
 
 def _marked(trajectory: Trajectory, point: Point) -> Array:
-    """The fewest intervals that have a share of all changes, and no less than half of all intervals.
+    """The smallest set of intervals with a given share of all changes, at least half of all intervals.
 
     None of a phase without controls.
     """

@@ -107,7 +107,7 @@ class Trajectory:
         return animated([self], path, choices)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """Roll out the found controls from the first node, and measure what comes out.
+        """Roll out the controls of the solution from the first node, and measure errors and violations.
 
         Args:
             method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions

@@ -1,4 +1,4 @@
-"""Many cases of one problem, each solved as alone, as many at a time as there are processors."""
+"""Many cases of one problem, solved in parallel on the available processors."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from .strategies import solved
 
 
 def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
-    """The outcomes of all cases, each with the `point` where it starts and what is `given`."""
+    """The outcomes of all cases, each from its start `point` and its data `given`."""
     of_thread = threading.local()
 
     def outcome(case: Any) -> Outcome:

@@ -1,4 +1,4 @@
-"""How solves end."""
+"""The status of a solve."""
 
 from __future__ import annotations
 

@@ -40,7 +40,8 @@ class WarmStart:
     units: StartUnits | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
-        """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
+        """A warm start that many intervals later. The last control stays constant after the end, and the states are
+        integrated.
 
         Raises:
             TrajectoryError: steps is no positive whole number; intervals are not equally long.
@@ -79,12 +80,12 @@ class WarmStart:
 
 
 def _moved_on(values: Array, steps: int) -> Array:
-    """What comes so many intervals later, the last again and again."""
+    """Values that many intervals later; the last one repeats."""
     return values[np.minimum(np.arange(len(values)) + steps, len(values) - 1)]
 
 
 def warm_start(value: Any) -> WarmStart:
-    """The warm start itself, or that of a result.
+    """A warm start as it is, or that of a result.
 
     Raises:
         TrajectoryError: it is neither.
@@ -118,7 +119,7 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> Warm
 
 
 def other_problem() -> TrajectoryError:
-    """What is raised where a warm start does not fit."""
+    """The error for a warm start of another problem."""
     return TrajectoryError(
         "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
         "  fix: give its xs and us as guess"

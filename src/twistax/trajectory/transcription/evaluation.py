@@ -40,7 +40,7 @@ class Evaluated:
         return bool(function(self._functions.user, self._z.ctypes.data, *pointers))
 
     def jacobians(self) -> bool:
-        """First derivatives; whether there are such."""
+        """Compute first derivatives; False if they are not finite."""
         stages = self.stages
         counts = (stages.after, stages.inequalities, stages.equalities)
         self.gradient = np.zeros(stages.variables)
@@ -48,7 +48,7 @@ class Evaluated:
         return not (self.failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je))
 
     def differentiate(self) -> bool:
-        """First derivatives, and the second ones of the cost; whether there are such."""
+        """Compute first derivatives, and second derivatives of the cost; False if they are not finite."""
         good = self.jacobians()
         self.H = np.zeros(self.stages.block_sizes(self.stages.columns))
         zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]

@@ -29,7 +29,7 @@ from .shooting import Segment, Shooting, Transcribed
 
 
 class Join:
-    """What the states at the start of a phase are.
+    """A join between two phases: the initial states of the next phase as expressions of the last states.
 
     Args:
         before, after: the phases.
@@ -76,7 +76,7 @@ class Join:
         return other
 
     def gap_at(self, z: jax.Array, base: Arrays, start: Arrays, initial: Arrays, params: Arrays) -> jax.Array:
-        """The defect, of z = [d, b]: a step of the last node from base, and the border."""
+        """The defect of the join at z = [d, b]: a step of the last node from base, and the shared unknowns."""
         before = self._before
         x, b = before.dynamics.group.retract(base, z[: before.n]), z[before.n :]
         begin, length = before.span(b)

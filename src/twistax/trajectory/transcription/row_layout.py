@@ -1,4 +1,4 @@
-"""Which rows a transcribed phase has, and where they stand."""
+"""The constraint rows of a transcribed phase and their order."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from .border import Border
 
 @dataclasses.dataclass(frozen=True)
 class RowLayout:
-    """The rows of all intervals, each with those of conditions at its first node after its own, then those of the end.
+    """The rows of all intervals, each followed by those of the conditions at its first node, then the rows of the end.
 
     Attributes:
         names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
@@ -43,17 +43,17 @@ class RowLayout:
 
     @property
     def at_nodes(self) -> int:
-        """Of the rows of an interval those of conditions at its first node."""
+        """The number of rows of an interval that are conditions at its first node."""
         return self.per_interval - len(self.asked)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
+        """(rows,) from values (intervals, path rows): each value at every point of the interval that has the row."""
         inner = np.zeros((len(of_rows), self.per_interval))
         inner[:, : len(self.asked)] = of_rows[:, self.asked % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])
 
     def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
-        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where there is none."""
+        """(intervals, path rows) the smallest value of each path row in values (rows,); infinite if there is none."""
         least = np.full((intervals, rows), np.inf)
         sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
         np.minimum.at(least.T, self.asked % self.path_rows, sizes.T)
