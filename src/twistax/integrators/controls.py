@@ -24,7 +24,7 @@ _SHORT = 64
 
 
 def _floats(place: str, value: Any) -> jax.Array:
-    """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
+    """The value as a floating point array; known numbers stay NumPy arrays inside jit, so that they can be checked."""
     array = real_array(place, value)
     dtype = array.dtype if jnp.issubdtype(array.dtype, jnp.floating) else float
     # What the precision cannot hold becomes infinite, and is refused as that.
@@ -33,7 +33,7 @@ def _floats(place: str, value: Any) -> jax.Array:
 
 
 def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
-    """The last row whose time is not after t; -1 before the first one."""
+    """The last row whose time is not after t; -1 before the first row."""
     # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
     method = "compare_all" if ts.size <= _SHORT else "scan_unrolled"
     return jnp.searchsorted(ts, t, side="right", method=method) - 1
@@ -93,17 +93,17 @@ class ControlTable(ABC):
 
     @property
     def first(self) -> Any:
-        """The first row, of NumPy where it is known."""
+        """The first row, a NumPy array if it is known."""
         return self.values[0] if is_traced(self.values) else np.asarray(self.values)[0]
 
     @property
     def times(self) -> Any:
-        """ts, as an array of NumPy where it is known."""
+        """ts, as a NumPy array if it is known."""
         return self.ts if is_traced(self.ts) else np.asarray(self.ts)
 
     @property
     def jumps(self) -> Any:
-        """The times at which the value, or how it changes, jumps; of NumPy where they are known."""
+        """The times at which the value or its derivative jumps; a NumPy array if they are known."""
         return self.times[1:] if self.holds_on else self.times
 
     def during(self, t: jax.Array, h: jax.Array, within: bool = False) -> Callable[[jax.Array], jax.Array]:
@@ -271,7 +271,7 @@ class ByName:
 
 
 class OfTime:
-    """Controls as a function of time and of inputs. A pytree of the inputs, and of a function that is one itself."""
+    """Controls as a function of time. A pytree of the traced values that the function closes over."""
 
     #: No times that are known: whoever writes the function says where it jumps.
     jumps: Sequence[Any] = ()
@@ -293,13 +293,13 @@ class OfTime:
         return values
 
     def opened(self, t: jax.Array) -> OfTime:
-        """The same function, the traced values it closes over made inputs, so that derivatives find them."""
+        """The same function with the traced values that it closes over as inputs, so that derivatives find them."""
         with of_one_device():
             function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
     def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> OfTime:
-        """Nothing to cast before the function is called."""
+        """The controls themselves: there is nothing to cast before the function is called."""
         return self
 
     def during(
@@ -322,7 +322,7 @@ Signals: TypeAlias = ByName | OfTime
 
 
 def controls_of(u: Any) -> Signals:
-    """The controls a user gave, in one of the two forms. Raises InputError for anything else."""
+    """The controls `u`, in one of the two forms. Raises InputError for anything else."""
     if u is None:
         return ByName({})
     if isinstance(u, Mapping):

@@ -74,7 +74,7 @@ class Crossings:
 
     @classmethod
     def of(cls, rows: CrossingRows) -> Crossings:
-        """Those of a rollout; where numbers are known without the rows beyond the count."""
+        """The crossings of a rollout; if numbers are known without the unused rows."""
         if is_traced(rows):
             return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
         count = int(rows.used)
@@ -112,13 +112,13 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
 
 
 class AnySolution(ABC):
-    """Base of `Solution` and `PhasedSolution`: how it ended, and its table."""
+    """Base of `Solution` and `PhasedSolution`: the result code, and the table."""
 
     code: Any  # the number of a `Result`
 
     @property
     def result(self) -> Any:
-        """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
+        """The `Result`; for traced or mapped solutions an array of codes, which compare with `Result`."""
         unknown = is_traced(self.code) or np.ndim(self.code) > 0
         return self.code if unknown else Result(int(self.code))
 
@@ -171,12 +171,12 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
 
 
 def _room(start: Any, end: Any) -> Any:
-    """How far outside of a span times may be, for rounding."""
+    """The tolerance for times outside of a span, for rounding."""
     return 1e-6 * (end - start)
 
 
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
-    """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
+    """Raise InputError for times outside of a span, described by `span`, up to round-off."""
     (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
     room = _room(start, end)
     outside = ~((times >= start - room) & (times <= end + room))
