@@ -35,7 +35,7 @@ _EVERYWHERE = (
     "twistax.checks",
     "twistax.units",
     "twistax.mechanics.arguments",
-    "twistax.expr.fields",
+    "twistax.expr.declaring",
 )
 
 

@@ -184,7 +184,8 @@ def _at_once(function: Callable[[], Any], count: int = 8) -> list[Any]:
 
 def test_threads_derive_one_program_as_one_thread_does() -> None:
     from twistax.scalar.derivatives import cotangent_program, tangent_program
-    from twistax.scalar.reader import ScalarProgram, scalarize
+    from twistax.scalar.program import ScalarProgram
+    from twistax.scalar.reader import scalarize
 
     def made() -> ScalarProgram:
         f = tx.lower(_system(1).rates["v"])
@@ -226,7 +227,7 @@ class _Watched(list):
 def test_one_thread_at_a_time_adds_derivatives(which: str) -> None:
     """Two nodes that are added at once would get one number. No turn of threads is left to chance here."""
     from twistax.scalar import derivatives
-    from twistax.scalar.primitives.entry import flat
+    from twistax.scalar.primitives.interface import flat
     from twistax.scalar.reader import scalarize
 
     f = tx.lower(_system(1).rates["v"])

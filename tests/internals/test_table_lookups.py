@@ -11,7 +11,8 @@ import pytest
 import twistax as tx
 from twistax.expr.tables import BSpline, Linear
 from twistax.expr.tables.kinds import Axis
-from twistax.scalar.reader import emitted_form, scalarize
+from twistax.scalar.reader import scalarize
+from twistax.scalar.rewriting import emitted_form
 
 RNG = np.random.default_rng(3)
 

@@ -92,8 +92,14 @@ class Mechanism:
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
         #: What `replace` gives the constructor again, beside the links.
-        self._given = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes, "driven": driven}
-        self._given |= {"loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        self._given: dict[str, Any] = {
+            "gravity": self.gravity,
+            "base": base,
+            "keep": keep,
+            "notes": self._notes,
+            "driven": driven,
+        }
+        self._given |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)

@@ -20,7 +20,9 @@ from .graph import LIMITS, Limits, TooLarge
 from .jax_primitive import Derived, Rows, call_program
 from .loops import Repeated, Ring
 from .primitives.table import entry_of
-from .reader import ScalarProgram, called_names, emitted_form, scalarize
+from .program import ScalarProgram, called_names
+from .reader import scalarize
+from .rewriting import emitted_form
 from .small_call import is_key, known_inside
 
 #: A step of arrays to arrays, and what it takes.

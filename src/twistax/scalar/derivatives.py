@@ -12,10 +12,11 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
-from .cotangents import Cotangent, Cotangents
-from .graph import Call, Graph
-from .primitives.entry import Nodes, flat, nodes
-from .reader import Reader, ScalarProgram
+from .graph import Call, ScalarGraph
+from .primitives.cotangents import Cotangent, Cotangents
+from .primitives.interface import Nodes, flat, nodes
+from .program import ScalarProgram
+from .reader import JaxprReader
 
 Own = ParamSpec("Own")
 Made = TypeVar("Made")
@@ -186,7 +187,9 @@ def _allowed(columns: set[int], own: Sequence[int], wanted: Mapping[int, int] | 
     return sorted(column for column in columns if mask >> column & 1)
 
 
-def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None) -> None:
+def _carry_call(
+    g: ScalarGraph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
+) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = flat(*call.arguments)
     for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
@@ -194,7 +197,7 @@ def _carry_call(g: Graph, call: Call, carried: dict[int, dict[int, int]], wanted
         active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
         along = _tangents(_function(g, call), active)
         given = [*call.arguments, *(_gathered(g, found, call.arguments[k]) for k in active)]
-        for i, tangent in zip(flat(*call.results), flat(*Reader(g).read(along, given)), strict=True):
+        for i, tangent in zip(flat(*call.results), flat(*JaxprReader(g).read(along, given)), strict=True):
             if tangent != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact):
                 carried.setdefault(i, {})[column] = tangent
 
@@ -212,7 +215,7 @@ def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
 # ---- reverse ---------------------------------------------------------------------------------------------------------
 
 
-def _pull(g: Graph, live: Sequence[int], found: Cotangents, depending: Collection[int]) -> None:
+def _pull(g: ScalarGraph, live: Sequence[int], found: Cotangents, depending: Collection[int]) -> None:
     """Add to `found` the cotangents of all nodes that depend on active inputs, last ones first."""
     done: set[int] = set()
     for i in reversed(live):
@@ -233,7 +236,7 @@ def _pull(g: Graph, live: Sequence[int], found: Cotangents, depending: Collectio
 
 
 def _pulled_call(
-    g: Graph, call: Call, found: Mapping[int, int], depending: Collection[int]
+    g: ScalarGraph, call: Call, found: Mapping[int, int], depending: Collection[int]
 ) -> list[tuple[int, Cotangent]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
@@ -243,7 +246,7 @@ def _pulled_call(
         if jnp.issubdtype(g.dtype_of(a), jnp.inexact) and any(i in depending for i in flat(a))
     )
     given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
-    results = Reader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
+    results = JaxprReader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
     cotangents = [Cotangent(c, g.one) for c in flat(*results)]
     return list(zip(flat(*(call.arguments[k] for k in active)), cotangents, strict=True))
 
@@ -273,7 +276,7 @@ class _Called:
     jaxpr: ClosedJaxpr = dataclasses.field(compare=False)
 
 
-def _function(g: Graph, call: Call) -> _Called:
+def _function(g: ScalarGraph, call: Call) -> _Called:
     arguments, results = (tuple(_shape(g, a) for a in own) for own in (call.arguments, call.results))
     return _Called(call.key, arguments, results, call.jaxpr)
 
@@ -291,14 +294,14 @@ def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -
     return function
 
 
-def _new_inputs(g: Graph, argument: int, like: Nodes) -> Nodes:
+def _new_inputs(g: ScalarGraph, argument: int, like: Nodes) -> Nodes:
     return nodes([g.input(argument, j, g.dtypes[i]) for j, i in enumerate(flat(like))], like.shape)
 
 
-def _gathered(g: Graph, found: Mapping[int, int], own: Nodes) -> Nodes:
+def _gathered(g: ScalarGraph, found: Mapping[int, int], own: Nodes) -> Nodes:
     """What was found of each node, else zero of its type."""
     return nodes([found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in flat(own)], own.shape)
 
 
-def _shape(g: Graph, own: Nodes) -> Any:
+def _shape(g: ScalarGraph, own: Nodes) -> Any:
     return jax.ShapeDtypeStruct(own.shape, g.dtype_of(own))

@@ -17,7 +17,8 @@ from numpy.typing import NDArray
 
 from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr
-from .primitives.entry import Nodes, Operation, flat, nodes
+from .primitives.entry import Operation
+from .primitives.interface import Limits, Nodes, flat, nodes
 from .primitives.operations import OPERATIONS
 from .primitives.powers import factors_in_range
 from .walk import walk
@@ -58,25 +59,10 @@ class Call:
         return flat(*self.arguments)
 
 
-@dataclasses.dataclass(frozen=True)
-class Limits:
-    """Up to which size parts are unrolled that a library does as well: beyond, the compiler's time outweighs it.
-
-    Attributes:
-        pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
-        table: tables read at a place known only at run time, by comparing with each place.
-        equations: loops, all iterations together, and branches.
-    """
-
-    pivoted: int = 4
-    table: int = 16
-    equations: int = 4000
-
-
 LIMITS = Limits()
 
 
-class Graph:
+class ScalarGraph:
     """A growing graph of scalars.
 
     Args:
@@ -115,6 +101,8 @@ class Graph:
         self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._called: dict[Any, Call] = {}
+        #: Whether an operation is a power: products with one may take other factors.
+        self._has_powers = False
         self.zero: int = self.constant(0.0)
         self.one: int = self.constant(1.0)
 
@@ -170,6 +158,7 @@ class Graph:
             return inner if operation.parity > 0 else self.neg(inner)
         if operation.symmetric and arguments[0] > arguments[1]:
             arguments = arguments[::-1]
+        self._has_powers = self._has_powers or operation.is_power
         return self._intern((operation, *arguments), dtype)
 
     # ---- arithmetic ----------------------------------------------------------------------------------------------
@@ -221,7 +210,7 @@ class Graph:
             if factor < 0.0:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
-        for x, y in ((a, b), (b, a)):
+        for x, y in ((a, b), (b, a)) if self._has_powers else ():
             if self.numbers[x] is None and (parts := factors_in_range(self, x, y)) is not None:
                 return self.mul(*parts)
         return self._signed(self.mul, _MUL, a, b)

@@ -30,7 +30,8 @@ from ..jax_inside import (
     weakly_kept,
 )
 from .derivatives import cotangent_program, is_real, tangent_program
-from .reader import ScalarProgram, called_names, emitted_form
+from .program import ScalarProgram, called_names
+from .rewriting import emitted_form
 from .small_call import apart, inside_small_call, small_call
 from .targets.xla import as_function
 

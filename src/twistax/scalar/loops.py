@@ -14,7 +14,7 @@ import jax.numpy as jnp
 
 from ..jax_inside import Primitive, varying_alike, weakly_kept
 from .jax_primitive import Bodies, Computed, Rows, Shapes, by_kernel, define
-from .reader import ScalarProgram
+from .program import ScalarProgram
 from .small_call import need_outside
 from .targets.xla import as_function
 

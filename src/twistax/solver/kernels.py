@@ -17,8 +17,8 @@ from numpy import ndarray as Array
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr, in_double, jaxpr_as_fun
 from ..scalar.backends import ANY_SIZE, XLA
-from ..scalar.hoisting import computed_before
-from ..scalar.reader import ScalarProgram
+from ..scalar.program import ScalarProgram
+from ..scalar.rewriting import computed_before
 from ..scalar.targets.llvm.backend import KERNEL_EVENT
 from ..scalar.targets.llvm.code import NotNative
 from ..scalar.targets.llvm.kernel import Kernel, check_kernel

@@ -21,8 +21,10 @@ from ..jax_inside import ClosedJaxpr, all_equations
 from ..scalar.derivatives import columns_of, contracted_program, cotangent_program, needed, reached
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import call_program
-from ..scalar.primitives.entry import Nodes, flat
-from ..scalar.reader import Reader, ScalarProgram, one_by_one, scalarize
+from ..scalar.primitives.interface import Nodes, flat
+from ..scalar.program import ScalarProgram
+from ..scalar.reader import JaxprReader, scalarize
+from ..scalar.rewriting import one_by_one
 from .functions import Functions, Places, check_kinds
 from .inputs import Values, read_values
 from .jacobian import Differentiated, along, tangents_of
@@ -304,7 +306,7 @@ def _bends(
     found: dict[int, dict[tuple[int, int], int]] = {}
     for own, (kind, name) in zip(program.inputs, given.places, strict=True):
         if kind == "x" and not group.factors[name].flat:
-            (bends,) = Reader(g).read(_bend_of(group.factors[name], own.shape, g.dtype), [own])
+            (bends,) = JaxprReader(g).read(_bend_of(group.factors[name], own.shape, g.dtype), [own])
             first = start + group.slices[name].start
             for entry, block in zip(flat(own), bends, strict=True):
                 pairs = {(first + i, first + j): int(node) for (i, j), node in np.ndenumerate(block)}

@@ -14,9 +14,11 @@ from numpy.typing import NDArray
 from ..groups import Product
 from ..jax_inside import ClosedJaxpr
 from ..scalar.derivatives import columns_of
-from ..scalar.graph import Graph, TooLarge
-from ..scalar.primitives.entry import Nodes, flat
-from ..scalar.reader import Reader, ScalarProgram, one_by_one, scalarize
+from ..scalar.graph import ScalarGraph, TooLarge
+from ..scalar.primitives.interface import Nodes, flat
+from ..scalar.program import ScalarProgram
+from ..scalar.reader import JaxprReader, scalarize
+from ..scalar.rewriting import one_by_one
 
 #: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
 _SMALL = 1000
@@ -155,12 +157,12 @@ def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:
     return {i: row for i, row in found.items() if row}
 
 
-def _add(g: Graph, onto: Nodes, more: Nodes) -> None:
+def _add(g: ScalarGraph, onto: Nodes, more: Nodes) -> None:
     for place in np.ndindex(*onto.shape):
         onto[place] = g.add(int(onto[place]), int(more[place]))
 
 
-def _product(g: Graph, matrix: Nodes, columns: Mapping[tuple[int, int], int], width: int) -> Nodes:
+def _product(g: ScalarGraph, matrix: Nodes, columns: Mapping[tuple[int, int], int], width: int) -> Nodes:
     """A matrix times another one, given by its entries that are not zero."""
     found = np.full((len(matrix), width), g.zero)
     for (k, j), node in columns.items():
@@ -196,4 +198,4 @@ def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> 
         return [found[name].reshape(-1, group.dimension) for name in values]
 
     shapes = [jax.ShapeDtypeStruct(nodes.shape, g.dtype) for nodes in values.values()]
-    return np.concatenate(Reader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())))
+    return np.concatenate(JaxprReader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())))

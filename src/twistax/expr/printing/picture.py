@@ -4,13 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from html import escape
-from typing import TYPE_CHECKING
 
 from ...errors import ModelError
-from ..graph import postorder
-
-if TYPE_CHECKING:
-    from ..node import Expr
+from ..graph import Node, postorder
 
 #: Larger graphs are no pictures.
 _MOST = 300
@@ -25,7 +21,7 @@ class Picture(str):
         return str(self)
 
 
-def svg(roots: Mapping[str, Expr]) -> Picture:
+def svg(roots: Mapping[str, Node]) -> Picture:
     """The graphs from their roots down, each root with its name; see `Expr.svg` and `System.svg`."""
     nodes = postorder(*roots.values())
     if len(nodes) > _MOST:
@@ -64,7 +60,7 @@ def svg(roots: Mapping[str, Expr]) -> Picture:
     return Picture("\n".join([*lines, "</svg>"]))
 
 
-def _texts(node: Expr, given: str) -> tuple[str, str]:
+def _texts(node: Node, given: str) -> tuple[str, str]:
     name = type(node).__name__ if node.children() else f"{type(node).__name__} {node.to_text()}"
     return _short(f"{given} = {name}" if given else name), str(node.check_shape())
 
@@ -73,7 +69,7 @@ def _short(text: str) -> str:
     return text if len(text) <= 28 else f"{text[:27]}…"
 
 
-def _places(nodes: list[Expr], depth: dict[int, int], width: dict[int, float]) -> dict[int, float]:
+def _places(nodes: list[Node], depth: dict[int, int], width: dict[int, float]) -> dict[int, float]:
     """The left edges: a node above the middle of its children where that is free, else to the right of its row."""
     x: dict[int, float] = {}
     ends: dict[int, float] = {}

@@ -6,19 +6,16 @@ import functools
 import itertools
 import math
 from collections.abc import Mapping
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .entry import ALWAYS, NEVER, SMALL, Entry, Nodes, Operation, convert, default, each, gathered, nodes, up_to
+from .entry import ALWAYS, NEVER, SMALL, Entry, Operation, convert, default, up_to
+from .interface import Graph, Nodes, Reader, each, gathered, nodes
 from .operations import LARGEST, OPERATIONS, SMALLEST, inverse_root, on
 from .powers import power
-
-if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..reader import Reader
 
 # ---- entry by entry --------------------------------------------------------------------------------------------------
 

@@ -5,24 +5,17 @@ from __future__ import annotations
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numpy.typing import NDArray
 
 from ...jax_inside import ClosedJaxpr, inner_jaxprs, parameters
-from ..cotangents import Cotangent
-
-if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..reader import Reader
-
-#: An array of nodes.
-Nodes: TypeAlias = NDArray[Any]
+from .cotangents import Cotangent
+from .interface import Graph, Nodes, Reader, each
 
 #: read(reader, equation, *arrays of nodes) -> the arrays of the results; None: the equation stays a call of JAX.
 Read: TypeAlias = "Callable[..., list[Nodes] | None]"
@@ -167,6 +160,7 @@ class Operation(Entry):
         result: the type of the result, None: that of the arguments.
         symmetric: whether arguments may be swapped.
         parity: -1 for odd functions, 1 for even ones, 0 for others.
+        is_power: whether it is x^n; `factors_in_range` says how the graph multiplies by it.
         maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
         written: graph -> what makes the node that emitters write for it; None: they write the operation.
         llvm, c, casadi: how it is written in these languages.
@@ -179,6 +173,7 @@ class Operation(Entry):
     result: np.dtype[Any] | None = None
     symmetric: bool = False
     parity: int = 0
+    is_power: bool = False
     maker: Callable[[Graph], Callable[..., int]] | None = None
     written: Callable[[Graph], Callable[..., int]] | None = None
     inside: Callable[[Any], bool] = SMALL
@@ -286,30 +281,3 @@ def _converted(dtype: np.dtype[Any], x: Any) -> Any:
 def whole(casadi: Any, a: Any) -> Any:
     """The whole part, towards zero."""
     return casadi.sign(a) * casadi.floor(casadi.fabs(a))
-
-
-# ---- arrays of nodes -------------------------------------------------------------------------------------------------
-
-
-def nodes(flat: Iterable[int], shape: Iterable[int]) -> Nodes:
-    """An array of nodes."""
-    return np.array(list(flat), np.int64).reshape(tuple(shape))
-
-
-def flat(*arrays: Nodes) -> list[int]:
-    """The nodes of arrays, one after the other."""
-    return [node for array in arrays for node in array.reshape(-1).tolist()]
-
-
-def each(function: Callable[..., int], *arrays: Nodes) -> Nodes:
-    """A function of nodes on arrays, entry by entry."""
-    shape = np.broadcast_shapes(*(a.shape for a in arrays))
-    return nodes(map(function, *(flat(a if a.shape == shape else np.broadcast_to(a, shape)) for a in arrays)), shape)
-
-
-def gathered(a: Nodes, axes: Collection[int]) -> tuple[list[list[int]], tuple[int, ...]]:
-    """The entries over the axes, one list for each of the rest, and the shape of the rest."""
-    kept = [i for i in range(a.ndim) if i not in axes]
-    shape = tuple(a.shape[i] for i in kept)
-    count = math.prod(a.shape[i] for i in axes)
-    return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape

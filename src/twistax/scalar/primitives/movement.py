@@ -4,18 +4,15 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .entry import ALWAYS, SMALL, Entry, Nodes, default, flat, moving, nodes, up_to
+from .entry import ALWAYS, SMALL, Entry, default, moving, up_to
+from .interface import Graph, Nodes, Reader, flat, nodes
 from .operations import OPERATIONS, on
-
-if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..reader import Reader
 
 #: Vectors up to this length are sorted by exchanges of neighbours.
 _LONGEST_SORTED = 16

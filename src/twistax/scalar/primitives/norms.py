@@ -4,19 +4,16 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 
-from .entry import SMALL, Entry, Nodes, Operation, gathered, nodes
+from .entry import SMALL, Entry, Operation
 from .in_range import norm, scales
+from .interface import Graph, Nodes, Reader, gathered, nodes
 from .operations import OPERATIONS, on
-
-if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..reader import Reader
 
 
 def _number(*x: Any) -> Any:

@@ -5,15 +5,13 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from jax import lax
 
 from .entry import Forms, Operation, Select, Slope, code, convert, default, everywhere, whole
-
-if TYPE_CHECKING:
-    from ..graph import Graph
+from .interface import Graph
 
 _BOOL = np.dtype(bool)
 
@@ -332,6 +330,7 @@ _ROWS = [
         np.power,
         2,
         partials=_power,
+        is_power=True,
         maker=_made(_power_node),
         casadi=_python(operator.pow),
     ),

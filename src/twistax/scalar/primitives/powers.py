@@ -6,13 +6,11 @@ import dataclasses
 import functools
 import operator
 from collections.abc import Callable, Sequence
-from typing import TYPE_CHECKING, Any, TypeVar
+from typing import Any, TypeVar
 
 from .entry import Operation, Slope
+from .interface import Graph
 from .operations import OPERATIONS
-
-if TYPE_CHECKING:
-    from ..graph import Graph
 
 Number = TypeVar("Number")
 
@@ -67,6 +65,7 @@ def whole_power(n: int) -> WholePower:
         number=computed,
         array=computed,
         parity=-1 if n % 2 else 1,
+        is_power=True,
         partials=slopes,
         maker=lambda g: lambda x: power(g, x, n),
         written=lambda g: functools.partial(written, g),

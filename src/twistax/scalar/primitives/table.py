@@ -7,20 +7,18 @@ the entries of calls, loops and branches, and of functions with a derivative of 
 from __future__ import annotations
 
 import math
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
 from ...jax_inside import Unread, all_equations, closed, expansion, say_once, scan_parts
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
-from .entry import Entry, Nodes, each, flat, moving, nodes
+from .entry import Entry, moving
+from .interface import Nodes, Reader, each, flat, nodes
 from .movement import INDEXING, MOVEMENT
 from .norms import NORM
 from .operations import OPERATIONS, on
 from .table_loads import TABLE_LOAD
-
-if TYPE_CHECKING:
-    from ..reader import Reader
 
 # ---- calls -----------------------------------------------------------------------------------------------------------
 

@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from .entry import ALWAYS, Entry, Nodes, Operation, each, everywhere
+from .entry import ALWAYS, Entry, Operation, everywhere
+from .interface import Nodes, Reader, each
 from .table_load import Table, load
-
-if TYPE_CHECKING:
-    from ..reader import Reader, ScalarProgram
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -64,9 +62,3 @@ def _read(reader: Reader, eqn: Any, place: Nodes) -> list[Nodes]:
 
 #: In the table of primitives.
 TABLE_LOAD = Entry("table_load", _read, "table offset dtype", inside=ALWAYS)
-
-
-def loaded_tables(program: ScalarProgram) -> list[Table]:
-    """The tables that a program loads from, each once."""
-    operations = (program.graph.operation(i) for i in program.live)
-    return list(dict.fromkeys(operation.table for operation in operations if isinstance(operation, Load)))

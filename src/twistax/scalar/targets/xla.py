@@ -13,10 +13,11 @@ import numpy as np
 from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
-from ..graph import Call, Graph
-from ..primitives.entry import flat
+from ..graph import Call, ScalarGraph
+from ..primitives.interface import flat
 from ..primitives.operations import OPERATIONS
-from ..reader import ScalarProgram, emitted_form
+from ..program import ScalarProgram
+from ..rewriting import emitted_form
 
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
@@ -35,7 +36,7 @@ class _Piece:
         gives: what later ones or the results need.
     """
 
-    graph: Graph
+    graph: ScalarGraph
     nodes: list[int]
     needs: list[int]
     gives: list[int]

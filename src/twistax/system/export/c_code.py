@@ -15,7 +15,6 @@ from ...errors import ModelError
 from ...scalar.kernel_cache import version
 from ...scalar.primitives.entry import Operation
 from ...scalar.primitives.table_load import Table
-from ...scalar.primitives.table_loads import loaded_tables
 from ...scalar.targets.c import CType, c_type, expression
 from .programs import ExportedFunction, Exporter, Port
 
@@ -113,7 +112,7 @@ class Code:
 
     def _tables(self) -> list[Table]:
         """What the functions load from."""
-        return list(dict.fromkeys(table for function in self.functions for table in loaded_tables(function.program)))
+        return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
 
     def _head(self, function: ExportedFunction) -> str:
         """The head of a function, without what follows it."""

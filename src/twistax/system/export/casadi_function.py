@@ -10,7 +10,6 @@ import numpy as np
 
 from ...errors import InputError, ModelError
 from ...scalar.primitives.entry import Operation
-from ...scalar.primitives.table_loads import loaded_tables
 from ..functions import Functions
 from .programs import ExportedFunction, Exporter, Port
 
@@ -31,7 +30,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
     names = [_name(port) for port in exporter.arguments]
     functions = [exporter.family(family) for family in named]
     # Scalar expressions are the faster ones, but know no tables.
-    kind: Any = casadi.MX if any(loaded_tables(function.program) for function in functions) else casadi.SX
+    kind: Any = casadi.MX if any(function.program.tables for function in functions) else casadi.SX
     ports = zip(names, exporter.arguments, strict=True)
     symbols: list[Any] = [kind.sym(name, *_matrix(port.shape)) for name, port in ports]
     results, result_names = [], []

@@ -14,7 +14,9 @@ import numpy as np
 from ...errors import ModelError
 from ...expr import Inputs
 from ...scalar.graph import Limits
-from ...scalar.reader import ScalarProgram, called_names, emitted_form, scalarize
+from ...scalar.program import ScalarProgram, called_names
+from ...scalar.reader import scalarize
+from ...scalar.rewriting import emitted_form
 from ..functions import Functions
 from ..jacobian import blocks_in_arrays
 

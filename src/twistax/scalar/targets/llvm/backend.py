@@ -21,7 +21,7 @@ from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ...graph import TooLarge
 from ...jax_primitive import Derived, Rows, call_program
 from ...loops import Repeated, Ring
-from ...reader import ScalarProgram
+from ...program import ScalarProgram
 from ...walk import uncollected
 from .code import NotNative
 from .iterations import Iterations

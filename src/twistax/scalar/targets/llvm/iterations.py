@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ...reader import ScalarProgram
+from ...program import ScalarProgram
 from .code import NAMES, Code
 from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...graph import Limits, TooLarge
-from ...primitives.entry import Operation, flat
+from ...primitives.entry import Operation
+from ...primitives.interface import flat
 from ...primitives.table import OPERATIONS
-from ...reader import ScalarProgram, called_names, emitted_form
+from ...program import ScalarProgram, called_names
+from ...rewriting import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import Scratch, Values, in_pieces

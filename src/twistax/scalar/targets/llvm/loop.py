@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ...loops import Ring
-from ...primitives.entry import flat
-from ...reader import ScalarProgram
+from ...primitives.interface import flat
+from ...program import ScalarProgram
 from .code import NAMES, Code
 from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows

@@ -7,8 +7,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from ...primitives.entry import flat
-from ...reader import ScalarProgram
+from ...primitives.interface import flat
+from ...program import ScalarProgram
 from .code import NAMES, Code
 
 #: Operations in a piece: half as many compile a little sooner, and run a tenth slower and more.

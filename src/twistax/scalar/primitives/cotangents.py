@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Iterable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple
 
-if TYPE_CHECKING:
-    from .graph import Graph
+from .interface import Graph
 
 #: So many products at most stay apart: what is read further back takes as many operations for each.
 _APART = 3
