@@ -205,9 +205,9 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
     Raises:
         ModelError: it is not a backend.
     """
-    found = auto if isinstance(backend, str) and backend == "auto" else backend
-    instance("backend", found, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
-    return found
+    choice = auto if isinstance(backend, str) and backend == "auto" else backend
+    instance("backend", choice, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
+    return choice
 
 
 def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
@@ -230,18 +230,18 @@ def _steady(jaxpr: Jaxpr) -> bool:
 
 def array_operations(jaxpr: Any) -> Counter[str]:
     """Operations by name, all entries of arrays and all iterations of loops counted; factorisations by their cube."""
-    found: Counter[str] = Counter()
+    counts: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
         entry = entry_of(eqn)
         inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
-        for each in inner:
-            for kind, count in array_operations(each.jaxpr).items():
-                found[kind] += count * (entry.repeats(eqn) if entry else 1)
+        for body in inner:
+            for kind, count in array_operations(body.jaxpr).items():
+                counts[kind] += count * (entry.repeats(eqn) if entry else 1)
         if entry is not None:
-            found.update(entry.operations(eqn))
+            counts.update(entry.operations(eqn))
         elif not inner:
-            found[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
-    return +found
+            counts[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
+    return +counts
 
 
 def _variables(jaxpr: Jaxpr) -> list[Any]:

@@ -22,9 +22,9 @@ def closed_over(function: Callable[..., Any]) -> list[Any]:
 
     Also those within pytrees, and within functions, that stand there. Attributes of other objects are not looked at.
     """
-    found: dict[int, Any] = {}
-    with replaced(function, lambda value: found.setdefault(id(value), value)):
-        return list(found.values())
+    traced: dict[int, Any] = {}
+    with replaced(function, lambda value: traced.setdefault(id(value), value)):
+        return list(traced.values())
 
 
 @contextlib.contextmanager
@@ -57,12 +57,12 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
         owner = inner(value.__self__)
         return value if owner is value.__self__ else types.MethodType(value.__func__, owner)
     if isinstance(value, functools.partial) and not isinstance(value, jax.tree_util.Partial):  # which is a pytree
-        held = (value.func, value.args, value.keywords)
-        new = inner(held)
-        return value if new is held else type(value)(new[0], *new[1], **new[2])
+        parts = (value.func, value.args, value.keywords)
+        new = inner(parts)
+        return value if new is parts else type(value)(new[0], *new[1], **new[2])
     leaves, structure = jax.tree.flatten(value)
     if leaves and leaves[0] is value:
         return by(value) if is_traced(value) else value
-    own = list(map(inner, leaves))
-    same = all(a is b for a, b in zip(leaves, own, strict=True))
-    return value if same else jax.tree.unflatten(structure, own)
+    changed = list(map(inner, leaves))
+    same = all(a is b for a, b in zip(leaves, changed, strict=True))
+    return value if same else jax.tree.unflatten(structure, changed)

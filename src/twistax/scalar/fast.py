@@ -34,8 +34,8 @@ class Fast(Generic[P, R]):
         return jax.jit(functools.wraps(self._function)(traced), **self._static)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        found: R = self._jitted(*args, **kwargs)
-        return found
+        result: R = self._jitted(*args, **kwargs)
+        return result
 
     def __getattr__(self, name: str) -> Any:
         """`lower`, `trace` and `eval_shape` of the jitted function."""
@@ -54,9 +54,9 @@ class Fast(Generic[P, R]):
         reasons: list[str] = []
 
         def asking(*args: Any, **kwargs: Any) -> Any:
-            found, own = self._traced(args, kwargs)
-            reasons.extend(own)
-            return found
+            result, parts = self._traced(args, kwargs)
+            reasons.extend(parts)
+            return result
 
         self._jit(asking).trace(*args, **kwargs)
         return "\n".join(reasons)
@@ -76,10 +76,10 @@ class Fast(Generic[P, R]):
         shapes: list[Any] = []
 
         def flat(*values: Any) -> list[Any]:
-            inside, own = dict(zip(map(id, over), values, strict=False)), list(leaves)
+            inside, filled = dict(zip(map(id, over), values, strict=False)), list(leaves)
             for i, value in zip(places, values[len(over) :], strict=True):
-                own[i] = value
-            args, kwargs = jax.tree.unflatten(structure, own)
+                filled[i] = value
+            args, kwargs = jax.tree.unflatten(structure, filled)
             with replaced(self._function, lambda value: inside.get(id(value), value)) as function:
                 results, shape = jax.tree.flatten(function(*args, **kwargs))
             shapes.append(shape)
@@ -89,21 +89,21 @@ class Fast(Generic[P, R]):
         plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
         with of_one_device():
             closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
-            run, held = opened(closed)
-            if held:
-                others = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)]
-                closed = jax.make_jaxpr(run)(*others, *plain)
+            run, traced = opened(closed)
+            if traced:
+                shapes_of_traced = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, traced)]
+                closed = jax.make_jaxpr(run)(*shapes_of_traced, *plain)
         function, reasons = _compiled(closed, self._backend)
-        found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
-        return found, reasons
+        result: R = jax.tree.unflatten(shapes[0], function(*traced, *values))
+        return result, reasons
 
 
 class _Bound(functools.partial[Any]):
     """A method of an object."""
 
     def explain(self, *args: Any, **kwargs: Any) -> str:
-        said: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
-        return said
+        text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
+        return text
 
 
 def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:
@@ -115,8 +115,8 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if not has_loops(closed):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]
-    whole = Whole(closed, backend)
-    return functools.partial(call_program, whole), whole.parts[1]
+    program = Whole(closed, backend)
+    return functools.partial(call_program, program), program.parts[1]
 
 
 def fast(
@@ -149,7 +149,7 @@ def fast(
     Raises:
         ModelError: the function cannot be called; another backend.
     """
-    own = chosen(backend, Native() if installed() else XLA())
+    choice = chosen(backend, Native() if installed() else XLA())
     static = {"static_argnums": static_argnums, "static_argnames": static_argnames}
 
     def made(function: Callable[P, R]) -> Fast[P, R]:
@@ -157,6 +157,6 @@ def fast(
             raise ModelError(
                 f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it"
             )
-        return Fast(function, own, static)
+        return Fast(function, choice, static)
 
     return made if function is None else made(function)

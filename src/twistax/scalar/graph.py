@@ -133,8 +133,9 @@ class ScalarGraph:
         if called not in self._called:
             number, results = len(self.calls), []
             for k, aval in enumerate(v.aval for v in jaxpr.jaxpr.outvars):
-                own = [self._intern((_RESULT, number, k, place), np.dtype(aval.dtype)) for place in range(aval.size)]
-                results.append(nodes(own, aval.shape))
+                dtype = np.dtype(aval.dtype)
+                entries = [self._intern((_RESULT, number, k, place), dtype) for place in range(aval.size)]
+                results.append(nodes(entries, aval.shape))
             self._called[called] = Call(jaxpr, key, arguments, tuple(results), inline)
             self.calls.append(self._called[called])
         return self._called[called]
@@ -336,13 +337,13 @@ class ScalarGraph:
 
     def live(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
         """All nodes that the outputs need and that are not known, arguments first."""
-        found, waiting = set[int](), [*map(int, outputs)]
+        live, waiting = set[int](), [*map(int, outputs)]
         while waiting:
             node = waiting.pop()
-            if node not in found and node not in known:
-                found.add(node)
+            if node not in live and node not in known:
+                live.add(node)
                 waiting.extend(self.sources(node))
-        return sorted(found)
+        return sorted(live)
 
     def one_by_one(self, outputs: Sequence[int]) -> list[int]:
         """The same, each output with what only it and later ones need: few numbers are waiting at any time.
@@ -351,22 +352,22 @@ class ScalarGraph:
         """
         most: dict[int, int] = {}
         for node in self.live(outputs):
-            own = sorted((most[a] for a in self.sources(node)), reverse=True)
-            most[node] = max((number + k for k, number in enumerate(own)), default=1)
+            counts = sorted((most[a] for a in self.sources(node)), reverse=True)
+            most[node] = max((number + k for k, number in enumerate(counts)), default=1)
         return list(walk(outputs, lambda node: sorted(self.sources(node), key=lambda a: -most[a]), int))
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
-        found = self._known.get(key)
-        if found is None:
-            found = len(self.nodes)
-            if found >= self.largest:
+        node = self._known.get(key)
+        if node is None:
+            node = len(self.nodes)
+            if node >= self.largest:
                 raise TooLarge(
                     f"the function takes more than {self.largest} scalars, too many to unroll.\n"
                     "  fix: compile with backend=tx.JAX(), and take its derivatives with jax.jacfwd"
                 )
-            self._known[key] = found
+            self._known[key] = node
             self.nodes.append(key)
             self.dtypes.append(dtype)
             self.numbers.append(number)
             self._arguments.append(key[1:] if isinstance(key[0], Operation) else ())
-        return found
+        return node

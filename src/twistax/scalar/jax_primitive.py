@@ -77,18 +77,18 @@ class Bodies:
     def batched(self, arguments: Sequence[Any], axes: Sequence[int | None]) -> tuple[Bodies, list[Any]]:
         """The same with one more axis, in front, that stands somewhere in some arguments, and those arguments."""
         size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-        whole = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
+        unbatched = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
         moved = [
-            a if k in whole else batching.bdim_at_front(a, d, size)
+            a if k in unbatched else batching.bdim_at_front(a, d, size)
             for k, (a, d) in enumerate(zip(arguments, axes, strict=True))
         ]
-        found = Bodies(self.depth + 1, frozenset(whole))
+        result = Bodies(self.depth + 1, frozenset(unbatched))
         # Those that only the axes from before share are no longer the same for all.
-        shape = Bodies(self.depth + 1, self.shared | whole).shape(moved)
-        for k in self.shared - whole:
-            own = moved[k].shape[1:]
-            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *own), (*shape, *own))
-        return found, moved
+        shape = Bodies(self.depth + 1, self.shared | unbatched).shape(moved)
+        for k in self.shared - unbatched:
+            entry = moved[k].shape[1:]
+            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *entry), (*shape, *entry))
+        return result, moved
 
 
 class Runner(Protocol):
@@ -168,8 +168,8 @@ class Differentiable(Computed):
 
     def tangent(self, active: tuple[int, ...]) -> Differentiable:
         if active not in self._tangents:
-            found = self._tangents[active] = self._tangent(active)
-            found.origin = (self, active)
+            derivative = self._tangents[active] = self._tangent(active)
+            derivative.origin = (self, active)
         return self._tangents[active]
 
     def cotangent(self, active: tuple[int, ...]) -> Differentiable:
@@ -321,8 +321,8 @@ def _jvp(
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
     # A tangent has the shape of its argument.
     shared = {len(primals) + j for j, k in enumerate(active) if k in bodies.shared}
-    own = dataclasses.replace(bodies, shared=bodies.shared | shared)
-    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), bodies=own))
+    tangent_bodies = dataclasses.replace(bodies, shared=bodies.shared | shared)
+    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), bodies=tangent_bodies))
     real = set(program.real)
     return results, [
         next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
@@ -339,14 +339,14 @@ def _transpose(
     if program.origin is not None and min(linear) >= count:
         origin, active = program.origin
         back = origin.cotangent(tuple(active[k - count] for k in linear))
-        given = list(arguments[:count])
+        primals = list(arguments[:count])
     else:
         back = program.transposed(tuple(linear))
-        given = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
-    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < len(given)))
+        primals = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
+    transposed_bodies = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < len(primals)))
     weights = [ad.instantiate_zeros(cotangents[k]) for k in program.real]
     result: list[Any] = [None] * len(arguments)
-    for k, value in zip(linear, call_program(back, *given, *weights, bodies=own), strict=True):
+    for k, value in zip(linear, call_program(back, *primals, *weights, bodies=transposed_bodies), strict=True):
         every = range(bodies.depth if k in bodies.shared else 0)
         result[k] = jnp.sum(value, every) if every else value
     return result
@@ -366,30 +366,30 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
     """Tell JAX how an equation runs, for one body or for batches of them."""
 
     @functools.lru_cache(32)  # what is jitted keeps its program
-    def compiled(**own: Any) -> Any:
-        return jax.jit(functools.partial(primitive.bind, **own))
+    def compiled(**params: Any) -> Any:
+        return jax.jit(functools.partial(primitive.bind, **params))
 
-    def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
+    def evaluate(*arguments: jax.Array, **params: Any) -> list[jax.Array]:
         debugging: Any = jax.config
         if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
-            return _elsewhere(*arguments, **own)
+            return _elsewhere(*arguments, **params)
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
-            found: list[jax.Array] = compiled(**own)(*arguments)
-        return found
+            results: list[jax.Array] = compiled(**params)(*arguments)
+        return results
 
     def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
-        def lowered(context: Any, *arguments: Any, **own: Any) -> Any:
+        def lowered(context: Any, *arguments: Any, **params: Any) -> Any:
             # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
             module = context.module_context
             if not module.lowering_parameters.for_export:
-                module.add_keepalive(_Held(own["program"]))
+                module.add_keepalive(_Held(params["program"]))
 
             # JAX keeps what it traced as long as the function: a new one each time.
             def once(*a: Any) -> list[jax.Array]:
-                return function(*a, **own)
+                return function(*a, **params)
 
-            depth, shared = own["bodies"].depth, own["bodies"].shared
+            depth, shared = params["bodies"].depth, params["bodies"].shared
             run = on_axes(once, depth, shared, context) if depth else None
             if run is None:
                 run = shared_out(once, depth, shared) if depth and is_shared_out(context) else once
@@ -398,9 +398,9 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
 
         return lowered
 
-    def batch(arguments: Sequence[Any], axes: Sequence[Any], bodies: Bodies, **own: Any) -> tuple[list[Any], list[int]]:
+    def batch(arguments: Sequence[Any], axes: Sequence[Any], bodies: Bodies, **params: Any) -> tuple[list[Any], Any]:
         bodies, moved = bodies.batched(arguments, axes)
-        results = primitive.bind(*moved, **{**own, "inside": False, "bodies": bodies})
+        results = primitive.bind(*moved, **{**params, "inside": False, "bodies": bodies})
         return results, [0] * len(results)
 
     needs_devices(primitive)
@@ -423,10 +423,10 @@ def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bod
         values = form.computed(
             lambda argument, place: jnp.reshape(arguments[argument], -1)[place],
             lambda value, dtype: jnp.asarray(value, dtype),
-            lambda operation, _, *own: operation.array(*own),
+            lambda operation, _, *entries: operation.array(*entries),
         )
         flat = [[values[i] for i in nodes.reshape(-1).tolist()] for nodes in form.outputs]
-        return [jnp.stack(own).reshape(nodes.shape) for own, nodes in zip(flat, form.outputs, strict=True)]
+        return [jnp.stack(entries).reshape(nodes.shape) for entries, nodes in zip(flat, form.outputs, strict=True)]
 
     def every(*arguments: jax.Array) -> list[jax.Array]:
         return bodies.each(function, arguments)

@@ -89,15 +89,15 @@ def _opened(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW)
 
 
-def _check_owner(found: os.stat_result, what: str) -> None:
+def _check_owner(status: os.stat_result, what: str) -> None:
     """What others could have written is not run.
 
     Raises:
         PermissionError: it is another user's, or others may write to it.
     """
-    if found.st_uid != os.getuid():
+    if status.st_uid != os.getuid():
         raise PermissionError(None, f"{what} belongs to another user")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise PermissionError(None, f"others may write to {what} (chmod go-w mends it)")
 
 
@@ -108,14 +108,14 @@ def _checksum(key: str, code: bytes) -> bytes:
 
 def _drop_oldest(folder: Path) -> None:
     """Down to the most that there may be."""
-    found = []
+    files = []
     for entry in os.scandir(folder):
         if entry.name.startswith(_NAME):
             with contextlib.suppress(FileNotFoundError):
-                own = entry.stat(follow_symlinks=False)
-                found.append((own.st_mtime_ns, own.st_size, entry.path))
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
+                status = entry.stat(follow_symlinks=False)
+                files.append((status.st_mtime_ns, status.st_size, entry.path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
         if total <= _MOST:
             return
         with contextlib.suppress(FileNotFoundError):

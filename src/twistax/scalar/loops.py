@@ -117,7 +117,7 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
     def whole(size: int, mapped: Any, arguments: Any) -> Any:
         """All arguments with the axis of bodies."""
         return jax.tree.map(
-            lambda own, a: a if own else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
+            lambda batched, a: a if batched else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
         )
 
     @one.def_vmap
@@ -126,10 +126,10 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
     @many.def_vmap
     def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        own = whole(size, mapped, arguments)
-        shape = own[0].shape
-        found = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), own))
-        table, number = (a.reshape(*shape, *a.shape[1:]) for a in found)
+        batched = whole(size, mapped, arguments)
+        shape = batched[0].shape
+        results = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), batched))
+        table, number = (a.reshape(*shape, *a.shape[1:]) for a in results)
         return (table, number), (True, True)
 
     return one
@@ -168,22 +168,22 @@ class Repeated(_Rolled):
 
     def of_length(self, length: int) -> Repeated:
         """The same for so many rows, by the same kernels."""
-        found = self._others.get(length)
-        if found is None:
-            found = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
-        return found
+        repeated = self._others.get(length)
+        if repeated is None:
+            repeated = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
+        return repeated
 
     def kernel(self, rows: int) -> Rows | None:
-        found = super().kernel(rows)
-        return found if found is None or self.row is None else functools.partial(found, length=self._length)
+        kernel = super().kernel(rows)
+        return kernel if kernel is None or self.row is None else functools.partial(kernel, length=self._length)
 
     @functools.cached_property
     def results(self) -> Shapes:
         number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
-        found = [*rest[len(rest) - self._state :], number]
+        results = [*rest[len(rest) - self._state :], number]
         if self.row is not None:
-            found += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
-        return found
+            results += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
+        return results
 
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
@@ -199,19 +199,19 @@ class Repeated(_Rolled):
 
             def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
                 k, _, (state, rows) = carried
-                found = step(k, *fixed, *state)
+                results = step(k, *fixed, *state)
                 if row is not None:
-                    record = found[count + 1 :]
+                    record = results[count + 1 :]
                     rows = rows.up_to(record[0], row, record)
-                if len(found) > count:
-                    return k + 1, found[count], (found[:count], rows)
-                good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
-                kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
+                if len(results) > count:
+                    return k + 1, results[count], (results[:count], rows)
+                good = jnp.stack([jnp.isfinite(a).all() for a in results]).all()
+                kept = [jnp.where(good, new, old) for new, old in zip(results, state, strict=True)]
                 return k + good.astype(k.dtype), good, (kept, rows)
 
             start = (list(state), rows)
-            k, _, (found, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
-            return [*found, k, *([] if rows is None else [rows.number, rows.table])]
+            k, _, (final, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
+            return [*final, k, *([] if rows is None else [rows.number, rows.table])]
 
         if row is None:
             return loop
@@ -219,8 +219,8 @@ class Repeated(_Rolled):
         def with_rows(
             _: jax.Array, first: jax.Array, stop: jax.Array, number: jax.Array, *rest: Any
         ) -> list[jax.Array]:
-            *own, marks, table = rest
-            return loop(first, stop, *own, rows=Filling(marks, table, number))
+            *arguments, marks, table = rest
+            return loop(first, stop, *arguments, rows=Filling(marks, table, number))
 
         return with_rows
 
@@ -291,8 +291,8 @@ def repeat(
         step = step.of_length(len(rows.marks))
         arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
     results = _repeat_p.bind(*varying_alike(arguments), program=step, bodies=Bodies(), inside=False)
-    found, (k, *filled) = results[: len(state)], results[len(state) :]
-    return found, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
+    final, (k, *filled) = results[: len(state)], results[len(state) :]
+    return final, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
 
 
 def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:

@@ -73,8 +73,8 @@ class Cotangents(Mapping[int, int]):
             return [Cotangent(_sum(g, terms), g.one)]
         relative = [term for term in terms if g.reciprocal_of(term.rate) is not None and not g.may_be_cut(term.weight)]
         rest = [term for term in terms if term not in relative]
-        found = [_joined(g, node, relative)] if relative else []
-        return [*found, Cotangent(_sum(g, rest), g.one)] if rest else found
+        joined = [_joined(g, node, relative)] if relative else []
+        return [*joined, Cotangent(_sum(g, rest), g.one)] if rest else joined
 
     def __getitem__(self, node: int) -> int:
         return _sum(self._graph, self.of(node))
@@ -95,8 +95,8 @@ def _joined(g: Graph, node: int, terms: Sequence[Cotangent]) -> Cotangent:
     Their sum as a number may have a derivative out of range, as that of r^-5 by r^2 at r = 7e6, where its product with
     the derivative of r^2 is not. The weights, changes of the result with relative ones of d, have the result's size.
     """
-    own = g.div(g.one, node)
-    rate = own if any(term.rate == own for term in terms) else terms[0].rate
+    inverse = g.div(g.one, node)
+    rate = inverse if any(term.rate == inverse for term in terms) else terms[0].rate
     divisor = g.reciprocal_of(rate)
     assert divisor is not None
     weights = (

@@ -188,16 +188,16 @@ class Operation(Entry):
         """What makes its node from those of the arguments."""
         return functools.partial(g.node, self) if self.maker is None else self.maker(g)
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         """sum_i (partial_i) t_i for each set of tangents t."""
         if self.partials is None:
-            return [None] * len(along)
-        partials, found = self.partials(g, arguments, node), []
-        for tangents in along:
+            return [None] * len(directions)
+        partials, results = self.partials(g, arguments, node), []
+        for tangents in directions:
             pairs = zip(partials, tangents, strict=True)
             terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
-            found.append(functools.reduce(g.add, terms) if terms else None)
-        return found
+            results.append(functools.reduce(g.add, terms) if terms else None)
+        return results
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
@@ -217,9 +217,9 @@ def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
 class Select(Operation):
     """a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         zero = g.constant(0.0, g.dtypes[node])
-        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in along]
+        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in directions]
         return [None if pair == [zero, zero] else g.select(arguments[0], *pair) for pair in chosen]
 
     def cotangents(
@@ -232,9 +232,9 @@ class Select(Operation):
 class Convert(Operation):
     """The conversion to another type. Linear between floating-point types, else of no derivative."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         linear = self._linear(g, arguments, node)
-        return [g.node(self, t) if linear and t is not None else None for (t,) in along]
+        return [g.node(self, t) if linear and t is not None else None for (t,) in directions]
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent

@@ -40,14 +40,16 @@ def _composite(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
 
 def _with_derivative(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     """A call, for its derivative; what is known needs none."""
-    own = closed(eqn.params["call_jaxpr"])
-    return reader.call(eqn, arrays, own) if reader.whole and not reader.known(arrays) else reader.read(own, arrays)
+    body = closed(eqn.params["call_jaxpr"])
+    return (
+        reader.call(eqn, arrays, body) if reader.keeps_calls and not reader.known(arrays) else reader.read(body, arrays)
+    )
 
 
 def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     """A linear solve is linear in its right-hand side: none is needed where the matrix is known."""
     counts, solve = eqn.params["const_lengths"], closed(eqn.params["jaxprs"].solve)
-    if reader.whole and not reader.known(arrays[: sum(counts)]):
+    if reader.keeps_calls and not reader.known(arrays[: sum(counts)]):
         return reader.call(eqn, arrays, solve)
     skip = counts.matvec + counts.vecmat
     return reader.read(solve, [*arrays[skip : skip + counts.solve], *arrays[sum(counts) :]])
@@ -62,12 +64,12 @@ def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     if length * _equations(body.jaxpr) > reader.graph.limits.equations:
         return None
     fixed, carried = scan_parts(eqn)
-    consts, carry, along = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
+    consts, carry, inputs = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
     rows: list[list[Nodes]] = []
     for k in reversed(range(length)) if p["reverse"] else range(length):
-        found = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in along)])
-        carry = found[:carried]
-        rows.append(found[carried:])
+        results = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in inputs)])
+        carry = results[:carried]
+        rows.append(results[carried:])
     if p["reverse"]:
         rows = rows[::-1]
     shapes = [v.aval.shape for v in eqn.outvars[carried:]]

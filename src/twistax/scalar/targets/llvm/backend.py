@@ -100,8 +100,9 @@ class Native(Backend):
         record = program.restricted(program.outputs[state + 1 :])
         form, row_form = native_form(program), None
         if record.outputs and row is not None:
-            given = [jax.ShapeDtypeStruct(own.shape, t) for own, t in zip(record.outputs, record.types, strict=True)]
-            row_program = self._whole_step(row, [*given, given[0]])
+            outputs = zip(record.outputs, record.types, strict=True)
+            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
+            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
             if row_program is None:
                 return None
             row_form = native_form(row_program)
@@ -119,7 +120,7 @@ class Native(Backend):
         return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
-        if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
+        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
             return None
         program = self._whole_step(step, shapes)
         if program is None:
@@ -127,8 +128,8 @@ class Native(Backend):
         form = native_form(program)
 
         def kernel(single: bool) -> Rows | None:
-            found = self._built(Loop, form, single, ring)
-            return None if found is None else functools.partial(found, length=ring.length or 0)
+            rows = self._built(Loop, form, single, ring)
+            return None if rows is None else functools.partial(rows, length=ring.length or 0)
 
         return kernel
 
@@ -160,14 +161,14 @@ class Native(Backend):
             _FORMS[program] = form
         if not form.operations:
             return Derived(program, None, self), "numbers are moved, nothing is computed"
-        said = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
-        return Derived(program, None, self), said
+        reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        return Derived(program, None, self), reason
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
         if derived is None:
-            found = otherwise()
-            return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+            emission = otherwise()
+            return dataclasses.replace(emission, reason=f"{emission.reason}; not native: {reason}")
         program.graph.largest = ANY_SIZE
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
@@ -207,10 +208,10 @@ class _InLoops(Native):
     """In loops: `scalars`, and kernels for what it takes long to compile. Beside so much work a call is nothing."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        found = self.scalars.emit(closed, fixed)
-        if found.program is None or found.program.operations < _LONG or not installed():
-            return found
-        return self._native(found.program, lambda: found)
+        emission = self.scalars.emit(closed, fixed)
+        if emission.program is None or emission.program.operations < _LONG or not installed():
+            return emission
+        return self._native(emission.program, lambda: emission)
 
     def in_loops(self) -> Backend:
         return self
@@ -230,8 +231,10 @@ class Auto(Native):
         return f"auto = {kernels}{self.scalars}"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        found = self.scalars.emit(closed, fixed)
-        return found if found.program is None or not installed() else self._native(found.program, lambda: found)
+        emission = self.scalars.emit(closed, fixed)
+        if emission.program is None or not installed():
+            return emission
+        return self._native(emission.program, lambda: emission)
 
     def _say_missing(self) -> None:
         """Nobody asked for it."""

@@ -89,7 +89,7 @@ class Kernel:
         self._read = [tile.arguments[k] for k in tile.read]
         self._written = [tile.results[k] for k in tile.written]
         #: Of what is read what results stand in the place of.
-        self._in_place = {tile.read.index(k): tile.written.index(own) for own, k in tile.in_place.items()}
+        self._in_place = {tile.read.index(k): tile.written.index(result) for result, k in tile.in_place.items()}
         module = Module(processor)
         tile.write(module)
         _write_handler(module, tile, threads or _ALL)
@@ -98,11 +98,11 @@ class Kernel:
         self.target = _name(text, processor)
         with _LOCK:
             _free()
-            found = _CODE.get(self.target)
-            if found is None:
-                found = _Lease(self.target, text, module, ("run", "handler"))
-                _register(self.target, found, processor)
-        self.lease = found
+            lease = _CODE.get(self.target)
+            if lease is None:
+                lease = _Lease(self.target, text, module, ("run", "handler"))
+                _register(self.target, lease, processor)
+        self.lease = lease
 
     @property
     def symbol(self) -> tuple[str, int]:
@@ -115,26 +115,26 @@ class Kernel:
         Args:
             length: of the first axis of long arguments and results.
         """
-        given = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.tile.read]
+        operands = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.tile.read]
         types = [jax.ShapeDtypeStruct((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
-        for k, own in self._in_place.items():
-            given[k] = jnp.broadcast_to(given[k], types[own].shape)
+        for k, result in self._in_place.items():
+            operands[k] = jnp.broadcast_to(operands[k], types[result].shape)
         call = jax.ffi.ffi_call(self.target, types, input_output_aliases=self._in_place)
-        found = dict(zip(self.tile.written, call(*given), strict=True))
+        results = dict(zip(self.tile.written, call(*operands), strict=True))
         shapes = [(rows, *a.of_length(length)) for a in self.tile.results]
         return [
-            jnp.reshape(found[k], shape) if k in found else jnp.zeros(shape, a.dtype)
+            jnp.reshape(results[k], shape) if k in results else jnp.zeros(shape, a.dtype)
             for k, (a, shape) in enumerate(zip(self.tile.results, shapes, strict=True))
         ]
 
     def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
         rows = max(map(len, arguments), default=1)
-        given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
+        operands = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
         results = [np.zeros((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
-        for k, own in self._in_place.items():
-            results[own][:] = given[k]
-        arrays = [*given, *results]
+        for k, result in self._in_place.items():
+            results[result][:] = operands[k]
+        arrays = [*operands, *results]
         strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
         table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides)
         if rows:
@@ -245,10 +245,10 @@ def _write_handler(module: Module, tile: RowFunction, threads: int) -> None:
     buffers = []
     for k, array in enumerate(arrays.values()):
         family, place = ("argument", k) if k < read else ("result", k - read)
-        own = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
+        fields = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
         size, words = (f"%size.{k}", f"length * {array.size}") if array.long else (str(array.size), str(array.size))
         buffers += [f"check.{k}:", *([_LONG.format(k=k, size=array.size)] if array.long else [])]
-        buffers.append(_BUFFER.format(**own, size=size, shared="true" if k < read else "false"))
+        buffers.append(_BUFFER.format(**fields, size=size, shared="true" if k < read else "false"))
         expected = f"{np.dtype(array.dtype).name} of shape (rows, {words})"
         messages[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
     constants = [
@@ -335,16 +335,16 @@ def check_kernel(kernel: Kernel, tile: Tile) -> None:
     # What reads no arguments gives one row by itself.
     rows = tile.lanes + 1 if tile.read else 1
     arguments = tile.exercised([_drawn(random, (rows, math.prod(a.of_length(tile.tried))), a) for a in tile.arguments])
-    expected, beside = tile.plain(arguments), [tile.plain([_moved(a) for a in arguments])]
-    found = kernel.run([arguments[k] for k in tile.read], tile.tried)
+    expected, nearby = tile.plain(arguments), [tile.plain([_moved(a) for a in arguments])]
+    results = kernel.run([arguments[k] for k in tile.read], tile.tried)
 
     def agrees() -> bool:
-        own = zip(tile.written, found, strict=True)
-        return all(_agree(values, expected[k], [each[k] for each in beside]) for k, values in own)
+        pairs = zip(tile.written, results, strict=True)
+        return all(_agree(values, expected[k], [near[k] for near in nearby]) for k, values in pairs)
 
     if not agrees():
         # Of nearly singular constants the arguments, moved once, may say nothing: each operation is moved.
-        beside += [tile.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
+        nearby += [tile.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
         if not agrees():
             raise BuildError("its results differ from those of NumPy")
     global _CALLED
@@ -353,8 +353,9 @@ def check_kernel(kernel: Kernel, tile: Tile) -> None:
             shapes = ((rows, *a.of_length(tile.tried)) for a in tile.arguments)
             shaped = [a.reshape(shape) for a, shape in zip(arguments, shapes, strict=True)]
             called = jax.jit(lambda *values: kernel(rows, *values, length=tile.tried))(*shaped)
-        for k, own in zip(tile.written, found, strict=True):
-            if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
+        for k, result in zip(tile.written, results, strict=True):
+            by_jax = np.asarray(called[k]).reshape(result.shape)
+            if not np.array_equal(by_jax, result, equal_nan=result.dtype.kind == "f"):
                 raise BuildError("JAX calls it otherwise than expected")
         _CALLED = True
     kernel.lease.keep()
@@ -377,15 +378,15 @@ def _rounded(random: np.random.Generator, values: NDArray[Any]) -> NDArray[Any]:
     return np.nextafter(values, random.choice([-np.inf, np.inf], values.shape), dtype=values.dtype)
 
 
-def _agree(own: NDArray[Any], other: NDArray[Any], beside: Sequence[NDArray[Any]]) -> bool:
-    if own.dtype.kind != "f":
+def _agree(values: NDArray[Any], expected: NDArray[Any], nearby: Sequence[NDArray[Any]]) -> bool:
+    if values.dtype.kind != "f":
         # A comparison of nearly equal numbers may fall either way.
-        return bool(np.mean(own == other) >= 0.5)
-    finite = np.isfinite(other) & np.all(np.isfinite(beside), axis=0)
+        return bool(np.mean(values == expected) >= 0.5)
+    finite = np.isfinite(expected) & np.all(np.isfinite(nearby), axis=0)
     if not finite.any():
         return True
-    size = np.max(np.abs(other[finite]), initial=_LEAST) * _TOLERANCE[own.dtype]
-    moved = np.max([np.abs(near[finite] - other[finite]) for near in beside], axis=0)
-    own, other = own[finite], other[finite]
+    size = np.max(np.abs(expected[finite]), initial=_LEAST) * _TOLERANCE[values.dtype]
+    moved = np.max([np.abs(near[finite] - expected[finite]) for near in nearby], axis=0)
+    values, expected = values[finite], expected[finite]
     with np.errstate(invalid="ignore"):  # what is infinite where it should not be does not agree
-        return bool(np.mean(np.abs(own - other) <= size + 1e3 * moved) >= 0.9)
+        return bool(np.mean(np.abs(values - expected) <= size + 1e3 * moved) >= 0.9)

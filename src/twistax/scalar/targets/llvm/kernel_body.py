@@ -83,8 +83,8 @@ class Scalars:
         g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
         for angles in self._angles(live):
             self._in_order(g.live(angles, values))
-            found = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
-            self._code.sines.update(zip((values[i] for i in angles), found, strict=True))
+            pairs = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
+            self._code.sines.update(zip((values[i] for i in angles), pairs, strict=True))
         self._in_order(live)
         return [values[i] for i in nodes]
 
@@ -113,23 +113,23 @@ class Scalars:
             elif operation is None:
                 values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
             else:
-                own = g.dtypes[arguments[-1]]
-                values[i] = _form_of(operation, own)(self._code, NAMES[own], *map(self.value, arguments))
+                dtype = g.dtypes[arguments[-1]]
+                values[i] = _form_of(operation, dtype)(self._code, NAMES[dtype], *map(self.value, arguments))
 
     def _angles(self, live: Sequence[int]) -> list[list[int]]:
         """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
         g = self._graph
         depth: dict[int, int] = {}
-        found: dict[int, dict[int, None]] = {}
+        by_depth: dict[int, dict[int, None]] = {}
         for i in live:
             if i in self._values:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
             if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
-                found.setdefault(depth[i], {})[arguments[0]] = None
+                by_depth.setdefault(depth[i], {})[arguments[0]] = None
                 depth[i] += 1
-        return [list(found[k]) for k in sorted(found)]
+        return [list(by_depth[k]) for k in sorted(by_depth)]
 
 
 # ---- tiles -----------------------------------------------------------------------------------------------------------
@@ -241,20 +241,20 @@ class Straight(Tile):
     def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
         """One call after the other."""
         program, module, g = self.program, code.module, self.program.graph
-        blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
+        blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
         memory = scratch.allocated(code)
         for number, (nodes, complete) in enumerate(scratch.pieces):
-            own = Code(module, self.lanes)
-            inner = self._moved(own)
-            scalars = Scalars(own, program, functools.partial(_entry, inner))
-            values = scalars.in_piece(nodes, Values(own, scratch))
+            piece = Code(module, self.lanes)
+            inner = self._moved(piece)
+            scalars = Scalars(piece, program, functools.partial(_entry, inner))
+            values = scalars.in_piece(nodes, Values(piece, scratch))
             for k, start in complete:
                 entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
                 inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])
             values.keep(nodes)
             head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
-            module.functions[f"piece.{number}"] = own.function(f"internal void @piece.{number}({head})")
+            module.functions[f"piece.{number}"] = piece.function(f"internal void @piece.{number}({head})")
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
 

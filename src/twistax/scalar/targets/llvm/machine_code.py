@@ -97,7 +97,7 @@ def written_by(processor: Processor) -> str:
     import llvmlite
     import llvmlite.binding as llvm
 
-    own = (
+    facts = (
         llvmlite.__version__,
         llvm.get_default_triple(),
         processor.name,
@@ -105,7 +105,7 @@ def written_by(processor: Processor) -> str:
         sorted(_OPTIONS.items()),
         LEVEL,
     )
-    return repr(own)
+    return repr(facts)
 
 
 def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
@@ -131,10 +131,10 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
                 tuning.slp_vectorization = True
                 passes = llvm.create_pass_builder(machine, tuning)
                 passes.getModulePassManager().run(parsed, passes)
-            found: bytes = machine.emit_object(parsed)
+            code: bytes = machine.emit_object(parsed)
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
-        return found
+        return code
 
 
 #: The versions of LLVM with the option below. One that does not know it would end the process.
@@ -213,7 +213,7 @@ def _address(symbol: str) -> int:
             function = getattr(ctypes.CDLL(name and ctypes.util.find_library(name)), symbol)
         except (AttributeError, OSError, TypeError):
             continue
-        found = ctypes.cast(function, ctypes.c_void_p).value
-        if found:
-            return found
+        address = ctypes.cast(function, ctypes.c_void_p).value
+        if address:
+            return address
     raise BuildError(f"the C library has no {symbol}")

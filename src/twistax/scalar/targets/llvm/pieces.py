@@ -37,9 +37,9 @@ class Scratch:
         parts = [[i for i in program.live if i in begun]]
         rest = [i for i in program.live if i not in begun and g.operation(i) is not None]
         parts += [rest[k : k + _LENGTH] for k in range(0, len(rest), _LENGTH)]
-        place = {i: number for number, own in enumerate(parts) for i in own}
+        place = {i: number for number, part in enumerate(parts) for i in part}
         outputs = [flat(nodes) for nodes in program.outputs]
-        self.pieces: list[Piece] = [(own, []) for own in parts]
+        self.pieces: list[Piece] = [(part, []) for part in parts]
         last: dict[int, int] = {}
         for i, number in place.items():
             for a in g.arguments(i):
@@ -55,9 +55,9 @@ class Scratch:
         self.size = 0
         free: list[int] = []
         ending: dict[int, list[int]] = {}
-        for number, own in enumerate(parts):
+        for number, part in enumerate(parts):
             free += ending.pop(number - 1, [])
-            for i in own:
+            for i in part:
                 if g.operation(i) is not None and last.get(i, 0) > number:
                     if not free:
                         free.append(self.size)
