@@ -105,8 +105,8 @@ def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     shares = jnp.pad(place, ((1, 0), (0, 0))), jnp.pad(place, ((0, 1), (0, 0))) + 1.0
     after = after & (shares[0] >= 0.0) & (shares[0] <= 1.0)
     before = before & (shares[1] >= 0.0) & (shares[1] <= 1.0)
-    alike = jnp.sign(values[:-1]) * jnp.sign(values[1:]) > 0.0
-    return alike & (after | before), jnp.where(after, shares[0], shares[1])
+    same_sign = jnp.sign(values[:-1]) * jnp.sign(values[1:]) > 0.0
+    return same_sign & (after | before), jnp.where(after, shares[0], shares[1])
 
 
 class ExtremumSearch(NamedTuple):

@@ -81,18 +81,18 @@ class Beside(Report):
         """Counts, and ratios over the problems that both solve at one optimum."""
         measured = self._measured()
         worse = {part: apart(self._problems[part], mine, theirs) for part, (theirs, mine) in measured.items()}
-        alike = [measured[part] for part, size in worse.items() if abs(size) <= SAME]
+        pairs = [measured[part] for part, size in worse.items() if abs(size) <= SAME]
         good = [mine.solved and not worse[part] > SAME for part, (_, mine) in measured.items()]
         counts = {
             "problems": len(measured),
             "SOLVED by IPOPT": sum(theirs.solved for theirs, _ in measured.values()),
             "SOLVED by twistax": sum(mine.solved for _, mine in measured.values()),
             "SOLVED at IPOPT's optimum or better": sum(good),
-            "SOLVED at one optimum": len(alike),
+            "SOLVED at one optimum": len(pairs),
         }
         rows = [judged(Row(_ALL, what, "count", value=float(count)), between()) for what, count in counts.items()]
         for what, bars in _RATIOS.items():
-            values = [ratio for pair in alike if math.isfinite(ratio := _ratios(*pair)[what])]
+            values = [ratio for pair in pairs if math.isfinite(ratio := _ratios(*pair)[what])]
             for word, pick, bar in (("median", median, bars[0]), ("worst", max, bars[1])):
                 row = Row(_ALL, f"{what}, {word}", _BY, value=float(pick(values)) if values else math.nan)
                 rows.append(judged(row, at_most(bar)))

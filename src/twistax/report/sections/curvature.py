@@ -26,7 +26,7 @@ def reduced_bends(result: Any) -> Array:
     """
     problem, warm = result.problem, result.warm
     with in_double():
-        data = problem.started().given
+        data = problem.started().instance
         core = problem.core(1e-6, warm.point, data)
         program: NonlinearProgram = core.made.setdefault(
             "second order", NonlinearProgram(core.staged, data, with_copies=False)

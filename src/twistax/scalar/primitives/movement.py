@@ -181,14 +181,14 @@ def _gather(reader: Reader, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] |
     """As XLA's gather: a window of the operand for every vector of start indices."""
     g, p, shape = reader.graph, eqn.params, eqn.outvars[0].aval.shape
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
-    alike = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
+    paired_axes = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
     batch_axes = [i for i in range(len(shape)) if i not in numbers.offset_dims]
     dropped = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims}
     window_shape = [size for i, size in enumerate(sizes) if i not in dropped]
     gathered = np.empty(shape, np.int64)
     for batch in np.ndindex(*(shape[i] for i in batch_axes)):
         start = list(_at(a.ndim, numbers.start_index_map, indices[batch].tolist(), g.constant(0, g.dtype_of(indices))))
-        for axis, index_axis in alike:
+        for axis, index_axis in paired_axes:
             start[axis] = g.constant(batch[index_axis], g.dtype_of(indices))
         if p["mode"] == _FILL and not _inside(g, start, a.shape, sizes):
             return None

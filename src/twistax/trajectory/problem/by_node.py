@@ -25,12 +25,12 @@ class ByNode:
 
     Attributes:
         leaves: by name; each of the shape of a single value.
-        stated: shares of the nodes for which values are stated.
+        stated_shares: shares of the nodes for which values are stated.
         shares: of the nodes that there are.
     """
 
     leaves: Mapping[str, Parameter]
-    stated: Array
+    stated_shares: Array
     shares: Array
 
     @classmethod
@@ -88,12 +88,12 @@ class ByNode:
             return np.broadcast_to(rows, (len(self.shares), *shape)).copy()
         if rows.shape == (len(self.shares), *shape):
             return rows
-        if rows.shape != (len(self.stated), *shape):
+        expected = (len(self.stated_shares), *shape)
+        if rows.shape != expected:
             raise ShapeError(
-                f"params[{name!r}] expects a row for each node {(len(self.stated), *shape)}, or one value {shape}, "
-                f"got {rows.shape}"
+                f"params[{name!r}] expects a row for each node {expected}, or one value {shape}, got {rows.shape}"
             )
-        columns = [np.interp(self.shares, self.stated, column) for column in rows.reshape(len(rows), -1).T]
+        columns = [np.interp(self.shares, self.stated_shares, column) for column in rows.reshape(len(rows), -1).T]
         return np.stack(columns, axis=1).reshape(-1, *shape)
 
     # ---- as kernels read them: a row for each node, with its own values and those of the next ------------------------

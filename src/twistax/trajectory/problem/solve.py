@@ -235,7 +235,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
         begin = time.perf_counter()
         plain = started_cases(problem, cases)
         first = next(case for case in plain if not isinstance(case, TwistaxError))
-        core = problem.core(tolerance, first.point, first.given)
+        core = problem.core(tolerance, first.point, first.instance)
         every = plain
         if any(part.bounded for part in problem.parts):
 

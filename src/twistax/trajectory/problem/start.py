@@ -22,7 +22,7 @@ class Started(NamedTuple):
     """The start of a solve, its data, its parameters and the ends of its phases."""
 
     point: Point
-    given: Given
+    instance: Given
     params: dict[str, Array]
     ends: list[Ends]
 

@@ -119,7 +119,7 @@ class Quality:
         Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
         order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
         """
-        return {entry.name: entry.moves for entry in self._undetermined}
+        return {entry.name: entry.free_share for entry in self._undetermined}
 
     @functools.cached_property
     def _undetermined(self) -> list[Undetermined]:
@@ -127,7 +127,7 @@ class Quality:
         if not self.solved or any(part.hessian is not None for part in problem.parts):
             return []
         with in_double():
-            instance = problem.started().given._replace(params=warm.params)
+            instance = problem.started().instance._replace(params=warm.params)
             staged = problem.core(_LOOKED_AT, warm.point, instance).staged
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
@@ -202,7 +202,7 @@ def _rolled_out(result: Any) -> list[str]:
 
 def _open(every: list[Undetermined], sign: float) -> str:
     """The undetermined controls, and what would determine them."""
-    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.moves)} intervals)" for entry in every)
+    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.free_share)} intervals)" for entry in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
         f"{entry.weight:g} * {entry.entry}**2" for entry in every
     )

@@ -228,10 +228,10 @@ class _Moved:
 
 def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:
     """For each row of an interval on the next mesh the row at its place or before it, and whether it is at it."""
-    points, row = np.divmod(new.asked, new.path_rows)
+    points, row = np.divmod(new.path_indices, new.path_rows)
     place = points * substeps / finer
-    where = {index: k for k, index in enumerate(old.asked)}
+    where = {index: k for k, index in enumerate(old.path_indices)}
     source = [where.get(int(p) * new.path_rows + r, 0) for p, r in zip(place, row)]
-    conditions = len(old.asked) + np.arange(new.at_nodes)
+    conditions = len(old.path_indices) + np.arange(new.at_nodes)
     same = np.concatenate([place == np.floor(place), np.ones(new.at_nodes, bool)])
     return np.concatenate([np.array(source, int), conditions]), same

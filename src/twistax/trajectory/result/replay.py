@@ -111,11 +111,11 @@ def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
     started = solved.started(params=fixed)
-    staged = solved.core(1e-6, started.point, started.given).staged
+    staged = solved.core(1e-6, started.point, started.instance).staged
     start, planned = _start(result), result.xs | result.added
     xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
-    data = staged.numbers.vector(started.given)
+    data = staged.numbers.vector(started.instance)
     rolling = problem.transcription.rolling(steps)
     return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 

@@ -169,7 +169,7 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
             for x, t in ends
         ]
         largest |= largest_by_name(path.shown, np.maximum(*sizes))
-    at_nodes = shooting.own
+    at_nodes = shooting.at_single_node
     sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
     largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}

@@ -139,10 +139,10 @@ class _Differentiable:
         with in_double():
             result = problem.solve(**options, tolerance=self._tolerance)
             started = problem.started(options["guess"])
-            core = problem.core(self._tolerance, started.point, started.given)
+            core = problem.core(self._tolerance, started.point, started.instance)
             start = result.warm.point if result.solved else started.point
-            call = CoreCall(problem, core, start, started.given, options["max_iterations"])
-        return _Reference(core, started.given, call, result.message if result.status is Status.COARSE else "")
+            call = CoreCall(problem, core, start, started.instance, options["max_iterations"])
+        return _Reference(core, started.instance, call, result.message if result.status is Status.COARSE else "")
 
 
 class _SolutionFor:
@@ -249,10 +249,10 @@ class _SolutionFor:
         values: Any = {name: getattr(numbers, name) or None for name in ("params", "initial", "final")}
         values |= numbers.final_time
         started, tolerance = self._problem.started(**values), self._reference.core.tolerance
-        core = self._problem.core(tolerance, started.point, started.given)  # of this thread
+        core = self._problem.core(tolerance, started.point, started.instance)  # of this thread
         inputs = self._inputs(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
-        judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])
+        judged = call.judged(core, call.solves.split(result), started.instance, self._options["mesh_tolerance"])
         if judged is not Status.SOLVED:
             options = {**self._options, "guess": None, "warm": None}
             searched = self._problem.solve(**values, **options, tolerance=tolerance)

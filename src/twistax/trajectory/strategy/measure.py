@@ -60,8 +60,8 @@ class Measure:
         problem = self._transcribed
         sizes = self._staged.all_rows(units.rows, units.equalities, units.v, units.v)
         for name in np.unique(problem.names[(sizes <= 0.0) & problem.decided].astype(str)):
-            alike = problem.names == name
-            sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
+            has_name = problem.names == name
+            sizes[has_name & (sizes <= 0.0)] = sizes[has_name].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
     def scales(self, units: StartUnits) -> Scales:

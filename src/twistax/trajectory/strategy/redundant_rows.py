@@ -62,7 +62,7 @@ def _of_part(staged: Staged, number: int, samples: Sequence[Evaluated]) -> Array
         if k == K:
             rows = np.arange(K * layout.per_interval, len(phase.exists))
         else:
-            at_node = len(layout.asked) + np.arange(layout.counts.get(k, 0))
+            at_node = len(layout.path_indices) + np.arange(layout.counts.get(k, 0))
             rows = k * layout.per_interval + np.concatenate([first, at_node])
         fixed = np.eye(phase.n)[~phase.free.d[0]] if k == 0 and number == 0 else np.zeros((0, phase.n))
         exists, equality = phase.exists[rows], phase.equality[rows]

@@ -34,19 +34,19 @@ class Undetermined(NamedTuple):
     Attributes:
         name: of the entry, with that of its phase in front.
         entry: the same without.
-        moves: (intervals,) between 0 and 1, which share of a move of it alone changes nothing.
+        free_share: (intervals,) from 0 to 1, the share of a change of it alone that has no effect.
         weight: of its square in the running cost that decides it.
     """
 
     name: str
     entry: str
-    moves: Array
+    free_share: Array
     weight: float
 
     @property
     def intervals(self) -> int:
         """The number of intervals where it is undetermined."""
-        return int((self.moves > _SHARE).sum())
+        return int((self.free_share > _SHARE).sum())
 
 
 def undetermined(

@@ -94,7 +94,7 @@ class JaxValues:
         count = method.substeps + 1 if not method.weights[method.substeps + 1 :].any() else len(etas)
         q = jax.vmap(lambda eta: jnp.concatenate([eta, fixed.u, fixed.border]))(etas[:count])
         values = jax.vmap(self._point, in_axes=(0, 0, None, None))(q, shares[:count], fixed.base, fixed.params)
-        rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.asked.astype(np.int32)]
+        rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.path_indices.astype(np.int32)]
         cost = fixed.width * (as_array(method.weights[:count]) @ values[:, -1])
         return last, rows, cost
 

@@ -129,7 +129,7 @@ class Joined(Transcribed):
         places = self.phase_places
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
-        for field in ("equality", "exists", "decided", "pinned", "own"):
+        for field in ("equality", "exists", "decided", "pinned", "at_single_node"):
             setattr(self, field, self._rows(lambda p: getattr(p.shooting, field), False))  # noqa: B023
 
     @property

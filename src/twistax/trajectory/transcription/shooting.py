@@ -63,7 +63,7 @@ class Transcribed(ABC):
         equality, exists: (rows,) which rows are equalities; which ones the problem has.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         pinned: (rows,) those of them that other rows decide.
-        own: (rows,) those of single nodes.
+        at_single_node: (rows,) the conditions at single nodes.
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
             decides are evaluated at the start of a search.
@@ -82,7 +82,7 @@ class Transcribed(ABC):
     exists: Array
     decided: Array
     pinned: Array
-    own: Array
+    at_single_node: Array
     free: Step
     stirred: Array
     segments: Sequence[Segment]
@@ -177,7 +177,7 @@ class Shooting(Transcribed):
             substeps=self.substeps,
             phase=phase,
         )
-        for field in ("names", "places", "equality", "exists", "decided", "own"):
+        for field in ("names", "places", "equality", "exists", "decided", "at_single_node"):
             setattr(self, field, getattr(self.layout, field))
         self.pinned, self.rows_per_interval = np.zeros_like(self.exists), self.layout.per_interval
         free = np.ones((self.nodes, self.n), bool)
@@ -199,7 +199,7 @@ class Shooting(Transcribed):
 
     def start_rows(self) -> list[tuple[int, int]]:
         """The path rows at the first node: their places among all rows, and their indices."""
-        return [(place, int(row)) for place, row in enumerate(self.layout.asked) if row < len(self.path.names)]
+        return [(place, int(row)) for place, row in enumerate(self.layout.path_indices) if row < len(self.path.names)]
 
     def drop(self, rows: Sequence[Array]) -> None:
         (pinned,) = rows

@@ -80,9 +80,9 @@ class StagedPhase:
         inner, end = np.split(rows, [K * layout.per_interval])
         inner = inner.reshape(K, -1)
         path = np.zeros((K, (self.shooting.substeps + 1) * layout.path_rows), rows.dtype)
-        path[:, layout.asked] = inner[:, : len(layout.asked)]
+        path[:, layout.path_indices] = inner[:, : len(layout.path_indices)]
         path = path.reshape(K, self.shooting.substeps + 1, layout.path_rows)[:, :, : len(self.shooting.path.names)]
-        return path, [*(inner[k, len(layout.asked) :][: layout.counts[k]] for k in self._conditions), end]
+        return path, [*(inner[k, len(layout.path_indices) :][: layout.counts[k]] for k in self._conditions), end]
 
     def all_rows(self, path: Array, nodes: Sequence[Array], rest: float = 0.0) -> Array:
         """The inverse of `by_place`; rows without a place there get `rest`."""
@@ -90,9 +90,9 @@ class StagedPhase:
         *inner_nodes, end = nodes
         inner = np.full((K, layout.per_interval), rest)
         if path.size:
-            inner[:, : len(layout.asked)] = path.reshape(K, -1)[:, layout.asked]
+            inner[:, : len(layout.path_indices)] = path.reshape(K, -1)[:, layout.path_indices]
         for k, values in zip(self._conditions, inner_nodes):
-            inner[k, len(layout.asked) :][: len(values)] = values
+            inner[k, len(layout.path_indices) :][: len(values)] = values
         return np.concatenate([inner.ravel(), end])
 
 
