@@ -88,7 +88,7 @@ def _fixed_positions(figure: earth.Ellipsoid) -> Callable[..., Array]:
     return lambda *values: np.asarray(vectorized(*values))
 
 
-class Table:
+class PublishedTable:
     """A published trajectory at TIMES; rows between them are left out. Raises InputError for a file of another form."""
 
     def __init__(self, path: Path, figure: earth.Ellipsoid = earth.WGS84) -> None:
@@ -161,4 +161,4 @@ def read(directory: Path, number: int, figure: earth.Ellipsoid = earth.WGS84) ->
         raise tx.InputError(
             f"case {number}: no file sim_<number>.csv in {folder}\n  fix: name the folder that has {folder.name}"
         )
-    return {name: Table(file, figure).track() for name, file in sorted(files.items())}
+    return {name: PublishedTable(file, figure).track() for name, file in sorted(files.items())}

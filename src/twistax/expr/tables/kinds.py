@@ -39,7 +39,7 @@ def _load(table: Table, place: jax.Array, dtype: Any, offset: int = 0) -> jax.Ar
     return load(table, place, dtype, offset)
 
 
-class Axis:
+class GridAxis:
     """The breakpoints of one axis."""
 
     def __init__(self, points: np.ndarray) -> None:
@@ -113,7 +113,7 @@ def _at(starts: Sequence[jax.Array], shape: tuple[int, ...]) -> jax.Array:
 
 def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
     """Linear along each axis; the end lines are continued."""
-    lines, table = [Axis(points) for points in axes], _table(values)
+    lines, table = [GridAxis(points) for points in axes], _table(values)
 
     def lookup(xs: Sequence[jax.Array]) -> jax.Array:
         starts = [axis.interval(x) for axis, x in zip(lines, xs, strict=True)]
@@ -125,7 +125,7 @@ def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
 def pieces(points: np.ndarray, coefficients: np.ndarray) -> Lookup:
     """Polynomials by rising power, (p, n - 1, *k), of x less the breakpoint on its left; the end ones are continued."""
-    axis, ordered = Axis(points), np.moveaxis(coefficients, 0, 1)
+    axis, ordered = GridAxis(points), np.moveaxis(coefficients, 0, 1)
     table, rest = _table(ordered), coefficients.shape[2:]
     powers, size = len(coefficients), math.prod(rest)
 
@@ -155,7 +155,7 @@ class _Basis:
             [*knots[k + 3 : k + 5], -powers[3][k, k], powers[3][k, k + 3], *(power[k, k + 1] for power in powers)]
             for k in range(count - 3)
         ]
-        self._axis, self._table, self._last = Axis(points), _table(rows), count - 4
+        self._axis, self._table, self._last = GridAxis(points), _table(rows), count - 4
 
     def at(self, x: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
         """The number of the first of them, and their values."""

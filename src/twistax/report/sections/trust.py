@@ -153,7 +153,7 @@ def _stays(result: Any) -> bool:
     return bool(closer.solved) and _alike(closer.cost, result.cost)
 
 
-class Sweep:
+class StartSweep:
     """All solves of one problem.
 
     Args:
@@ -249,31 +249,33 @@ _DENSE_AT_ENDS = Mesh(0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 41)))
 _FAST = _given(problems.fastest, 1.0, (0.5, 6.0), 1.0)
 
 SWEEPS = {
-    "least time of a mass: 2 s, 21 nodes": Sweep(Known(_FAST, 2.0, 1e-5)),
-    "brachistochrone: 1.80160 s, 51 nodes": Sweep(Known(problems.brachistochrone, 1.80160, 1e-3)),
-    "Bryson-Denham: 4, 61 nodes": Sweep(Known(problems.bryson_denham, 4.0, 5e-3)),
-    "Goddard: 1.01284, 51 nodes": Sweep(Known(problems.goddard, 1.01284, 1e-5)),
-    "cart-pole of Kelly: 58.8077, 51 nodes": Sweep(Known(problems.cart_pole, 58.8077, 1e-2)),
-    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Sweep(Known(problems.reorientation, 3.24307, 1e-3)),
-    "rendezvous, norm as cost: 1.212619, 31 nodes": Sweep(
+    "least time of a mass: 2 s, 21 nodes": StartSweep(Known(_FAST, 2.0, 1e-5)),
+    "brachistochrone: 1.80160 s, 51 nodes": StartSweep(Known(problems.brachistochrone, 1.80160, 1e-3)),
+    "Bryson-Denham: 4, 61 nodes": StartSweep(Known(problems.bryson_denham, 4.0, 5e-3)),
+    "Goddard: 1.01284, 51 nodes": StartSweep(Known(problems.goddard, 1.01284, 1e-5)),
+    "cart-pole of Kelly: 58.8077, 51 nodes": StartSweep(Known(problems.cart_pole, 58.8077, 1e-2)),
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": StartSweep(Known(problems.reorientation, 3.24307, 1e-3)),
+    "rendezvous, norm as cost: 1.212619, 31 nodes": StartSweep(
         Known(_given(problems.rendezvous, "norm as cost"), 1.212619, 1e-5)
     ),
-    "rendezvous, a slack: 1.212619, 31 nodes": Sweep(
+    "rendezvous, a slack: 1.212619, 31 nodes": StartSweep(
         Known(_given(problems.rendezvous, "norm below a slack"), 1.212619, 1e-5)
     ),
-    "hypersensitive: 1.33, 41 nodes": Sweep(
+    "hypersensitive: 1.33, 41 nodes": StartSweep(
         Known(_given(problems.hypersensitive, nodes=_DENSE_AT_ENDS), 1.3308069, 5e-2)
     ),
-    "landing of the demo: 27,260 kg, 25 nodes": Sweep(Known(problems.landing, 27_260.0, 1e-4)),
-    "Panda from shelf to shelf: 0.860227 s, 41 nodes": Sweep(Known(flights.panda, 0.860227, 1e-5)),
-    "robot arm of COPS: 9.14093 s, 51 nodes": Sweep(Known(cops.robot_arm, 9.14093, 1e-3)),
-    "particle steering of COPS, linear: 0.554571 s, 51 nodes": Sweep(Known(cops.particle_steering, 0.554571, 2e-6)),
-    "catalyst mixing of COPS: 0.0480556, 101 nodes": Sweep(Known(cops.catalyst_mixing, 0.0480556, 1e-5)),
-    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": Sweep(
+    "landing of the demo: 27,260 kg, 25 nodes": StartSweep(Known(problems.landing, 27_260.0, 1e-4)),
+    "Panda from shelf to shelf: 0.860227 s, 41 nodes": StartSweep(Known(flights.panda, 0.860227, 1e-5)),
+    "robot arm of COPS: 9.14093 s, 51 nodes": StartSweep(Known(cops.robot_arm, 9.14093, 1e-3)),
+    "particle steering of COPS, linear: 0.554571 s, 51 nodes": StartSweep(
+        Known(cops.particle_steering, 0.554571, 2e-6)
+    ),
+    "catalyst mixing of COPS: 0.0480556, 101 nodes": StartSweep(Known(cops.catalyst_mixing, 0.0480556, 1e-5)),
+    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": StartSweep(
         Known(flights.delta_iii, 7529.712, 1e-5), solved=_STATED
     ),
     # A way past spheres for each side of each: many optima, and not every start is SOLVED.
-    "quadrotor past three spheres: 1.489138 s, 31 nodes": Sweep(
+    "quadrotor past three spheres: 1.489138 s, 31 nodes": StartSweep(
         Known(flights.quadrotor, 1.489138, 1e-5, {"guesses": STARTS * 2}), solved=0.0
     ),
 }
@@ -282,12 +284,12 @@ TRUST: Section = [
     slow(name, by, expected, measure, sweep)
     for name, sweep in SWEEPS.items()
     for by, expected, measure in (
-        ("best, from the known", at_most(sweep.known.bar), Sweep.apart),
+        ("best, from the known", at_most(sweep.known.bar), StartSweep.apart),
         ("SOLVED", between(low=sweep.solved), lambda sweep: sum(trial.solved for trial in sweep.tried)),
         ("SOLVED at no stationary point", at_most(0), lambda sweep: len(sweep.wrong)),
         ("SOLVED at other stationary points", between(), lambda sweep: len(sweep.elsewhere) - len(sweep.wrong)),
         ("SOLVED at saddles", at_most(0), lambda sweep: len(sweep.saddles)),
-        ("largest difference of the rest", at_most(_SAME), Sweep.spread),
+        ("largest difference of the rest", at_most(_SAME), StartSweep.spread),
         ("most steps", between(), lambda sweep: max(trial.iterations for trial in sweep.tried)),
     )
 ]

@@ -17,7 +17,7 @@ from ...errors import InputError, ModelError
 from ...scalar.targets.c import CType, c_type
 from ..functions import Functions
 from . import CFiles
-from .c_code import MARK, Code, filled, identifiers, mark, numbers
+from .c_code import MARK, CCode, filled, identifiers, mark, numbers
 from .programs import ExportedFunction, Exporter
 
 #: One array for each argument.
@@ -55,7 +55,7 @@ def write_c(
         raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
     number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
-    folder, code = path_of("directory", directory), Code(name, exporter, functions, names, real)
+    folder, code = path_of("directory", directory), CCode(name, exporter, functions, names, real)
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
     test = _test_main(code, chosen_points, allowed)
     texts = {files.header: code.header(), files.source: code.source(), files.test: test}
@@ -150,7 +150,7 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
     return points
 
 
-def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
+def _test_main(code: CCode, points: Sequence[Point], tolerance: float) -> str:
     """The text of a program that ends with 0 where all functions agree with their references."""
     real, names = code.real, code.names
     points = [[_cast(v, real) for v in point] for point in points]

@@ -69,7 +69,7 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
 
 
 @dataclasses.dataclass(frozen=True)
-class Code:
+class CCode:
     """What is written."""
 
     name: str  # of the files, and what the names of all functions begin with

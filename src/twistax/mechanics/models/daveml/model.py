@@ -16,7 +16,7 @@ from ....expr.fields import ExprLike
 from ....jax_inside import in_double
 from ....system.lower import lower
 from ..xml_file import Element, read_xml
-from .functions import Functions, by_id, needed
+from .functions import FunctionReader, by_id, needed
 from .mathml import Calculation, names_in
 from .static_checks import StaticCheck, read_shots
 from .tables import limited
@@ -197,7 +197,7 @@ class DaveModel:
                 raise calculations[1].wrong("a variable has one calculation")
             for calculation in calculations:
                 rules[name] = _calculated(needed(calculation, "math"), elements)
-        for function in Functions(self._root).all:
+        for function in FunctionReader(self._root).all:
             for axis in function.axes:
                 if axis.variable not in elements:
                     raise axis.element.wrong(_unknown(axis.variable, elements))

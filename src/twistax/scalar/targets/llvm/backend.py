@@ -27,7 +27,7 @@ from .code import NotNative
 from .iterations import Iterations
 from .kernel import Kernel, check_kernel
 from .kernel_body import NATIVE_LIMITS, Straight, Tile, native_form
-from .loop import Loop
+from .loop import LoopBody
 from .machine_code import BuildError, Processor
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
@@ -128,7 +128,7 @@ class Native(Backend):
         form = native_form(program)
 
         def kernel(single: bool) -> Rows | None:
-            rows = self._built(Loop, form, single, ring)
+            rows = self._built(LoopBody, form, single, ring)
             return None if rows is None else functools.partial(rows, length=ring.length or 0)
 
         return kernel

@@ -18,7 +18,7 @@ from ...program import ScalarProgram, called_names
 from ...rewriting import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .pieces import Scratch, Values, in_pieces
+from .pieces import PieceValues, Scratch, in_pieces
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
@@ -88,7 +88,7 @@ class Scalars:
         self._in_order(live)
         return [values[i] for i in nodes]
 
-    def in_piece(self, nodes: Sequence[int], values: Values) -> Values:
+    def in_piece(self, nodes: Sequence[int], values: PieceValues) -> PieceValues:
         """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
         self._values = values
         if any(self._graph.operation(i) in _TURNING for i in nodes):
@@ -248,7 +248,7 @@ class Straight(Tile):
             piece = Code(module, self.lanes)
             inner = self._moved(piece)
             scalars = Scalars(piece, program, functools.partial(_entry, inner))
-            values = scalars.in_piece(nodes, Values(piece, scratch))
+            values = scalars.in_piece(nodes, PieceValues(piece, scratch))
             for k, start in complete:
                 entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
                 inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])

@@ -24,7 +24,7 @@ _LONG = {"exp", "expm1", "logistic", "tanh"}
 _MOST = 0.75
 
 
-class Loop(Tile):
+class LoopBody(Tile):
     """Takes (count, *fixed, *state, *rows), gives (*state, *rows).
 
     The count of a scan is its length, at least one, which no kernel depends on. That of a `while_loop` bounds the

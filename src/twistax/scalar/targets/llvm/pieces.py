@@ -87,7 +87,7 @@ class Scratch:
             code.call("void", "free", ("ptr", memory))
 
 
-class Values(dict[int, str]):
+class PieceValues(dict[int, str]):
     """The values of nodes in one piece: those of earlier ones are read where they are first needed."""
 
     def __init__(self, code: Code, scratch: Scratch) -> None:
