@@ -151,13 +151,13 @@ class Mechanism:
         """
         for name in changes.keys() - {"links", *self._given}:
             known = ["drives", "links", *self._given]
-            raise ModelError(f"Mechanism.replace knows no {name!r}; it knows: {listed(known, name)}")
+            raise ModelError(f"Mechanism.replace has no argument {name!r}; it takes: {listed(known, name)}")
         if drives and "links" in changes:  # they go into the new ones
             return self.replace(**changes).replace(drives=drives)
         joints = {link.joint.name: link for link in self.links}
         for name, drive in (drives or {}).items():
             if name not in joints:
-                raise ModelError(f"Mechanism.replace knows no joint {name!r}; it knows: {listed(joints, name)}")
+                raise ModelError(f"Mechanism.replace: there is no joint {name!r}; there are: {listed(joints, name)}")
             joints[name] = dataclasses.replace(joints[name], drive=drive)
         return Mechanism(**{"links": joints.values(), **self._given, **changes})
 

@@ -98,7 +98,7 @@ class Sweep:
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
         if not good.any():
-            raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
+            raise InputError(f"percentiles expects members that did not fail; all {self.count} did, see Sweep.failed")
 
         def column(place: int) -> NDArray[Any]:
             return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)

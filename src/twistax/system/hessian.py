@@ -212,7 +212,7 @@ class WeightedHessian:
         program = best.gradient.restricted([self._matrix])
         # JAX says only where it runs that a function has no forward derivative.
         if any(eqn.primitive.name == "custom_lin" for c in program.calls for eqn in all_equations(c.jaxpr.jaxpr)):
-            raise TypeError("a call has a reverse derivative alone")
+            raise TypeError("a called function has only a reverse derivative")
         self.pattern = self._matrix != program.graph.zero
         self._program = program
 

@@ -45,6 +45,6 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
     if size <= 1e3 * least:
         return now
     raise InputError(
-        f"project finds no state on the manifold from here: the last of its steps is {size:.3g}.\n"
+        f"project does not converge to the manifold from this state: its last step is {size:.3g}.\n"
         "  fix: start nearer to one, such as a posture in which the loops are almost closed"
     )

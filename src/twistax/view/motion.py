@@ -106,7 +106,7 @@ def _reached(motion: Motion) -> Motion:
     kept = np.flatnonzero(good)
     kept = kept[np.append(np.diff(ts[kept]) > 0.0, True)] if len(kept) else kept
     if len(kept) < 2:
-        raise InputError("show: one saved time is no motion.\n  fix: tx.integrate(..., save_at=times)")
+        raise InputError("show expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
 
     def rows(some: Values) -> Values:
         return {name: np.asarray(value)[kept] for name, value in some.items()}

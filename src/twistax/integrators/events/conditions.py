@@ -130,7 +130,7 @@ class Event:
     def _take_condition(self, condition: Expr) -> None:
         if self.direction is not None:
             raise ModelError(
-                f"Event: {condition!r} says itself on which side it holds, got direction={self.direction!r} too.\n"
+                f"Event: {condition!r} has a direction of its own, got direction={self.direction!r} too.\n"
                 "  fix: leave the direction out; ~(condition) is the event where it ceases to hold"
             )
         object.__setattr__(self, "condition", margin("Event", condition))

@@ -176,7 +176,7 @@ class FixedSteps(Steps):
     def bound(self) -> int:
         if self.most is None:
             raise InputError(
-                "a derivative is asked for of an integration whose inputs look like plain numbers: does u close over a "
+                "cannot differentiate this integration, whose inputs are known numbers: does u close over a "
                 "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
             )
         return self.most

@@ -40,7 +40,7 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
         name, expr = state.name, link.get(state.name)
         if name not in link and (name not in last or last[name].key() != state.key()):
             raise ModelError(
-                f"{place} says nothing of {name!r}, which the phase before does not have with that shape and group; "
+                f"{place} has no value for {name!r}, which the phase before does not have with that shape and group; "
                 f"it has: {listed(last, name)}.\n  fix: links=[..., {{{name!r}: ...}}, ...]"
             )
         if not isinstance(expr, Expr):
@@ -88,7 +88,7 @@ def linked(
     for state in after.states:
         name = state.name
         if name not in jumps and name not in x:
-            raise ModelError(f"{place} says nothing of {name!r}, which the phase before does not have")
+            raise ModelError(f"{place} has no value for {name!r}, which the phase before does not have")
         label = f"{place}[{name!r}]"
         start[name] = cast(label, real_array(label, jumps.get(name, x.get(name))), dtype, on_host=True)
     return start

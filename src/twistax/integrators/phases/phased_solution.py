@@ -122,7 +122,10 @@ class PhasedSolution(AnySolution):
         """
         parts = self._reached("plot")
         if self.save_at is None:
-            raise InputError("plot: ends of phases are no curve.\n  fix: tx.integrate_phases(..., save_at=times)")
+            raise InputError(
+                "plot expects saved times, got only the ends of the phases.\n"
+                "  fix: tx.integrate_phases(..., save_at=times)"
+            )
         drawn = []
         for name in chosen(names, list(self.xs), units):
             pieces = [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
@@ -140,7 +143,10 @@ class PhasedSolution(AnySolution):
 
         parts = self._reached("show")
         if self.save_at is None:
-            raise InputError("show: ends of phases are no motion.\n  fix: tx.integrate_phases(..., save_at=times)")
+            raise InputError(
+                "show expects saved times, got only the ends of the phases.\n"
+                "  fix: tx.integrate_phases(..., save_at=times)"
+            )
         signals = [lambda of=of: joined([getattr(part, of) for part in parts]) for of in ("us", "outputs")]
         params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
         ts = np.concatenate([np.asarray(part.ts) for part in parts])

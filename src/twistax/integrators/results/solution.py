@@ -266,7 +266,7 @@ class Solution(AnySolution):
             InputError: no dense output was kept; times outside of what was integrated.
         """
         if self.dense is None:
-            raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
+            raise InputError("this solution has no dense output.\n  fix: tx.integrate(..., dense=True)")
         trail = self.dense.trail
         ts = times_to_evaluate(t, trail.t.dtype)
         if ts.ndim > 1:
@@ -289,7 +289,7 @@ class Solution(AnySolution):
         """
         need_one("plot", self)
         if len(self.ts) < 2:
-            raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
+            raise InputError("plot expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
         ts, drawn = np.asarray(self.ts), []
         for name in chosen(names, list(self.xs), units):
             x = np.asarray(self.xs[name])

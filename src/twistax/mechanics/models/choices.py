@@ -161,7 +161,7 @@ class Choices:
         if self._rounded:
             self.notes.append(f"inertias that are round-off, here zero: of {listed(self._rounded)}")
         for name in sorted(set() if isinstance(self.wanted, bool) else self.wanted - set(self.known)):
-            raise ModelError(f"load: the model calls no parameter {name!r}; expected: {listed(self.known, name)}")
+            raise ModelError(f"load: the model has no parameter {name!r}; there are: {listed(self.known, name)}")
         for name in self.physical if isinstance(self.physical, Mapping) else ():
             if name not in self._bodies:
                 raise ModelError(f"load: physical names {name!r}; links with a mass are: {listed(self._bodies, name)}")

@@ -171,11 +171,11 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False, note
         parser.Parse(data, True)
     except expat.ExpatError as error:
         line = error.lineno + skipped
-        raise ModelError(f"{path.name}, line {line}: this is no XML: {expat.ErrorString(error.code)}") from None
+        raise ModelError(f"{path.name}, line {line}: this is not XML: {expat.ErrorString(error.code)}") from None
     except ModelError:
         raise
     except (LookupError, ValueError) as error:  # the encoding that it names
-        raise ModelError(f"{path.name}: this is no XML: {error}") from None
+        raise ModelError(f"{path.name}: this is not XML: {error}") from None
     return roots[0]
 
 

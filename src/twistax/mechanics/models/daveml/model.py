@@ -194,7 +194,7 @@ class DaveModel:
         for name, element in elements.items():
             calculations = element.all("calculation")
             if len(calculations) > 1:
-                raise calculations[1].wrong("a variable has one calculation")
+                raise calculations[1].wrong("has more than one calculation")
             for calculation in calculations:
                 rules[name] = _calculated(needed(calculation, "math"), elements)
         for function in FunctionReader(self._root).all:
@@ -328,7 +328,7 @@ def _sorted(rules: Mapping[str, _Rule], elements: Mapping[str, Element]) -> list
                 order[name] = None
                 del ancestors[name]
             elif name in ancestors:
-                raise elements[name].wrong(f"needs itself: {' <- '.join([*ancestors, name])}")
+                raise elements[name].wrong(f"depends on itself: {' <- '.join([*ancestors, name])}")
             elif name not in order:
                 ancestors[name] = None
                 stack.append((name, True))

@@ -356,7 +356,7 @@ def check_kernel(kernel: Kernel, tile: Tile) -> None:
         for k, result in zip(tile.written, results, strict=True):
             by_jax = np.asarray(called[k]).reshape(result.shape)
             if not np.array_equal(by_jax, result, equal_nan=result.dtype.kind == "f"):
-                raise BuildError("JAX calls it otherwise than expected")
+                raise BuildError("its results differ where JAX calls it")
         _CALLED = True
     kernel.lease.keep()
 
