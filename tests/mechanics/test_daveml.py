@@ -139,7 +139,7 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),
         ('max="12"', 'max="1&q;2"', "line {line}: unknown entity &q;"),
         ('type="e-notation">1<m:sep/>4', 'type="rational">1<m:sep/>0', "line {line}, <cn>: .*denominator"),
-        ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: a variable has one"),
+        ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: has more than one"),
         ('max="12"', 'min="13" max="12"', "line {line}, <independentVarRef>: min 13 is above max 12"),
         ('<dependentVarPts varID="near">', '<independentVarRef varID="el"/><dependentVarPts varID="near">',
          "line {line}, <independentVarRef>: a function has either"),
