@@ -118,7 +118,7 @@ def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     dynamics = tx.compile(_system(11), backend=tx.Native(least=0))
     before = set(map(id, kernel._CODE.values()))
     jax.block_until_ready(dynamics(0.0, POINT))
-    codes = [weakref.ref(lease.code) for lease in kernel._CODE.values() if id(lease) not in before]
+    codes = [weakref.ref(handle.code) for handle in kernel._CODE.values() if id(handle) not in before]
     del dynamics
     assert _left(codes) == len(codes) > 0
     monkeypatch.setattr(kernel, "_REST", 0.0)

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 @weakly_kept
 class Written(Differentiable):
-    """A function of arrays, as JAX has it. Its derivatives are JAX's own.
+    """A function of arrays that JAX runs, with JAX's derivatives.
 
     Args:
         program: the function, of plain arrays.
@@ -49,7 +49,7 @@ class Written(Differentiable):
         return None
 
     def made(self, program: ClosedJaxpr) -> Written:
-        """Another function, which runs as this one does."""
+        """Another function that runs in the same way."""
         return Written(program)
 
     def _tangent(self, active: tuple[int, ...]) -> Written:

@@ -1,4 +1,4 @@
-"""The traced values that a function closes over: found, and for a while replaced by others."""
+"""The traced values that a function closes over: collected, and replaced for a while."""
 
 from __future__ import annotations
 
@@ -29,13 +29,14 @@ def closed_over(function: Callable[..., Any]) -> list[Any]:
 
 @contextlib.contextmanager
 def replaced(function: Callable[..., Any], by: Callable[[Any], Any]) -> Iterator[Callable[..., Any]]:
-    """The function with `by(value)` for each of these values, as long as this lasts: for one thread at a time."""
+    """The function with `by(value)` in place of each traced value, within a context: for one thread at a time."""
     with _LOCK, contextlib.ExitStack() as after:
         yield _changed(function, by, set(), after)
 
 
 def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contextlib.ExitStack) -> Any:
-    """A value with others in place of traced ones; itself where it holds none, and functions, whose variables change.
+    """A value with traced values replaced; the value itself if there are none, and for functions, whose variables
+    change.
 
     Args:
         seen: functions that were met: they may hold one another.

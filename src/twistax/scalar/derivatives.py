@@ -25,7 +25,7 @@ Made = TypeVar("Made")
 def _alone(
     derivative: Callable[Concatenate[ScalarProgram, Own], Made],
 ) -> Callable[Concatenate[ScalarProgram, Own], Made]:
-    """What adds to the graph of a program, by one thread at a time."""
+    """A context in which one thread at a time adds to the graph of a program."""
 
     @functools.wraps(derivative)
     def locked(program: ScalarProgram, *args: Own.args, **kwargs: Own.kwargs) -> Made:
@@ -76,7 +76,9 @@ def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarPr
 
 @_alone
 def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
-    """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
+    """The result of `cotangent_program` by way of all derivatives: for few arguments, or functions without reverse
+    derivative.
+    """
     g, cotangents = program.graph, Cotangents(program.graph)
     inputs, weights = _with_cotangents(program)
     columns = flat(*(program.inputs[k] for k in active))
@@ -86,7 +88,7 @@ def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarP
 
 
 def _with_cotangents(program: ScalarProgram) -> tuple[list[Nodes], list[int]]:
-    """The arguments and new ones, cotangents of the real results; and for each entry of all results its cotangent."""
+    """The arguments and new ones for cotangents of real results, and the cotangent of each entry of all results."""
     g, inputs, weights = program.graph, list(program.inputs), list[int]()
     for output, dtype in zip(program.outputs, program.types, strict=True):
         if is_real(dtype):
@@ -134,7 +136,7 @@ def columns_of(
 
 
 def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
-    """node -> the tangents that it depends on, each a bit of a number; what may be zero all the same included."""
+    """node -> the tangents on which it may depend, as bits of a number."""
     tangents_of = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
     for i in program.live:
         if i not in tangents_of:
@@ -144,7 +146,7 @@ def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> d
 
 
 def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
-    """node -> the tangents that it must carry, each a bit of a number, so that some nodes have those they want."""
+    """node -> the tangents that it must carry for some nodes to have those they want, as bits of a number."""
     tangents_of = dict(wanted)
     for i in reversed(program.live):
         if tangents := tangents_of.get(i, 0):
@@ -159,7 +161,7 @@ def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
 def _carried(
     program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
 ) -> dict[int, dict[int, int]]:
-    """node -> (tangent -> its entry there), of all nodes that are needed, zeros left out."""
+    """node -> (tangent -> derivative), for all needed nodes, without zeros."""
     g = program.graph
     carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
     called: set[int] = set()
@@ -182,7 +184,7 @@ def _carried(
 
 
 def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
-    """Of columns those that some of the nodes may carry."""
+    """The columns that some of the nodes may carry."""
     if wanted is None:
         return sorted(columns)
     mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in reached_nodes), 0)
@@ -270,7 +272,7 @@ def _cotangents(called: _Called, active: tuple[int, ...], real: tuple[int, ...])
 
 @dataclasses.dataclass(frozen=True)
 class _Called:
-    """The function of a call. Equal where the calls do the same, in whatever graph: its derivatives are traced once."""
+    """The function of a call. Equal for calls that do the same in any graph, so that derivatives are traced once."""
 
     key: Any
     arguments: tuple[jax.ShapeDtypeStruct, ...]
@@ -287,7 +289,7 @@ def _function(g: ScalarGraph, call: Call) -> _Called:
 
 
 def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
-    """A function of its arguments `active` alone."""
+    """A function of the arguments `active` only."""
 
     def function(*some: Any) -> Any:
         replaced = dict(zip(active, some, strict=True))

@@ -1,4 +1,4 @@
-"""`fast`: any JAX function of small arrays as scalars, in kernels of its own where they can be had."""
+"""`fast`: a JAX function of small arrays as scalars, in kernels if possible."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ R = TypeVar("R")
 
 
 class Fast(Generic[P, R]):
-    """What `fast` made of a function: jitted, differentiable, batched as any JAX function."""
+    """The result of `fast`: a jitted function, differentiable and batched as any JAX function."""
 
     def __init__(self, function: Callable[P, R], backend: Backend, static: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
@@ -62,7 +62,7 @@ class Fast(Generic[P, R]):
         return "\n".join(reasons)
 
     def _traced(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, list[str]]:
-        """The results for traced arguments, and how they came about."""
+        """The results for traced arguments, and a reason for each part."""
         leaves, structure = jax.tree.flatten((args, kwargs))
         places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
         over = closed_over(self._function)
@@ -99,7 +99,7 @@ class Fast(Generic[P, R]):
 
 
 class _Bound(functools.partial[Any]):
-    """A method of an object."""
+    """A bound method."""
 
     def explain(self, *args: Any, **kwargs: Any) -> str:
         text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
@@ -107,7 +107,7 @@ class _Bound(functools.partial[Any]):
 
 
 def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:
-    """A function of arrays, and how its parts run."""
+    """A function of arrays, and a reason for each of its parts."""
     variables = [*closed.jaxpr.invars, *(v for eqn in all_equations(closed.jaxpr) for v in eqn.outvars)]
     if closed.effects or any(map(is_key, variables)):
         run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))

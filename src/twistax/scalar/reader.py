@@ -37,7 +37,7 @@ _PACKAGE = str(Path(__file__).parents[2]) + os.sep
 
 
 class _OwnDerivative:
-    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare.
+    """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
 
     Those of this package, by name and place, have one derivative, which is not traced for it.
     """

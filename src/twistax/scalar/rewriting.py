@@ -1,4 +1,4 @@
-"""Scalar programs written anew: as emitters write them, in another order, or with a part computed before."""
+"""Rewritten scalar programs: in the form of emitters, in another order, or with a part computed before."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
 def one_by_one(
     program: ScalarProgram, first: Iterable[int] = (), substitutes: Mapping[int, Nodes] | None = None
 ) -> ScalarProgram:
-    """The program in another order: one result after the other, each with what is not there yet.
+    """The program in another order: result by result, each with the nodes that it needs in addition.
 
     Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
     of the program need fewer of one another.
@@ -57,7 +57,7 @@ def rebuilt(
     order: Sequence[int] | None = None,
     substitutes: Mapping[int, Nodes] | None = None,
 ) -> ScalarProgram:
-    """The program in a graph of its own.
+    """The program in a new graph.
 
     Args:
         shared: divisors of which the reciprocal is taken once.
@@ -112,7 +112,7 @@ def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgra
 
 
 def _alone(program: ScalarProgram, argument: int) -> set[int]:
-    """The nodes that are needed and depend on an argument and on no other."""
+    """The needed nodes that depend on one argument and on no other."""
     g, dependent = program.graph, set[int]()
     for i in program.live:
         place = g.input_of(i)

@@ -1,4 +1,4 @@
-"""A function of arrays with loops in it, in parts: what is straight as scalars, loops as kernels of their own."""
+"""A function of arrays with loops, in parts: straight parts as scalars, loops as kernels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..jax_inside import (
 )
 from .array_primitive import Written, is_written
 from .backends import Backend, array_operations
-from .jax_primitive import Bodies
+from .jax_primitive import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
 from .small_call import small_call
@@ -44,7 +44,7 @@ _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "c
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """Some equations of a function, and how they run.
+    """Some equations of a function, with the function that runs them.
 
     Attributes:
         inputs, outputs: variables of the jaxpr.
@@ -60,7 +60,7 @@ class Part:
 
 @weakly_kept
 class Whole(Written):
-    """A function of arrays, run in parts. Its derivatives are taken before it is parted.
+    """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:
         program: the function.
@@ -73,11 +73,11 @@ class Whole(Written):
 
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-        """What runs on the CPU, and how it came about."""
+        """The function for the CPU, and a reason for each part."""
         return emit_whole(self.program, self.backend)
 
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
-        return bodies.each(self.parts[0], arguments)
+    def on_cpu(self, arguments: Sequence[Any], batch: Batch, inside: bool) -> list[jax.Array]:
+        return batch.each(self.parts[0], arguments)
 
     def made(self, program: ClosedJaxpr) -> Whole:
         return Whole(program, self.backend)
@@ -92,7 +92,7 @@ def has_loops(program: ClosedJaxpr) -> bool:
 
 
 def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-    """What runs a function, and a sentence for each of its parts."""
+    """The function that runs a jaxpr, and a sentence for each of its parts."""
     program = _opened(program)
     jaxpr = program.jaxpr
     if not any(map(_loops, jaxpr.eqns)):
@@ -111,7 +111,7 @@ def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., li
 
 
 def _opened(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function without calls of functions."""
+    """The same function with called functions inlined."""
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
     return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
@@ -127,7 +127,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if is_written(eqn) and not eqn.params["bodies"].depth:
+        if is_written(eqn) and not eqn.params["batch"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
@@ -156,7 +156,7 @@ def _operations(eqn: Any) -> int:
 
 
 class _Constants:
-    """What a function computes from its constants alone, in small arrays: each part that reads it computes it anew.
+    """The values that depend on constants only, as small arrays: each part computes those that it reads.
 
     Attributes:
         made: the equations that do.
@@ -189,7 +189,7 @@ class _Constants:
 
 
 def _read(eqns: Iterable[Any]) -> dict[Any, None]:
-    """The variables that equations read, those that they make themselves among them, in order."""
+    """The variables that equations read, in order, including those that they compute."""
     return dict.fromkeys(v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal))
 
 
@@ -317,7 +317,7 @@ def _scanned(body: Callable[..., list[jax.Array]], ring: Ring, *values: Any) -> 
 
 
 def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-    """A `while_loop` around other loops, and how these run."""
+    """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
     going, reasons_of_condition = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
@@ -334,7 +334,7 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
 
 
 def _iteration(eqn: Any) -> tuple[Ring, Callable[..., list[Any]]]:
-    """How a loop goes round, and one iteration of it as `Ring` has it.
+    """The order of a loop's values, and one iteration of it in that order.
 
     Raises:
         Unread: a loop of a later JAX.

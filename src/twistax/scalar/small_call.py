@@ -31,17 +31,17 @@ _IN_KERNEL = contextvars.ContextVar("inside a kernel", default=False)
 
 
 class _Outside(Exception):
-    """What is being traced cannot become part of a small function."""
+    """Raised for a trace that cannot become part of a small function."""
 
 
 def need_outside() -> None:
-    """For what cannot be part of a small function: end the trace that tries it, which would be thrown away."""
+    """End a trace as part of a small function, for something that cannot be part of one."""
     if _INSIDE.get():
         raise _Outside
 
 
 def inside_small_call() -> bool:
-    """Whether what is being traced becomes part of a small function."""
+    """Whether the present trace becomes part of a small function."""
     return _INSIDE.get()
 
 
@@ -66,7 +66,7 @@ def no_small_call() -> Iterator[None]:
 
 
 def held(tree: Tree) -> Tree:
-    """The same numbers, kept in one array. Inside a small function XLA else computes scalars anew at every reader.
+    """The same numbers, stored in one array: inside a small function XLA would compute scalars again at every reader.
 
     Whole numbers are small, so that they are floating-point numbers too.
     """

@@ -1,4 +1,4 @@
-"""Cotangents on the graph, each a product that is not taken before it must."""
+"""Cotangents on the graph, each a product that is multiplied out only where necessary."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Cotangent(NamedTuple):
     rate: int
 
     def through(self, g: Graph, slope: int | tuple[int, int]) -> Cotangent:
-        """That of an argument of an operation with this derivative."""
+        """The cotangent of an argument of an operation with this derivative."""
         if isinstance(slope, tuple):
             return Cotangent(g.scaled(g.over(slope[0], self.rate), self.weight), slope[1])
         if self.rate == g.one:
@@ -41,7 +41,7 @@ class Cotangent(NamedTuple):
 
 
 class Cotangents(Mapping[int, int]):
-    """The cotangents of nodes, sums of what each reader of a node gives it."""
+    """The cotangents of nodes, each the sum of the contributions of its readers."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -57,7 +57,7 @@ class Cotangents(Mapping[int, int]):
         weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)
 
     def of(self, node: int) -> list[Cotangent]:
-        """That of a node whose readers have all given theirs: the terms of a sum.
+        """The terms of the cotangent of a node, once all its readers have contributed.
 
         A few products stay apart, as those of r^2 that is read by 1 / r^2 and by its root: each has its size.
         """

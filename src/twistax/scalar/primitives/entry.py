@@ -1,4 +1,4 @@
-"""What an entry of the table says of a primitive of JAX, or of an operation on scalars."""
+"""Entries of the table of primitives, and operations on scalars."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Entry:
-    """What is known of a primitive of JAX. Compared and hashed by identity.
+    """The entry of a primitive of JAX. Compared and hashed by identity.
 
     Attributes:
         name: of the primitive.
@@ -83,7 +83,7 @@ class Entry:
         return self.name
 
     def understands(self, eqn: Any) -> bool:
-        """Whether the values of an equation's parameters are ones that are read.
+        """Whether the entry handles the values of an equation's parameters.
 
         Raises:
             Unread: it has other parameters than are known.
@@ -91,7 +91,7 @@ class Entry:
         return self.when(parameters(eqn, *_names(self.takes)))
 
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-        """The results of an equation as nodes; None: it stays a call of JAX.
+        """The results of an equation as nodes; None if it stays a call.
 
         Raises:
             Unread: a parameter has a form that is not known.
@@ -117,7 +117,7 @@ moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
 
 
 class Forms(NamedTuple):
-    """How an operation is written in another language, by the type of its last argument; None: it is not.
+    """The forms of an operation in another language, by the type of its last argument; None if there is none.
 
     In C: an expression in $a, $b, $c; $T and $R are the types of the arguments and the result, $U is an unsigned
     type to add integers in, $f the suffix of libm's names, $least and $most the ends of the result's type.
@@ -185,7 +185,7 @@ class Operation(Entry):
         return [each(self.on(reader.graph), *arrays)]
 
     def on(self, g: Graph) -> Callable[..., int]:
-        """What makes its node from those of the arguments."""
+        """The function that makes its node from those of the arguments."""
         return functools.partial(g.node, self) if self.maker is None else self.maker(g)
 
     def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:

@@ -1,4 +1,4 @@
-"""Operations that move entries, and take and put them at places: on arrays of nodes they are NumPy's own."""
+"""Operations that move, select and insert entries, on arrays of nodes by NumPy."""
 
 from __future__ import annotations
 
@@ -109,13 +109,13 @@ MOVEMENT = [
 
 
 def _window(start: Any, shape: Any, sizes: Any) -> tuple[slice, ...]:
-    """The entries of a window, moved inside."""
+    """The slices of a window, shifted so that it lies inside."""
     inside = [min(max(int(s), 0), n - m) for s, n, m in zip(start, shape, sizes, strict=True)]
     return tuple(slice(s, s + m) for s, m in zip(inside, sizes, strict=True))
 
 
 def _lookup(g: Graph, table: list[int], place: int) -> int:
-    """table[place], the ends beyond the ends."""
+    """table[place]; places beyond an end give the entry at that end."""
     value = table[-1]
     for k in range(len(table) - 2, -1, -1):
         here = on(g, "le", place, g.constant(k, g.dtypes[place]))
@@ -212,7 +212,7 @@ def _at(rank: int, axes: Any, places: Any, default: Any = slice(None)) -> tuple[
 
 
 def _moved(start: Any, window: tuple[slice, ...]) -> bool:
-    """Whether a window is not where it was to begin."""
+    """Whether a window was shifted."""
     return any(int(s) != part.start for s, part in zip(start, window, strict=True))
 
 

@@ -28,7 +28,7 @@ def _jit(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
 
 
 def _batched_by_rule(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
-    """A function with a rule for batches, of one body."""
+    """A function with a batching rule, on one batch member."""
     return reader.read(closed(eqn.params["call"]), arrays)
 
 
@@ -102,15 +102,15 @@ def _equations(jaxpr: Any) -> int:
 
 
 def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """The scalars of a program of this package, for one body."""
-    return None if eqn.params["bodies"].depth else reader.inlined(eqn.params["program"].program, arrays)
+    """The scalars of a program of this package, for one batch member."""
+    return None if eqn.params["batch"].depth else reader.inlined(eqn.params["program"].program, arrays)
 
 
 def _operations(eqn: Any) -> dict[str, int]:
-    """Those of all bodies."""
-    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["bodies"].depth])
+    """Operations of all members of the batch."""
+    members = math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
     counts: dict[str, int] = eqn.params["program"].program.counts()
-    return {name: bodies * count for name, count in counts.items()}
+    return {name: members * count for name, count in counts.items()}
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------
@@ -144,8 +144,8 @@ _CONTROL = [
     # This package's own.
     TABLE_LOAD,
     NORM,
-    moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
-    Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
+    moving("scalar_program", _program, "program batch inside", moves=False, work=_operations),
+    Entry("native_program", _program, "program batch inside", any_type=True, work=_operations),
 ]
 
 #: By the name of the primitive.

@@ -23,7 +23,7 @@ _LARGEST = 40_000
 
 
 def on_host(function: Callable[..., Result], *arguments: Any) -> Result | None:
-    """function(*arguments), scalar by scalar in NumPy.
+    """function(*arguments), evaluated as scalars by NumPy.
 
     It is traced as JAX traces it, but XLA and LLVM see nothing of it.
 

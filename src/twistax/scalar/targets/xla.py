@@ -75,7 +75,7 @@ class _Piece:
 def as_function(
     program: ScalarProgram, outline: Callable[[_Piece], Callable[..., list[jax.Array]]] | None = None
 ) -> Callable[..., list[jax.Array]]:
-    """The program as a function of arrays, one body at a time; pure and traceable.
+    """The program as a function of arrays, one member at a time; pure and traceable.
 
     Args:
         outline: makes a separate function of a piece; by default `jax.jit`, which XLA may inline.

@@ -54,7 +54,7 @@ class Module:
         self.tables: dict[str, str] = {}
         #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
         self.long = False
-        #: Bits of vectors into which LLVM puts operations of one body that are alike; 0: it does not look for them.
+        #: Bits of vectors into which LLVM puts operations of one member that are alike; 0: it does not look for them.
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
@@ -92,7 +92,7 @@ class Code:
         self._numbers = itertools.count(1)
 
     def of(self, lanes: int) -> Code:
-        """The same function, going on with vectors of so many lanes."""
+        """The same function, continued with vectors of another number of lanes."""
         code = copy.copy(self)
         code.lanes, code.sines = lanes, {}
         return code
@@ -108,15 +108,15 @@ class Code:
         return f"%v{next(self._numbers)}"
 
     def label(self) -> str:
-        """The name of a block that is yet to come."""
+        """A new name of a block."""
         return f"b{self.name()[1:]}"
 
     def vector(self, kind: str) -> str:
-        """The type of a vector; of one lane that of its number."""
+        """The type of a vector; for one lane the type of a number."""
         return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
 
     def suffix(self, kind: str) -> str:
-        """The same in the names of functions."""
+        """The type in names of LLVM's functions."""
         suffix = _SUFFIXES.get(kind, kind)
         return suffix if self.lanes == 1 else f"v{self.lanes}{suffix}"
 
@@ -126,13 +126,13 @@ class Code:
         return number if self.lanes == 1 else f"splat ({kind} {number})"
 
     def spread(self, kind: str, number: str) -> str:
-        """A number in all lanes, one that is computed."""
+        """A computed number in all lanes."""
         vector, zeros = self.vector(kind), self.vector("i32")
         first = self.emit(f"insertelement {vector} poison, {kind} {number}, i32 0")
         return self.emit(f"shufflevector {vector} {first}, {vector} poison, {zeros} zeroinitializer")
 
     def part(self, kind: str, vector: str, first: int, count: int) -> str:
-        """So many lanes of a vector from one on; a number where it is one."""
+        """Consecutive lanes of a vector; a number for one lane."""
         if count == 1:
             return self.entry(kind, vector, first)
         vector_type, order = self.vector(kind), ", ".join(f"i32 {k}" for k in range(first, first + count))
@@ -152,7 +152,7 @@ class Code:
     # ---- instructions --------------------------------------------------------------------------------------------
 
     def instruction(self, name: str, kind: str, *arguments: str) -> str:
-        """Of one or two vectors of a type."""
+        """An instruction on one or two vectors of a type."""
         return self.emit(f"{name} {self.vector(kind)} {', '.join(arguments)}")
 
     def intrinsic(self, name: str, kind: str, *arguments: str) -> str:
@@ -161,7 +161,7 @@ class Code:
         return self.call(vector_type, f"llvm.{name}.{self.suffix(kind)}", *((vector_type, a) for a in arguments))
 
     def call(self, result: str, name: str, *arguments: tuple[str, str]) -> str:
-        """A function that is declared here, of types and values."""
+        """A call of a function that is declared here, with values and their types."""
         self.module.declarations.add(f"declare {result} @{name}({', '.join(kind for kind, _ in arguments)})")
         text = f"call {result} @{name}({', '.join(f'{kind} {value}' for kind, value in arguments)})"
         if result != "void":
@@ -179,15 +179,15 @@ class Code:
     # ---- operations on scalars, as the table names them ----------------------------------------------------------
 
     def turned(self, place: int, kind: str, x: str) -> str:
-        """Sine (0) or cosine (1) of an angle of which both are there already."""
+        """Sine (0) or cosine (1) of an angle whose sine and cosine are already computed."""
         return self.sines[x][place]
 
     def chosen(self, comparison: str, kind: str, a: str, b: str) -> str:
-        """a where it compares so with b, else b."""
+        """a where the comparison of a with b holds, else b."""
         return self.select(kind, self.instruction(comparison, kind, a, b), a, b)
 
     def further(self, comparison: str, kind: str, a: str, b: str) -> str:
-        """The same; NaN where one of them is."""
+        """The extreme of a and b; NaN where one of them is NaN."""
         first = self.chosen(comparison, kind, a, b)
         return self.select(kind, self.instruction("fcmp uno", kind, a, a), a, first)
 
@@ -332,7 +332,7 @@ class Code:
         return self.instruction("fadd", kind, self.instruction("fmul", kind, a, b), c)
 
     def loop(self, carried: Sequence[tuple[str, str, str]]) -> Callable[[Sequence[str], str], None]:
-        """Begins what is done once, and again while it says so; its values are then those of the last time.
+        """Begin a loop that runs at least once; its values afterwards are those of the last iteration.
 
         Args:
             carried: names, their types, and their values the first time.

@@ -1,4 +1,4 @@
-"""A step taken again and again in one function, each body as long as it must; and rows that it fills on the way."""
+"""A loop over a step as one function, each batch member as long as its loop goes on; and rows that the loop fills."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from ...program import ScalarProgram
 from .code import NAMES, Code
-from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
+from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
 #: Where the marks of rows lie from where a step comes to, in the check of a kernel: within it, there, and beyond.
 _ABOUT = np.array([-1e-3, 0.0, 1e3])
 
 
-class Iterations(Tile):
+class Iterations(KernelBody):
     """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
 
-    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
+    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each member
     iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
     (*state) or (*state, more), all states of its precision; `state` arguments are the state.
 
@@ -103,7 +103,7 @@ class Iterations(Tile):
                 rows[f"r{k}"].write([next(left) for _ in range(self.results[k].size)])
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """One iteration, two, none, and so on; marks about where the first one comes to."""
+        """Arguments for one iteration, two, none, and so on; marks about where the first iteration ends."""
         changed = list(arguments)
         first = changed[self._first]
         changed[self._first + 1] = first + np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
@@ -136,7 +136,7 @@ class Iterations(Tile):
 
 
 class _Filling:
-    """The loop over the rows that one iteration fills."""
+    """The loop over the rows that become due in one iteration."""
 
     def __init__(
         self, code: Code, row: ScalarProgram, rows: Mapping[str, Rows], arguments: Sequence[Array], table: int
@@ -155,7 +155,7 @@ class _Filling:
         """Adds the loop of an iteration after which row `number` is the first that is not filled; the number after it.
 
         Args:
-            live: which bodies took the iteration.
+            live: which members took the iteration.
             record: what it left for rows; first how far it came.
         """
         code, counter, kind = self._code, self._counter, NAMES[self._mark.dtype]
@@ -209,13 +209,13 @@ def _by_numpy_too(
         if not due.any():
             return [number, table]
         (values,) = by_numpy(row, [*record, mark], rounded)
-        for body in every[due[:, 0]]:
-            table[body, place[body] * size : (place[body] + 1) * size] = values[body]
+        for member in every[due[:, 0]]:
+            table[member, place[member] * size : (place[member] + 1) * size] = values[member]
         number = number + due
 
 
 def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
-    """Whether all values are: zero times each of them is then zero."""
+    """Whether all values are finite: zero times each of them is zero."""
     zero = code.constant(kind, 0.0)
     total = zero
     for value in values:

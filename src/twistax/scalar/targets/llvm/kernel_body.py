@@ -1,4 +1,4 @@
-"""A scalar program as one function that computes as many bodies at once as a vector has lanes."""
+"""A scalar program as one function that computes as many batch members at once as a vector has lanes."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
 
 def native_form(program: ScalarProgram) -> ScalarProgram:
-    """The program as kernels are written from it.
+    """The program in the form from which kernels are written.
 
     Raises:
         NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
@@ -62,7 +62,7 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
 
 
 def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
-    """How an operation on arguments of a type is written."""
+    """The LLVM form of an operation on arguments of a type."""
     form: Callable[..., str] | None = operation.llvm.of(dtype)
     if form is None:
         raise NotNative(f"{operation.name} of {NAMES[dtype]} has no native form")
@@ -79,7 +79,7 @@ class Scalars:
         self._values: dict[int, str] = {}
 
     def compute(self, nodes: Sequence[int]) -> list[str]:
-        """The values of nodes; sines and cosines that do not wait for one another together."""
+        """The values of nodes; independent sines and cosines are computed together."""
         g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
         for angles in self._angles(live):
             self._in_order(g.live(angles, values))
@@ -97,7 +97,7 @@ class Scalars:
         return values
 
     def value(self, node: int) -> str:
-        """Of a node that is there, or is a number or an entry of an argument."""
+        """The value of a node that is computed, a number, or an entry of an argument."""
         if node not in self._values and self._graph.operation(node) is None:
             self._in_order([node])
         return self._values[node]
@@ -135,8 +135,8 @@ class Scalars:
 # ---- tiles -----------------------------------------------------------------------------------------------------------
 
 
-class RowFunction(ABC):
-    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
+class BatchFunction(ABC):
+    """A function `tile(last, arguments, results)` of rows 0 to `last` of arrays, at most as many as a vector has lanes.
 
     Attributes:
         lanes: rows computed side by side.
@@ -157,25 +157,25 @@ class RowFunction(ABC):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """Those that are read and written, by what kernels call them."""
+        """The arrays that are read and written, by their names in kernels."""
         arguments = {f"a{k}": self.arguments[k] for k in self.read}
         return arguments | {f"r{k}": self.results[k] for k in self.written}
 
     @abstractmethod
     def write(self, module: Module) -> None:
-        """Adds the function, and what it calls."""
+        """Add the function, and the functions that it calls."""
 
     def _heads(self, pointer: str) -> str:
         return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
 
 
-class Tile(RowFunction):
-    """The function of a scalar program.
+class KernelBody(BatchFunction):
+    """The function of a scalar program in a kernel.
 
     Attributes:
         program: from `native_form`.
         tried: the length that long arrays have where the function is checked.
-        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
+        packed: the bits of vectors into which LLVM is to put operations of one member; 0: it is not.
     """
 
     tried, packed = 0, 0
@@ -201,7 +201,7 @@ class Tile(RowFunction):
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        """Adds the instructions.
+        """Add the instructions.
 
         Args:
             rows: those of `arrays`.
@@ -212,11 +212,11 @@ class Tile(RowFunction):
         """All results by NumPy, for all arguments, (rows, entries) each; `rounded` is applied to each number met."""
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
+        """Random arguments, changed so that all parts of the function are exercised."""
         return arguments
 
 
-class Straight(Tile):
+class Straight(KernelBody):
     """A program, from its arguments to its results."""
 
     #: Operations on scalars that a thread takes at a time, some 5 us.
@@ -239,7 +239,7 @@ class Straight(Tile):
             rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
 
     def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        """One call after the other."""
+        """Write the program as several functions, called in turn."""
         program, module, g = self.program, code.module, self.program.graph
         blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
@@ -278,7 +278,7 @@ def needed_by(program: ScalarProgram) -> set[int]:
 def by_numpy(
     program: ScalarProgram, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray
 ) -> list[NDArray[Any]]:
-    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
+    """The results for rows of arguments, (rows, entries) each, by NumPy: the reference for kernels."""
     count = len(arguments[0]) if arguments else 1
     with np.errstate(all="ignore"):
         values = program.computed(

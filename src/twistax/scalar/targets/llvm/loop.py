@@ -1,4 +1,4 @@
-"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations of as many bodies as a vector has lanes."""
+"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations, for a vector of batch members."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ...loops import Ring
 from ...primitives.interface import flat
 from ...program import ScalarProgram
 from .code import NAMES, Code
-from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
+from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
-#: The most operations that are put into vectors within one body: it takes LLVM twice as long.
+#: The most operations that are put into vectors within one member: it takes LLVM twice as long.
 _PACKED = 3000
 #: Of many instructions each, without a branch. Four of them gain by themselves; sixteen fill wide vectors.
 _LONG = {"exp", "expm1", "logistic", "tanh"}
@@ -24,8 +24,8 @@ _LONG = {"exp", "expm1", "logistic", "tanh"}
 _MOST = 0.75
 
 
-class LoopBody(Tile):
-    """Takes (count, *fixed, *state, *rows), gives (*state, *rows).
+class LoopBody(KernelBody):
+    """The kernel body of a loop: takes (count, *fixed, *state, *rows), gives (*state, *rows).
 
     The count of a scan is its length, at least one, which no kernel depends on. That of a `while_loop` bounds the
     iterations; -1: nothing does.
@@ -122,7 +122,7 @@ class LoopBody(Tile):
 
 
 def _width(program: ScalarProgram, carried: Sequence[int]) -> int:
-    """Bits of vectors within one body; 0 where they do not pay."""
+    """Bits of vectors within one member; 0 where they do not pay."""
     long = sum(count for name, count in program.counts().items() if name in _LONG)
     if program.operations > _PACKED:
         return 0

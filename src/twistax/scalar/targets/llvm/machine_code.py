@@ -70,7 +70,7 @@ _LOCK = threading.Lock()
 
 
 class BuildError(Exception):
-    """No machine code came of it; the message says why."""
+    """Machine code could not be made; the message says why."""
 
 
 class MachineCode:
@@ -93,7 +93,7 @@ _OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": Tr
 
 
 def written_by(processor: Processor) -> str:
-    """All that machine code depends on, but for what it is compiled from."""
+    """Everything besides the compiled text on which machine code depends."""
     import llvmlite
     import llvmlite.binding as llvm
 
@@ -206,7 +206,7 @@ def _target_machine(processor: Processor, level: int) -> Any:
 
 
 def _address(symbol: str) -> int:
-    """Of a function of the C library. LLVM ends the process where it finds none, so it is looked up before."""
+    """The address of a function of the C library, looked up because LLVM ends the process for a missing one."""
     # Names of files are looked for, which takes time, only where the process itself has no such function.
     for name in (None, "m", "c"):
         try:

@@ -23,7 +23,7 @@ Piece = tuple[list[int], list[tuple[int, int]]]
 
 
 class Scratch:
-    """Which nodes pass from piece to piece, and where they stand meanwhile.
+    """The nodes that pass from piece to piece, and their places in memory.
 
     Args:
         program: in the order in which it is computed.
@@ -88,7 +88,7 @@ class Scratch:
 
 
 class PieceValues(dict[int, str]):
-    """The values of nodes in one piece: those of earlier ones are read where they are first needed."""
+    """The values of nodes in one piece; those of earlier pieces are loaded where they are first needed."""
 
     def __init__(self, code: Code, scratch: Scratch) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class PieceValues(dict[int, str]):
         return value
 
     def keep(self, nodes: Sequence[int]) -> None:
-        """Write what later pieces need of these."""
+        """Store the values that later pieces need."""
         for i in nodes:
             if i in self._scratch.slots:
                 kind, place = self._scratch.at(self._code, i)
@@ -108,5 +108,5 @@ class PieceValues(dict[int, str]):
 
 
 def in_pieces(program: ScalarProgram) -> bool:
-    """Whether a program is long enough."""
+    """Whether a program is long enough to be split."""
     return program.operations >= _LONG
