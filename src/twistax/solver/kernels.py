@@ -133,11 +133,11 @@ class _Unbound:
             if Argument.NUMBERS in arguments:
                 place = arguments.index(Argument.NUMBERS)
                 before, form = computed_before(form, place)
-            tile = Straight(form, processor.lanes(np.dtype(float)))
-            kernel = Kernel(tile, processor, threads=1)
-            check_kernel(kernel, tile)
+            body = Straight(form, processor.lanes(np.dtype(float)))
+            kernel = Kernel(body, processor, threads=1)
+            check_kernel(kernel, body)
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
-        return cls(kernel.symbol[1], [arguments[k] for k in tile.read], kernel, before, place)
+        return cls(kernel.symbol[1], [arguments[k] for k in body.read], kernel, before, place)
 
     @classmethod
     def of_function(

@@ -18,7 +18,7 @@ _FITTING, _RESERVE = 16.0, 100.0
 
 
 class StartUnits:
-    """Units for the core at a start.
+    """Units for the solver's core, measured at a start.
 
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
@@ -47,20 +47,20 @@ class StartUnits:
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
-        moves = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
-        if not moves > 0.0:  # no slope and no curvature there: what a whole move changes
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
+        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
-            moves = abs(there.cost[0] - at.cost[0])
-        self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+            change_of_cost = abs(there.cost[0] - at.cost[0])
+        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
-        """Shared unknowns of the start, with durations that limited controls need."""
+        """Shared unknowns of the start, with durations that are long enough for the limited controls."""
         return self._fitted(staged, point, limits, self._first)[0]
 
     @classmethod
     def _fitted(cls, staged: Staged, point: Point, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
-        """Durations in which limited controls move states as far as they have to go, and sizes there.
+        """Durations in which limited controls can move the states as far as required, and sizes for them.
 
         A guess of a duration may be thousands of times too long. What controls do to states over such a time says
         nothing of the states of a trajectory, so free durations are halved until it fits.
@@ -82,20 +82,22 @@ class StartUnits:
         return durations, parts
 
     def distance(self, other: StartUnits) -> float:
-        """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""
+        """The largest |log| of a ratio of corresponding units of the objective, the states and the controls that move
+        them.
+        """
         ratios = [np.ravel(self.cost / other.cost)]
         for mine, theirs in zip(self.parts, other.parts):
             ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
 
     def fit(self, staged: Staged, point: Point) -> bool:
-        """Whether a point is within a unit of each unknown from where these were measured."""
+        """Whether every unknown of a point is within its unit of the start at which the units were measured."""
         z, v = self._staged_at
         moved = np.abs(staged.coordinates(point) - v) <= self.v
         return bool(moved.all() and (np.abs(staged.flat(point) - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
-        """Count everything in the units of its statement."""
+        """Use the units of the statement: 1 for everything."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
         self.border, self.v, self.rows, self.equalities = ones
         self.parts = [sizes._replace(d=np.ones_like(sizes.d), u=np.ones_like(sizes.u)) for sizes in self.parts]

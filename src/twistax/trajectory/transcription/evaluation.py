@@ -45,13 +45,13 @@ class Evaluated:
         return bool(function(self._functions.user, self._z.ctypes.data, *pointers))
 
     def jacobians(self) -> bool:
-        """First derivatives; whether there are such."""
+        """Compute first derivatives; False if they are not finite."""
         self.gradient = np.zeros(self.stages.variables)
         self.F, self.Jh, self.Je = map(np.zeros, self.stages.slope_sizes)
         return not (self.failed or self._call("jacobians", self.gradient, self.F, self.Jh, self.Je))
 
     def differentiate(self) -> bool:
-        """First derivatives, and the second ones of the cost; whether there are such."""
+        """Compute first derivatives, and second derivatives of the cost; False if they are not finite."""
         good = self.jacobians()
         self.H = np.zeros(self.stages.hessian_size)
         zeros = [np.zeros_like(a) for a in (self.c, self.h, self.e)]

@@ -1,4 +1,4 @@
-"""A transcribed problem as the solver's core has it: points, steps and rows as flat arrays.
+"""A transcribed problem in the form of the solver's core: points, steps and rows as flat arrays.
 
 z has the points of all nodes, controls and shared unknowns, stage by stage; v the same with tangents in place of
 points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
@@ -23,7 +23,7 @@ from .vectors import Numbers
 
 
 class Staged:
-    """A problem for the core.
+    """A problem in the form of the solver's core.
 
     Args:
         transcribed: the discrete problem.
@@ -87,7 +87,7 @@ class Staged:
         self.places_alone = self._alone()
 
     def _place_rows(self) -> None:
-        """Where each row is among inequalities, equalities, lower and upper bounds one after the other."""
+        """The place of each row among inequalities, equalities, lower and upper bounds."""
         stages, transcribed = self.transcription.stages, self.transcribed
         counts = np.cumsum([sum(stages.inequalities), sum(stages.equalities), stages.variables, stages.variables])
         self._kinds, nothing = counts.tolist(), int(counts[-1])
@@ -114,20 +114,20 @@ class Staged:
         self._places = transcribed.whole_rows([place - nothing for place in places]).astype(int) + nothing
 
     def drop(self, rows: Sequence[Array], instance: Given) -> None:
-        """Take rows out of each phase that others decide; they are only checked."""
+        """Remove rows of each phase that other rows determine; they are only checked."""
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
         self._assemble(instance)
 
     def alone(self, instance: Given) -> Staged:
-        """The same for another thread: kernels are shared, memory is not."""
+        """A copy for another thread: it shares kernels, not memory."""
         other = copy.copy(self)
         other._assemble(instance)
         return other
 
     def set_given(self, instance: Given) -> None:
-        """What it is solved for from now on."""
+        """Set the data of the problem."""
         self.transcription.set_data(self.numbers.vector(instance))
         self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
         for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
@@ -170,7 +170,7 @@ class Staged:
         return [v[at] for at in self._nodes_v]
 
     def after(self, v: Array) -> Array:
-        """Of numbers of v those of the states after each interval, as defects have them."""
+        """From entries of v to those of the states after each interval, in the order of the defects."""
         states = self.transcription.stages.states
         return np.concatenate([v[a : a + n] for a, n in zip(self.first[1:], states[1:])])
 
@@ -206,12 +206,12 @@ class Staged:
         return lower, upper
 
     def all_rows(self, h: Array, e: Array, lower: Array, upper: Array) -> Array:
-        """Numbers of inequalities, of equalities and of both sides of v as those of all rows."""
+        """From entries of inequalities, of equalities and of both bounds of v to those of all rows."""
         rows: Array = np.concatenate([h, e, lower, upper, np.zeros(1)])[self._places]
         return rows
 
     def split_rows(self, rows: Array) -> tuple[Array, Array, Array, Array]:
-        """The inverse of `all_rows`; zero of what is no row."""
+        """The inverse of `all_rows`; entries that are no row are zero."""
         every = np.zeros(self._kinds[-1] + 1)
         every[self._places] = rows
         h, e, lower, upper = np.split(every[:-1], self._kinds[:-1])
@@ -241,7 +241,7 @@ class Staged:
         return rounds
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
-        """Sizes of rows: of a path row the largest of all its places; 1 where there is none."""
+        """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
         sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
         for part, every in zip(self.parts, self.transcription.path_places):
             for row in range(part.phase.path.shape[2]):
