@@ -69,8 +69,8 @@ def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict
     bound.apply_defaults()
     for field in cls._fields:
         if field.variadic and len(bound.arguments[field.name]) < cls.fewest:
-            given, least = len(bound.arguments[field.name]), ("one", "two")[cls.fewest - 1]
-            raise ModelError(f"{cls.__name__} requires {least} or more {field.name}, got {given}")
+            count, least = len(bound.arguments[field.name]), ("one", "two")[cls.fewest - 1]
+            raise ModelError(f"{cls.__name__} requires {least} or more {field.name}, got {count}")
     return bound.arguments
 
 
@@ -84,10 +84,10 @@ def positive(owner: object, name: str, value: object, unit: str = "") -> None:
 
 def digest(cls: type, static_key: Any, keys: Iterable[str]) -> str:
     """The structural key of a node: of its class, its static data and the keys of its children."""
-    found = hashlib.blake2b(digest_size=16)
+    hashed = hashlib.blake2b(digest_size=16)
     for part in (f"{first_module(cls)}.{cls.__qualname__}", repr(static_key), *keys):
-        found.update(part.encode())
-    return found.hexdigest()
+        hashed.update(part.encode())
+    return hashed.hexdigest()
 
 
 def freeze(value: Any) -> Any:
@@ -145,11 +145,11 @@ _KEPT: list[Any] = []
 
 def _number_of(value: Any) -> int:
     """A number that no other object gets, not even one that comes to lie at the same address."""
-    own = next(_NUMBERS)
-    found = _IDENTITIES.setdefault(id(value), own)
-    if found == own:
+    new = next(_NUMBERS)
+    number = _IDENTITIES.setdefault(id(value), new)
+    if number == new:
         try:
             weakref.finalize(value, _IDENTITIES.pop, id(value), None)
         except TypeError:
             _KEPT.append(value)
-    return found
+    return number

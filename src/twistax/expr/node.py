@@ -172,9 +172,9 @@ class Expr(Printed, Operators):
                 f"{type(self).__name__} has no {name!r}; it has: {listed([p.name for p in taken], name)}"
             )
         variadic = [p.name for p in taken if p.kind is p.VAR_POSITIONAL]
-        given = {p.name: getattr(self, p.name) for p in taken} | changes
-        operands = [operand for name in variadic for operand in given.pop(name)]
-        return type(self)(*operands, **given)
+        arguments = {p.name: getattr(self, p.name) for p in taken} | changes
+        operands = [operand for name in variadic for operand in arguments.pop(name)]
+        return type(self)(*operands, **arguments)
 
     # ---- hooks -----------------------------------------------------------------------------------------------
 
@@ -248,13 +248,13 @@ class Expr(Printed, Operators):
 
     def children(self) -> list[Expr]:
         """The operands, in order."""
-        found: list[Expr] = []
+        children: list[Expr] = []
         for field in self._fields:
             if field.variadic:
-                found.extend(getattr(self, field.name))
+                children.extend(getattr(self, field.name))
             elif field.operand:
-                found.append(getattr(self, field.name))
-        return found
+                children.append(getattr(self, field.name))
+        return children
 
     def child_names(self) -> list[str]:
         """Where each child sits: field names, with positions for variadic nodes."""
@@ -370,8 +370,8 @@ def node_classes() -> Iterator[type[Expr]]:
 def all_nodes() -> list[type[Expr]]:
     """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
     package = __name__.partition(".")[0]
-    own = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
-    return sorted(own, key=lambda cls: (cls.__module__, cls.__qualname__))
+    classes = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
+    return sorted(classes, key=lambda cls: (cls.__module__, cls.__qualname__))
 
 
 def to_numbers(owner: str, child: Expr) -> Expr:

@@ -63,13 +63,12 @@ class Mechanism(KinematicTree):
 
     @functools.cached_property
     def redundant_closures(self) -> int:
-        """How many of the things that the loops say follow from others, in whatever posture. Looked at in one."""
-
+        """The number of closure rows that follow from others at a random configuration."""
         return redundant_rows(self) if self.loops else 0
 
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
-        """What else there is to say about the model."""
+        """Remarks on the model, for example what a file has that is not used."""
         if not self.redundant_closures:
             return self._notes
         rows = sum(loop.rows for loop in self.loops)
@@ -90,18 +89,18 @@ class Mechanism(KinematicTree):
         """
         for name in changes.keys() - {"links", *self._arguments}:
             known = ["drives", "links", *self._arguments]
-            raise ModelError(f"Mechanism.replace knows no {name!r}; it knows: {listed(known, name)}")
+            raise ModelError(f"Mechanism.replace has no argument {name!r}; it takes: {listed(known, name)}")
         if drives and "links" in changes:  # they go into the new ones
             return self.replace(**changes).replace(drives=drives)
         joints = {link.joint.name: link for link in self.links}
         for name, drive in (drives or {}).items():
             if name not in joints:
-                raise ModelError(f"Mechanism.replace knows no joint {name!r}; it knows: {listed(joints, name)}")
+                raise ModelError(f"Mechanism.replace: there is no joint {name!r}; there are: {listed(joints, name)}")
             joints[name] = dataclasses.replace(joints[name], drive=drive)
         return Mechanism(**{"links": joints.values(), **self._arguments, **changes})
 
     def _knowing(self, rates: Mapping[str, Expr]) -> Mechanism:
-        """A copy whose bodies know the rates of states that they depend on."""
+        """A copy whose bodies have the rates of the states that they depend on."""
         links = [
             link if link.body is None else dataclasses.replace(link, body=link.body.with_rates(rates))
             for link in self.links
@@ -124,7 +123,6 @@ class Mechanism(KinematicTree):
 
         Raises: ShapeError; ModelError for bodies with masses that move by rates that are not known.
         """
-
         parts = (kinetic_energy(self, q, qd), potential_energy(self, q), spring_energy(self, q))
         return dict(zip(("kinetic", "gravity", "springs"), parts, strict=True))
 

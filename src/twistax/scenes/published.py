@@ -84,8 +84,8 @@ def _fixed_positions(figure: earth.Ellipsoid) -> Callable[..., Array]:
     """Planet-fixed positions (n, 3) of latitudes, longitudes and altitudes, (n,) each."""
     place = [tx.State(name) for name in ("latitude", "longitude", "altitude")]
     one = tx.lower(figure.position(*place))
-    each = jax.jit(jax.vmap(lambda *values: one(0.0, dict(zip(("latitude", "longitude", "altitude"), values)))))
-    return lambda *values: np.asarray(each(*values))
+    vectorized = jax.jit(jax.vmap(lambda *values: one(0.0, dict(zip(("latitude", "longitude", "altitude"), values)))))
+    return lambda *values: np.asarray(vectorized(*values))
 
 
 class PublishedTable:
@@ -156,9 +156,9 @@ class PublishedTable:
 def read(directory: Path, number: int, figure: earth.Ellipsoid = earth.WGS84) -> dict[str, Track]:
     """The published simulations of a case, by number. Raises InputError where there are none."""
     folder = directory / FOLDERS[number]
-    found = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
-    if not found:
+    files = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
+    if not files:
         raise tx.InputError(
             f"case {number}: no file sim_<number>.csv in {folder}\n  fix: name the folder that has {folder.name}"
         )
-    return {name: PublishedTable(file, figure).track() for name, file in sorted(found.items())}
+    return {name: PublishedTable(file, figure).track() for name, file in sorted(files.items())}

@@ -24,8 +24,8 @@ def precision(*groups: Values | None) -> Any:
     one it is JAX's default float.
     """
     for values in groups:
-        given = values.values() if isinstance(values, Mapping) else ()
-        dtypes = [v.dtype for v in given if hasattr(v, "dtype")]
+        arrays = values.values() if isinstance(values, Mapping) else ()
+        dtypes = [v.dtype for v in arrays if hasattr(v, "dtype")]
         sizes = [min(d.itemsize, 8) for d in dtypes if jnp.issubdtype(d, jnp.floating) and d.itemsize >= 4]
         if sizes:
             return jax.dtypes.canonicalize_dtype(f"float{8 * max(sizes)}")
@@ -59,10 +59,10 @@ def read_values(
         raise InputError(f"{kind} must be a dict from names to arrays, got {type(values).__name__}")
     unknown = [name for name in values if name not in known]
     if unknown:
-        own = getattr(unknown[0], "name", None)
-        hint = f"\n  fix: values go by name here: {{{own!r}: ...}}" if own in known else ""
+        leaf_name = getattr(unknown[0], "name", None)
+        hint = f"\n  fix: values go by name here: {{{leaf_name!r}: ...}}" if leaf_name in known else ""
         raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed(known, unknown[0])}{hint}")
-    found = {}
+    result = {}
     for name, value in values.items():
         place = f"{kind}[{name!r}]"
         array = real_array(place, value)
@@ -71,8 +71,8 @@ def read_values(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
                 f"  fix: {_shaped(known[name], kind)}"
             )
-        found[name] = cast(place, array, dtype, on_host)
-    return found
+        result[name] = cast(place, array, dtype, on_host)
+    return result
 
 
 def is_finite(value: Any) -> bool:
@@ -100,10 +100,10 @@ def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
         return
     known = np.asarray(array)
     with np.errstate(over="ignore"):
-        lost = np.isinf(known.astype(dtype)) & np.isfinite(known)
-    if lost.any():
+        overflows = np.isinf(known.astype(dtype)) & np.isfinite(known)
+    if overflows.any():
         raise InputError(
-            f"{place} has {np.abs(known[lost]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
+            f"{place} has {np.abs(known[overflows]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
             '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
         )
 

@@ -150,7 +150,7 @@ def test_a_rule_reads_all_parameters(name: str) -> None:
         else nodes([graph.input(k, j, np.dtype(v.aval.dtype)) for j in range(v.aval.size)], v.aval.shape)
         for k, v in enumerate(eqn.invars)
     ]
-    entry.scalars(JaxprReader(graph, whole=False), eqn, *arrays)
+    entry.scalars(JaxprReader(graph, keep_calls=False), eqn, *arrays)
     assert set(watched) - watched.read <= set(IDLE.split()) | NAMED.get(name, set())
 
 

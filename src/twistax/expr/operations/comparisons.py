@@ -93,18 +93,18 @@ class Equality(Constraint):
     kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)
 
 
-def refuse_conditions(what: str, given: Any) -> None:
+def refuse_conditions(what: str, constraint: Any) -> None:
     """Raise the plain sentence for a condition that stands where an optimiser wants a constraint.
 
     Raises: ModelError.
     """
-    if isinstance(given, Less):
+    if isinstance(constraint, Less):
         raise ModelError(
-            f"{what} cannot hold {given!r}: the set where a strict comparison holds is open, and has no minimum.\n"
-            f"  fix: {Inequality(given.lhs, given.rhs)!r}; to keep away from the bound, move it by a margin"
+            f"{what} cannot hold {constraint!r}: the set where a strict comparison holds is open, and has no minimum.\n"
+            f"  fix: {Inequality(constraint.lhs, constraint.rhs)!r}; to keep away from the bound, move it by a margin"
         )
-    if isinstance(given, Expr) and given.boolean and not isinstance(given, Constraint):
+    if isinstance(constraint, Expr) and constraint.boolean and not isinstance(constraint, Constraint):
         raise ModelError(
-            f"{what} expects constraints, a <= b or a == b, got the condition {given!r}.\n"
+            f"{what} expects constraints, a <= b or a == b, got the condition {constraint!r}.\n"
             "  fix: constraints that must all hold come in a list"
         )

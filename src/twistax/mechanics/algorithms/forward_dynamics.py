@@ -28,18 +28,21 @@ def forward_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The accelerations (n,) of a mechanism whose joints have the forces tau: m/s2 for a slide, rad/s2 for a turn.
+    """The joint accelerations (n,) under joint forces tau, by the articulated-body algorithm (ABA): m/s2 for a slide,
+    rad/s2 for a turn.
 
-    It solves $M(q) qdd + b(q, qd) = tau$. The articulated-body algorithm (ABA), Featherstone, Rigid Body Dynamics
-    Algorithms (2008), chapter 7. From tips to base it finds what a segment and all that hangs on it need for
-    the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
-    others the equations of the mass matrix are solved instead, and with them those of closed loops where there are any.
+    It solves $M(q) qdd + b(q, qd) = tau$ in O(n). A pass from the tips to the base computes for each segment the
+    articulated inertia I and bias b, so that the wrench on the segment is I B + b at an acceleration B of the segment;
+    a pass from the base to the tips computes the accelerations. If joints mimic others, or loops are closed, the
+    equations of the mass matrix are solved instead.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7.
 
     Args:
         mechanism: a tree or a chain.
-        q, qd: positions and velocities (n,); the mechanism's own states unless given.
-        tau: forces of the joints (n,), N for a slide, N m for a turn; zero unless given.
-        wrenches: what acts on the mechanism from outside.
+        q, qd: positions and velocities (n,); the states of the mechanism by default.
+        tau: joint forces (n,), N for a slide, N m for a turn; zero by default.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known; a joint that moves no mass.
@@ -55,8 +58,8 @@ def forward_dynamics(
     turning = turning_of_rotors(mechanism, rates)
     forces = forces if turning is None else forces - turning
     moving = motion(mechanism, mechanism.positions(owner, q), rates)
-    I = [each.inertia for each in moving]
-    b = [less(each.needed, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
+    I = [state.inertia for state in moving]
+    b = [less(state.needed, out) for state, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []
     for i in reversed(range(len(moving))):
         hinges.append(_Hinge(moving[i], I[i], b[i], forces))
@@ -82,7 +85,7 @@ aba = forward_dynamics
 
 
 class _Hinge:
-    """A joint with all that hangs on it, which needs the wrench I B + b. Its freedoms are eliminated one by one."""
+    """A joint with its subtree, on which the wrench I B + b acts. Its freedoms are eliminated one by one."""
 
     def __init__(self, moving: Moving, I: Expr, b: Expr, forces: Expr) -> None:
         self.moving, self.freedoms = moving, list[_Freedom]()
@@ -93,7 +96,7 @@ class _Hinge:
         self.rigid = None if self.freedoms else (I, b)
 
     def felt_before(self) -> tuple[Expr, Expr]:
-        """What it adds to I and b of the segment before, in its frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
+        """Its contribution to I and b of the segment before, in that frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
 
         c is what B gets from the velocities.
         """
@@ -107,7 +110,7 @@ class _Hinge:
 
 
 class _Freedom:
-    """One freedom of a joint, the column H of its motions, on bodies that need the wrench I B + b.
+    """One freedom of a joint, with motion column H, on bodies with the wrench I B + b.
 
     With U = I H and D = H' U + the rotor's inertia it accelerates by (tau - H' b - U' B) / D, B that of the segment but
     for this freedom's. Without a rotor U / D is h* + U_R / D, with h* the working wrench and U_R what the bearing
@@ -130,7 +133,7 @@ class _Freedom:
         return F - self.working * Dot(self.H, F)
 
     def acceleration(self, B: Expr) -> Expr:
-        """The acceleration () where the segment has the acceleration B (6,) but for this freedom's."""
+        """Its acceleration () if the segment has the acceleration B (6,) apart from it."""
         return self.left / self.D - Dot(self.share, B)
 
     def eliminated(self) -> tuple[Expr, Expr]:

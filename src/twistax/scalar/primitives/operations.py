@@ -24,9 +24,7 @@ def on(g: Graph, name: str, *arguments: int) -> int:
 # ---- how they are written --------------------------------------------------------------------------------------------
 
 
-_instruction, _intrinsic, _chosen = (
-    functools.partial(code, method) for method in ("instruction", "intrinsic", "chosen")
-)
+_instruction, _intrinsic, _chosen = (functools.partial(code, name) for name in ("instruction", "intrinsic", "chosen"))
 
 
 def _python(function: Any) -> Forms:
@@ -36,11 +34,11 @@ def _python(function: Any) -> Forms:
 
 def _named(name: str, number: Any, arity: int = 1, *, array: Any = None, **more: Any) -> Operation:
     """Called the same in JAX, the C library and CasADi where nothing else is said."""
-    given = ", ".join(["$a", "$b"][:arity])
+    operands = ", ".join(["$a", "$b"][:arity])
     by_name = {
         "exact": True,
         "llvm": Forms(code("library", name)),
-        "c": Forms(f"{name}$f({given})"),
+        "c": Forms(f"{name}$f({operands})"),
         "casadi": everywhere(lambda casadi, *a: getattr(casadi, name)(*a)),
     }
     return Operation(name=name, number=number, array=array or getattr(lax, name), arity=arity, **{**by_name, **more})
@@ -134,7 +132,7 @@ def _of_many(name: str, pair: str) -> Operation:
     def partials(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
         equal = [g.select(on(g, "eq", x, y), g.one, g.zero) for x in a]
         share = g.div(g.one, functools.reduce(g.add, equal))
-        return [g.mul(each, share) for each in equal]
+        return [g.mul(is_extreme, share) for is_extreme in equal]
 
     return Operation(
         name=name,
@@ -209,16 +207,15 @@ def _power_node(g: Graph, x: int, n: int) -> int:
 
 def _greater(g: Graph, a: int, b: int) -> int:
     """Zero is greater than no magnitude: what is structurally zero never becomes a pivot."""
-    known = a == g.zero and g.operation(b) is OPERATIONS["abs"]
-    return g.constant(False, _BOOL) if known else on(g, "gt", a, b)
+    never = a == g.zero and g.operation(b) is OPERATIONS["abs"]
+    return g.constant(False, _BOOL) if never else on(g, "gt", a, b)
 
 
 def _pair(name: str, absorbing: bool, g: Graph, a: int, b: int) -> int:
     """and, or: of truth values with what is known left out; of integers bit by bit."""
     for x, y in ((a, b), (b, a)) if g.dtypes[a] == _BOOL else ():
-        known = g.numbers[x]
-        if known is not None:
-            return x if bool(known) is absorbing else y
+        if g.numbers[x] is not None:
+            return x if bool(g.numbers[x]) is absorbing else y
     return a if a == b else on(g, name, a, b)
 
 
