@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from ..statement import Foreign, Phased, Points, Var
+from .statement import Foreign, Phased, Points, Var
 
 # ---- Delta III: lengths in radii of the Earth, speeds in circular ones, masses in those at lift-off ------------------
 
