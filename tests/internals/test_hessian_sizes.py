@@ -1,7 +1,5 @@
 """Hessians: operations beside CasADi, and those that are too large."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

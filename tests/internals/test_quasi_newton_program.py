@@ -1,7 +1,5 @@
 """Updates of the Hessian need no second derivative."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

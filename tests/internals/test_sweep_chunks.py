@@ -1,7 +1,5 @@
 """Chunks of a sweep: which are computed, and on how many devices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Closed loops: against trees with a joint in place of the closure, against a linkage by hand, and in motion."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trees with joints of every kind against Lagrange's equations of point masses."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any

@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import double_integrator, regulator_error
 
 import twistax as tx
 from twistax.trajectory import Held, Linear, Problem, Rate

@@ -5,10 +5,10 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import double_integrator, regulator_error
 
 import twistax as tx
-from twistax.trajectory import Linear, Problem, Rate, Spline
+from twistax.trajectory import Collocation, Linear, Problem, Rate, Spline
 
 #: Exact for all polynomials here.
 EXACT: dict[str, Any] = {"method": tx.RKMK(tx.tableaus.DOP853), "substeps": 1}

@@ -1,7 +1,5 @@
 """Loops, branches, functions inside functions and derivatives of one's own, as scalars: as JAX has them."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Operations on single entries as scalars: values and derivatives as JAX has them, at kinks too."""
 
-from __future__ import annotations
-
 import functools
 
 import jax

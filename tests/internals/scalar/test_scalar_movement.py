@@ -1,7 +1,5 @@
 """Operations that move entries, sums and factorisations, as scalars: as JAX has them."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 
