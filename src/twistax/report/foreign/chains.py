@@ -1,7 +1,5 @@
 """A chain of masses, and heat along a rod by the method of lines."""
 
-from __future__ import annotations
-
 import itertools
 import math
 from typing import Any

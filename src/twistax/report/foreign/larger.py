@@ -1,7 +1,5 @@
 """The Delta III ascent in four phases, and a step of a five-link biped."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The problems by the names that `--only` takes: those of `problems.toml`, and those whose formulas need loops."""
 
-from __future__ import annotations
-
 import functools
 import math
 import tomllib
