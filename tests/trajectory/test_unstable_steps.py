@@ -85,9 +85,6 @@ def test_a_warm_start_from_such_a_result(limit: dict[str, Any]) -> None:
         assert again.iterations <= 1
         assert again.message.endswith("Solved by Collocation(tx.tableaus.RADAU_IIA5), as the start was.")
         assert again.cost == pytest.approx(first.cost, rel=1e-9)
-    moved = stated.solve(warm=first, initial={x: 1.51})
-    assert moved.solved
-    assert isinstance(moved.problem.transcription, Collocation)
     assert float(solution(stated)().cost) == pytest.approx(first.cost, rel=1e-8)
 
 
