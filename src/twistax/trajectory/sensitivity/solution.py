@@ -146,7 +146,9 @@ class _Differentiable:
             core = problem.core(self._tolerance, started.point, started.instance)
             start = result.warm.point if result.solved else started.point
             call = CoreCall(problem, core, start, started.instance, options["max_iterations"])
-        return _Reference(problem, core, started.instance, call, result.message if result.status is Status.COARSE else "")
+        return _Reference(
+            problem, core, started.instance, call, result.message if result.status is Status.COARSE else ""
+        )
 
 
 class _SolutionFor:
