@@ -73,8 +73,8 @@ class StatedPhase:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
         # What users' states declare are the ends of the whole path; those of states from bridges are of the phase.
         inner_ends = {s.name for s in dynamics.states} - {s.name for s in phase.dynamics.states}
-        whole = {s.name for s in dynamics.states}
-        declared = (whole if within.first else inner_ends, whole if within.last else inner_ends)
+        all_states = {s.name for s in dynamics.states}
+        declared = (all_states if within.first else inner_ends, all_states if within.last else inner_ends)
         self.ends = ends_of(dynamics.states, first, last, declared)
         self._leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self._leaves |= {leaf.name: leaf for leaf in dynamics.controls}
