@@ -17,6 +17,7 @@ from .algorithms.dynamics import Wrenches
 from .algorithms.forward_dynamics import forward_dynamics
 from .algorithms.system_slopes import slopes_of_accelerations
 from .kinematic_tree import KinematicTree
+from .labels import labels_of
 
 
 def system_of(
@@ -71,6 +72,7 @@ def system_of(
         constraints=constraints,
         corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
+        labels=labels_of(mechanism, driven if command is not None else []),
     )
 
 

@@ -25,6 +25,7 @@ from ..expr import (
     leaves_of,
 )
 from ..jax_inside import is_traced
+from ..progress import watched
 from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
@@ -57,7 +58,7 @@ class Kept:
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         kept = self._found.get(key, self)
         if kept is self:
-            with uncollected():
+            with watched("compile"), uncollected():
                 made: Any = make()
         else:
             made = kept
@@ -110,7 +111,7 @@ class Functions:
         self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made, self._beside = Kept(64), False
-        self.jitted = _for_calls(self)
+        self.jitted, self._called = _for_calls(self), set[str]()
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
 
@@ -136,7 +137,7 @@ class Functions:
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
-        twin.__dict__.update(self.__dict__, **changes)
+        twin.__dict__.update(self.__dict__, _called=set[str](), **changes)
         twin.jitted = _for_calls(twin)
         return twin
 
@@ -210,7 +211,9 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        first, self._called = family not in self._called, self._called | {family}
+        with watched("compile") if first else contextlib.nullcontext():
+            return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""
