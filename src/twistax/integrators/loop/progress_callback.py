@@ -37,7 +37,7 @@ def _call_back(number: Any, t: Any, share: Any) -> None:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Meter:
+class ProgressCalls:
     """Calls the progress callback in a loop over steps. A pytree: another callback compiles nothing."""
 
     number: Any
@@ -79,12 +79,12 @@ def callback_of(progress: Any) -> ProgressCallback | None:
 
 
 @contextlib.contextmanager
-def calling_back(callback: ProgressCallback) -> Iterator[Meter]:
-    """A meter for the loops inside. An exception of the callback is raised at the end."""
+def calling_back(callback: ProgressCallback) -> Iterator[ProgressCalls]:
+    """Progress calls for the loops inside. An exception of the callback is raised at the end."""
     number, raised = next(_NUMBERS), list[Exception]()
     _CALLBACKS[number] = callback, raised
     try:
-        yield Meter(np.asarray(number))
+        yield ProgressCalls(np.asarray(number))
         jax.effects_barrier()
     finally:
         del _CALLBACKS[number]
