@@ -1,4 +1,4 @@
-"""Modules that have moved, by their earlier names, which files and pickles of earlier versions hold."""
+"""Modules that have moved, by the earlier names in files and pickles of earlier versions."""
 
 from __future__ import annotations
 
@@ -51,13 +51,15 @@ _GONE = ("lowering", "lowering.native")
 
 
 def module_now(module: str) -> str:
-    """The module that an earlier name means."""
+    """The present module of an earlier name."""
     package, _, below = module.partition(".")
     return f"{package}.{MOVED[below]}" if package == _PACKAGE and below in MOVED else module
 
 
 def first_module(cls: type) -> str:
-    """Where a class was first defined: what files and keys name, so that they stay the same when it moves."""
+    """The module in which a class was first defined: files and keys name it, so that they stay the same if the class
+    moves.
+    """
     package, _, below = cls.__module__.partition(".")
     return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
 

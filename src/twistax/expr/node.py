@@ -138,7 +138,7 @@ class Expr(Printed, Operators):
         self._seal()
 
     def _take_numbers(self) -> None:
-        """Constant truth values are 0 and 1; a condition is refused."""
+        """Replace constant truth values by 0 and 1; refuse other conditions."""
         name = type(self).__name__
         for field in self._fields:
             value = getattr(self, field.name)
@@ -267,7 +267,7 @@ class Expr(Printed, Operators):
         return names
 
     def outline(self) -> list[tuple[str, Expr]]:
-        """What `tree()` shows below this node, with names: the children, unless a node holds more than these."""
+        """The named entries that `tree()` shows below this node: its children, unless a node holds more."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self: E, children: list[Expr]) -> E:
@@ -289,7 +289,7 @@ class Expr(Printed, Operators):
         return copy
 
     def static_key(self) -> tuple[Any, ...]:
-        """What distinguishes this node from others of its class over the same children."""
+        """The data that distinguishes this node from others of its class with the same children."""
         return tuple(freeze(getattr(self, f.name)) for f in self._fields if not (f.operand or f.variadic))
 
     def key(self) -> str:

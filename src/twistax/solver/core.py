@@ -27,7 +27,7 @@ from .options import Options
 
 
 class CoreStatus(enum.Enum):
-    """How a solve ended; the values are those of `twx_status` in core.h."""
+    """The status of a solve; the values are those of `twx_status` in core.h."""
 
     SOLVED = 0
     MAX_ITERATIONS = 1
@@ -71,34 +71,34 @@ class Stages:
 
     @functools.cached_property
     def variables(self) -> int:
-        """Entries of v."""
+        """The number of entries of v."""
         return sum(self.states) + sum(self.controls) + self.parameters
 
     @functools.cached_property
     def points(self) -> int:
-        """Entries of z, which has points in place of states."""
+        """The number of entries of z, which has points in place of states."""
         return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
 
     @functools.cached_property
     def first(self) -> Array:
-        """Where each stage begins in v."""
+        """The first entry of each stage in v."""
         widths = np.array(self.states) + np.array(self.controls)
         return np.asarray(np.cumsum(widths) - widths)
 
     @functools.cached_property
     def first_point(self) -> Array:
-        """Where each stage begins in z."""
+        """The first entry of each stage in z."""
         widths = np.array(self.point_states or self.states) + np.array(self.controls)
         return np.asarray(np.cumsum(widths) - widths)
 
     @functools.cached_property
     def columns(self) -> list[int]:
-        """Columns of each stage's derivatives: x_k, u_k, p."""
+        """The number of columns of each stage's derivatives: x_k, u_k, p."""
         return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
 
     @functools.cached_property
     def after(self) -> list[int]:
-        """States of the stage after each one."""
+        """The number of states of the stage after each one."""
         return [*self.states[1:], 0]
 
     def block_sizes(self, rows: Sequence[int]) -> int:
@@ -126,20 +126,20 @@ class StageFunctions:
     owner: Any = None
 
     def check(self) -> None:
-        """Raise what a function raised in the last call."""
+        """Raise the error of a function in the last call."""
         check = getattr(self.owner, "check", None)
         if check is not None:
             check()
 
     @property
     def addresses(self) -> dict[str, int]:
-        """By the names that `twx_problem` has for them."""
+        """The addresses by the names in `twx_problem`."""
         names = ("user", "values", "jacobians", "hessians", "retract", "transport", "stop")
         return {name: getattr(self, name) for name in names}
 
 
 class Units(NamedTuple):
-    """Units in which the core counts: of v, of the rows h and e, and of the cost; 1 where None."""
+    """Units of v, of the rows h and e, and of the cost, in which the core computes; 1 if None."""
 
     size: Array | None = None
     row_size: Array | None = None
@@ -224,7 +224,7 @@ class _Solution(ctypes.Structure):
 
 
 class Described(NamedTuple):
-    """A problem as the core reads it, and the arrays that its addresses are of."""
+    """A problem in the form of the core, with the arrays that own its memory."""
 
     structure: ProblemStructure
     memory: list[Array]
@@ -323,7 +323,7 @@ def solve(
 
 
 class _StopFunction:
-    """The function that the core asks whether to stop. Python sees signals while it runs.
+    """The callback by which the core asks whether to stop. It also lets Python handle signals.
 
     Attributes:
         addresses: by the name that `twx_problem` has for it.
@@ -349,7 +349,7 @@ class _StopFunction:
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:
-        """Raise what it raised."""
+        """Raise the error of the callback."""
         if self._error is not None:
             raise self._error
 

@@ -175,7 +175,7 @@ class System:
         self.__dict__.update(unpack(*state))
 
     def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
-        """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
+        """The given derivatives, checked: shapes, and leaves of the system."""
         if not isinstance(slopes, Mapping):
             raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
         groups, checked = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
@@ -306,7 +306,7 @@ def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def need_finite(place: str, root: Expr) -> None:
-    """Raise ModelError if it is not finite whatever the states are; of a constraint its residual."""
+    """Raise ModelError if an expression (of a constraint its residual) is not finite for any states."""
     root = root.residual() if isinstance(root, Constraint) else root
     if (not_finite := _not_finite(root)) is not None:
         raise ModelError(
@@ -389,7 +389,7 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
 
 
 def _differences(one: Leaf, other: Leaf) -> list[str]:
-    """What distinguishes two leaves of one name."""
+    """The differences between two leaves of one name."""
     if type(one) is not type(other):
         return ["kind"]
     if one.shape != other.shape:

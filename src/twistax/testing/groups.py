@@ -39,12 +39,12 @@ class Sample:
 
     @property
     def at(self) -> dict[str, Any]:
-        """What messages say of it."""
+        """The sample in messages."""
         return {f"d ({self.label})": self.d, "e": self.e}
 
 
 def check_group(group: Group, *, seed: int = 0) -> None:
-    """Check that a group keeps the laws which states, integrators and optimisers rely on, in a few seconds.
+    """Check that a group satisfies the laws on which states, integrators and optimisers rely, in a few seconds.
 
     Checked are values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
     $g Exp(d) g^-1 = Exp(Ad_g d)$, $Ad_Exp(d) = exp(ad_d)$; the Jacobians by their series and by $Exp(d + e) =
@@ -100,14 +100,14 @@ def samples(group: Group, seed: int) -> list[Sample]:
 
 
 def turned(group: Group, d: np.ndarray, turn: float) -> np.ndarray:
-    """The tangent with the entries that are no lengths made so long together."""
+    """The tangent with its rotation entries scaled to this length together."""
     natural = ~(group.sized | group.flat)
     length = np.linalg.norm(d[natural])
     return np.where(natural, d * (turn / length), d) if length > 0.0 else d
 
 
 def _values(group: Group, drawn: list[Sample]) -> list[dict[str, Any]]:
-    """All that the laws speak of, for each sample."""
+    """All values in the laws, for each sample."""
 
     def one(a: jax.Array, b: jax.Array, c: jax.Array) -> dict[str, Any]:
         g, h, k = group.exp(a), group.exp(b), group.exp(c)

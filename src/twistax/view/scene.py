@@ -1,4 +1,4 @@
-"""A scene as plain numbers: what is drawn where, and when. How it is drawn is the matter of `stage.py`."""
+"""A scene as numbers: bodies, arrows and shapes over time. `stage.py` draws it."""
 
 from __future__ import annotations
 
@@ -85,7 +85,7 @@ class Vector:
     color: Color
 
     def ends(self, scale: float) -> Array:
-        """Where it starts and ends (n, 2, 3), in the world."""
+        """Start and end points (n, 2, 3), in the world."""
         R, p = self.body.poses[:, :3, :3], self.body.poses[:, :3, 3]
         values = self.values if self.looks.world else np.einsum("nij,nj->ni", R, self.values)
         start = p + R @ self.looks.at
@@ -210,7 +210,7 @@ class Scene:
         return file
 
     def live(self, port: int = 8080) -> Any:
-        """Serve the scene to browsers of this machine, with a slider for the time; a port that is free is found.
+        """Serve the scene to browsers of this machine, with a slider for the time, at a free port.
 
         Returns:
             the viser server: `server.sleep_forever()` keeps a script running, `server.stop()` ends it; more can be put

@@ -1,4 +1,4 @@
-"""Attitudes as people write them: Euler angles, quaternions and rotation vectors, to rotations and poses and back.
+"""Attitudes as Euler angles, quaternions and rotation vectors, converted to and from rotations and poses.
 
 `pose`, `euler` and `quaternion` take numbers, and give arrays, or expressions, and give expressions.
 """
@@ -167,7 +167,7 @@ def _symbolic(value: Any) -> bool:
 
 
 def _joined(value: Any) -> Expr:
-    """An expression of one, of numbers, or of a list in which some are."""
+    """An expression from an expression, from numbers, or from a list of both."""
     if not isinstance(value, Expr) and _symbolic(value):
         return Stack(*map(_joined, value))
     return to_expr(value)

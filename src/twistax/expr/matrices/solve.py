@@ -87,7 +87,7 @@ def solve(A: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
-    """The x with A x = b by the inverse of A, for an A that stays while b changes: a loop inverts it only once.
+    """The x with A x = b by the inverse of A, for an A that is the same in all iterations of a loop.
 
     Two steps of refinement bring the residual to that of an elimination: each multiplies what an inverse leaves by eps
     times the condition number. One alone leaves up to 400 times as much at a condition of 1e10. Source: Higham,

@@ -18,7 +18,7 @@ from ..printing.text import matrix_latex, wrap, wrap_latex
 
 
 class _Parts(Variadic, init=False):
-    """Base of what puts its operands together, given one by one or in a list."""
+    """Base of nodes that join their operands, given one by one or in a list."""
 
     abstract = True
     listed = True
@@ -383,7 +383,7 @@ def index_text(index: Any) -> str:
 
 
 def _plain(index: Any, shape: Shape) -> Any:
-    """One way of writing an index of whole numbers and slices: none negative, starts and stops in full."""
+    """A canonical form of an index of whole numbers and slices: none negative, starts and stops written out."""
     parts = index if isinstance(index, tuple) else (index,)
     if not all(isinstance(part, (int, slice)) for part in parts):
         return index
