@@ -294,7 +294,6 @@ def _shape_of(name: str, shape: Shape | int) -> Shape:
 
 
 def _group(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
-    """The group of a state, in its order."""
     if group is None:
         if order is not None:
             raise ModelError(
@@ -339,7 +338,6 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
 
 
 def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
-    """Bounds, guess and scale of a variable."""
     shape = group.shape
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():

@@ -106,7 +106,6 @@ class _Flow:
         self._operators: dict[_Token, tuple[str, Expr]] = {}
 
     def read(self, name: str, root: Expr) -> None:
-        """Everything below a root."""
         self._read(name, root, root, _Scope())
 
     def _read(self, name: str, root: Expr, below: Expr, scope: _Scope) -> None:

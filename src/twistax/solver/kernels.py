@@ -146,7 +146,6 @@ class _Unbound:
         return cls(callback.address, arguments, callback)
 
     def bound(self, numbers: Array) -> BatchKernel:
-        """The kernel with numbers."""
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]

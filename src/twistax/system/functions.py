@@ -365,7 +365,6 @@ class Functions:
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
-    """The blocks of a Jacobian from one program."""
     return dict(zip(kinds, call_program(program, *arrays), strict=True))
 
 
@@ -379,7 +378,6 @@ def check_kinds(wrt: tuple[str, ...]) -> None:
 
 
 def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
-    """The outputs of these names; all if None."""
     if names is None:
         return dict(outputs)
     names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)

@@ -364,7 +364,6 @@ def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked
 
 
 def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tuple[State, ...]:
-    """The states in the order of the keys."""
     known = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
     states: dict[str, State] = {}
     for key in rates:

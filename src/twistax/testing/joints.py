@@ -80,7 +80,6 @@ class _Motion:
             self.H = np.asarray(lower(joint.motion_subspace)(0.0))
 
     def value(self, name: str, q: Any, v: Any = None) -> Any:
-        """A value at a position and a velocity."""
         joint = self.joint
         if joint.position is None or joint.velocity is None:
             return self._functions[name](0.0)
@@ -93,7 +92,6 @@ class _Motion:
         return "deflection" in self._functions
 
     def placed(self, q: Any) -> np.ndarray:
-        """The pose."""
         return np.asarray(self.value("T", q))
 
     def zero(self) -> Any:

@@ -128,7 +128,6 @@ class StartUnits:
         return by_part
 
     def _by_stage(self, staged: Staged) -> list[Array]:
-        """Units of the unknowns of each stage."""
         units = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
             units += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals

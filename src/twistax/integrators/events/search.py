@@ -218,7 +218,6 @@ class _Search:
         self.senses = jnp.asarray(np.asarray(events.senses, h.dtype))
 
     def first(self) -> _PackedJob:
-        """The first search."""
         index = self._next_item(jnp.zeros((), int) - 1)
         return self._task(self._job(index, *self._pair(index)))
 

@@ -111,7 +111,6 @@ class CCode:
         return "\n".join(part for part in parts if part)
 
     def _tables(self) -> list[Table]:
-        """The tables that the functions read."""
         return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
 
     def _head(self, function: ExportedFunction) -> str:

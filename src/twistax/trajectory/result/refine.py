@@ -98,7 +98,6 @@ def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: 
 
 
 def _trajectories(result: Any) -> list[Trajectory]:
-    """The trajectory of each phase of a result."""
     problem, point = result.problem, result.warm.point
     pairs = zip(problem.parts, problem.shooting.segments, strict=True)
     return [Trajectory(**trajectory_at(part, segment.of(point), result.params)) for part, segment in pairs]

@@ -125,7 +125,6 @@ class Joined(Transcribed):
     segments: list[Segment]
 
     def _gather_rows(self) -> None:
-        """Rows of the phases among all rows."""
         places = self.phase_places
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
