@@ -380,7 +380,7 @@ def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
     values = outcome.values
     rows, defects = np.asarray(values.rows), np.asarray(values.defects)
-    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.decided)):
+    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.determined)):
         return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
     for stage, column in np.argwhere(~np.isfinite(defects)):
         return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"
