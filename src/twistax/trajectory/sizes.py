@@ -66,13 +66,15 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     low, high = shooting.border.limits.T
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
-    through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
+    horizon = reach.sum(axis=0)  # (n, n + m + g): how far unknowns move states, over the horizon
+    through = horizon[:, n : n + m]
     largest = largest_values(shooting, point)
     rounding = _ROUNDING * largest
     unknown, between = np.isnan(u), _between_ends(shooting, point)
-    among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
-    reserve = _reserve(d, u, box, through, reach[:, :, :n].sum(axis=0), between, steering)
+    among = horizon[:, :n] * (1.0 - np.eye(n)) > 0.0  # which states move which
+    reserve = _reserve(d, u, box, through, horizon[:, :n], between, steering)
     for number in range(_ROUNDS):
+        before = d, u
         sure = (
             d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
         )  # at first others may be noise
@@ -81,14 +83,16 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         usual = np.where(is_bounded | ~np.isfinite(needed), box, needed)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
-        pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
+        pushed = horizon * known  # what each unknown moves each state by
         pushed[np.arange(n), np.arange(n)] = 0.0
         others_push = pushed[:, : n + m].max(axis=1)
         d = np.where((others_push > 0.0) & (np.isnan(d) | (d < _NOTHING * others_push)), others_push, d)
         d = _drifting(d, drift, among)
         d = np.minimum(np.where(d < rounding, rounding, d), most)
+        if number > 0 and all(np.array_equal(a, c, equal_nan=True) for a, c in zip(before, (d, u))):
+            break
     # A parameter that is zero counts with what moves a state by its size.
-    of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
+    of_shared = np.nanmin(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
     b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
     d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
     d = np.where(np.isnan(d) & np.isfinite(most), most, d)

@@ -31,29 +31,23 @@ class StartUnits:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
-        blocks = at.blocks(at.F, stages.after)
-        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
+        self.parts = self._measured(staged, point, at, good)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
-        by_stage = self._by_stage(staged)
-        self.v = np.concatenate([*by_stage, self.border])
-        columns = [np.concatenate([units, self.border]) for units in by_stage]
-        slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
-        changes = [
-            np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(stages_J, columns))]) for stages_J in slopes
-        ]
-        for places in staged.places_alone():
+        self.v = np.concatenate([*self._by_stage(staged), self.border])
+        kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
+        changes = [at.changes(*kind, self.v) for kind in kinds]
+        for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0
-            bends = [c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.bends(*weights), stages.columns))]
-            for change, stage_of_row, at_place in zip(changes, staged.stages_of_rows, places):
-                change[at_place] += 0.5 * np.array(bends)[stage_of_row[at_place]]
+            curvatures = at.curvatures(at.bends(*weights), self.v)
+            for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
+                change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
-        bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
-        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * bends
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
@@ -84,7 +78,7 @@ class StartUnits:
             durations, there = shorter, point._replace(border=shorter)
             at = Evaluated(staged.transcription, staged.flat(there))
             if at.differentiate():  # long steps of an unstable system may overflow
-                parts = cls._measured(staged, there, at.blocks(at.F, at.stages.after), at.c)
+                parts = cls._measured(staged, there, at)
         return durations, parts
 
     def distance(self, other: StartUnits) -> float:
@@ -110,31 +104,33 @@ class StartUnits:
         self.cost = 1.0
 
     @staticmethod
-    def _measured(staged: Staged, point: Point, blocks: list[Array], gaps: Array) -> list[Sizes]:
-        by_part, sizes_of = list[Sizes](), dict[str, Array]()
+    def _measured(staged: Staged, point: Point, at: Evaluated, is_good: bool = True) -> list[Sizes]:
+        """Sizes of each phase; without derivatives those that the point and the leaves tell."""
+        parts, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
-            shooting, first = part.shooting, part.stages.start
-            moved = np.stack(blocks[first : first + shooting.intervals])
-            moved = np.where(np.isfinite(moved).all(), moved, 0.0)
-            at = sum(staged.transcription.stages.after[:first])
-            drift = gaps[at : at + shooting.intervals * shooting.n].reshape(-1, shooting.n)
-            drift = np.where(np.isfinite(drift).all(), drift, 0.0)
-            sizes = measured_sizes(shooting, segment.of(point), moved, drift)
-            for name, other in shooting.alike.items():  # an extreme counts as what it is one of, in all phases alike
-                slices = shooting.dynamics.group.slices
+            phase, first = part.shooting, part.stages.start
+            K, n, size = phase.intervals, phase.n, phase.size
+            slopes, gaps = at.F[at.stages.first_slope[first] :], at.c[at.stages.first_defect[first] :]
+            slopes = slopes[: K * n * size].reshape(K, size, n).swapaxes(1, 2)
+            slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
+            gaps = gaps[: K * n].reshape(K, n)
+            gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
+            sizes = measured_sizes(phase, segment.of(point), slopes, gaps)
+            for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
+                slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
                 sizes.d[slices[name]] = sizes_of[name]
-            by_part.append(sizes)
-        return by_part
+            parts.append(sizes)
+        return parts
 
     def _by_stage(self, staged: Staged) -> list[Array]:
-        units = list[Array]()
+        sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            units += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
             join = part.phase.join
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
-            units.append(np.concatenate([sizes.d, free]))
-        return units
+            sizes_of.append(np.concatenate([sizes.d, free]))
+        return sizes_of
 
 
 def _reserve(parts: list[Sizes]) -> float:

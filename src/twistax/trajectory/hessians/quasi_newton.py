@@ -62,11 +62,11 @@ class StageUpdates:
 
     def _called(self, _: object, z: Any, weight: float, lam: Any, y: Any, ye: Any, out: Any) -> int:
         stages = self._transcription.stages
-        counts = (stages.points, sum(stages.after), sum(stages.inequalities), sum(stages.equalities))
+        counts = (stages.points, *stages.row_counts)
         try:
             here, *multipliers = (np.array(_numbers(a, n)) for a, n in zip((z, lam, y, ye), counts))
             blocks = self._at(here, weight, multipliers)
-            _numbers(out, stages.block_sizes(stages.columns))[:] = np.concatenate([block.ravel() for block in blocks])
+            _numbers(out, stages.hessian_size)[:] = np.concatenate([block.ravel() for block in blocks])
         except BaseException as error:
             self._error = error
             return 1

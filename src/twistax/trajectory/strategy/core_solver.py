@@ -35,7 +35,7 @@ _NEAR = 10.0
 _TURN, _CHANGE = 1.5, 0.2
 #: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
 #: there if one of them is so many times as large or as small.
-_FITTED_AT, _MISFIT = (7, 80), 10.0
+_FITTED_AT, _MISFIT = (7, 30, 80), 10.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
 #: Options that change nothing of a start: it is only measured.

@@ -7,7 +7,7 @@ points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -38,6 +38,7 @@ class Staged:
         plain: places of what is a number: entries of z of flat states, controls and shared unknowns, and of v.
         curved: which entries of z are of states on manifolds that are not flat.
         turning: which entries of v are rotations.
+        places_alone: groups of inequalities and equalities, of which no two stand in one stage.
     """
 
     def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Given) -> None:
@@ -83,6 +84,7 @@ class Staged:
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
         self._place_rows()
+        self.places_alone = self._alone()
 
     def _place_rows(self) -> None:
         """The place of each row among inequalities, equalities, lower and upper bounds."""
@@ -222,14 +224,21 @@ class Staged:
         every = np.arange(len(stages.states))
         return np.repeat(every, stages.inequalities), np.repeat(every, stages.equalities)
 
-    def places_alone(self) -> Iterator[tuple[Array, Array]]:
-        """Groups of places of inequalities and equalities, at most one in each stage; together they are all rows."""
-        stages, none = self.stages_of_rows, np.zeros(0, int)
-        numbers = [np.arange(len(rows)) - np.searchsorted(rows, rows) for rows in stages]
-        for k in range(int(numbers[0].max(initial=-1)) + 1):
-            yield np.flatnonzero(numbers[0] == k), none
-        for k in range(int(numbers[1].max(initial=-1)) + 1):
-            yield none, np.flatnonzero(numbers[1] == k)
+    def _alone(self) -> list[tuple[Array, Array]]:
+        """All conditions, and of each path row the last place in each interval: its other places there look alike."""
+        rounds, none = list[tuple[Array, Array]](), np.zeros(0, int)
+        for kind, stages in zip((INEQUALITY, EQUALITY), self.stages_of_rows):
+            chosen = np.ones(len(stages), bool)
+            for part, every in zip(self.parts, self.transcription.path_places):
+                exists = part.phase.path == kind
+                later = np.cumsum(exists[:, ::-1], axis=1)[:, ::-1]  # how many there are from each place on
+                chosen[every[exists & (later > 1)]] = False
+            places = np.flatnonzero(chosen)
+            numbers = np.arange(len(places)) - np.searchsorted(stages[places], stages[places])
+            for k in range(int(numbers.max(initial=-1)) + 1):
+                alone = places[numbers == k]
+                rounds.append((alone, none) if kind == INEQUALITY else (none, alone))
+        return rounds
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
         """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
