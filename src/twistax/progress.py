@@ -74,7 +74,7 @@ class Progress:
 
     def _write(self, text: str) -> None:
         line = f"{self._what:<9} {text}"
-        # Back to the beginning of the line: what is printed next goes over it.
+        # Back to the beginning of the line, so that the next text overwrites it.
         print(
             f"\r\033[K{line}\r" if self._live else line, end="" if self._live else "\n", file=self._stream, flush=True
         )

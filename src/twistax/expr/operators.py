@@ -84,7 +84,7 @@ class Operators:
     )
     __hash__ = object.__hash__
 
-    # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
+    # NumPy calls this method before it would iterate over the expression: `array @ expr`, `np.sin(expr)`.
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:

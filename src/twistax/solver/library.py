@@ -65,7 +65,7 @@ class Library:
 
     @functools.cached_property
     def targets(self) -> tuple[str, str]:
-        # XLA keeps a target as long as the process lives, and takes a name once.
+        # XLA keeps a target until the process ends, and registers a name once.
         targets = []
         for name in _HANDLERS:
             target = f"twistax_{name}_{fingerprint()[:16]}"

@@ -84,7 +84,7 @@ class Explanation:
     def __str__(self) -> str:
         before, after = (sum(counts.values()) for counts in self.operations)
         lines = [f"{kind}: {', '.join(names) or 'none'}" for kind, names in self.leaves.items()]
-        # A tree that shares its parts may stand for more nodes than there are atoms.
+        # A tree with shared parts may have more nodes, written out, than there are atoms.
         written = str(self.nodes[0]) if self.nodes[0] < 10**9 else f"{Decimal(self.nodes[0]):.1e}"
         lines.append(f"nodes of the rates: {written} as written, {self.nodes[1]} distinct after simplification")
         lines.append(

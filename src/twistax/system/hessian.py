@@ -219,7 +219,7 @@ class WeightedHessian:
     @functools.cached_property
     def program(self) -> ScalarProgram:
         """(arguments, weights w_i) -> the matrix."""
-        # Rows with most entries last: measured, kernels wait least for memory so.
+        # Rows with most entries last: measurements show the fewest memory stalls of kernels in this order.
         return one_by_one(self._program, self._in_order)
 
     def beside_values(self, substituted: Mapping[int, int]) -> ScalarProgram:

@@ -78,7 +78,7 @@ class EulerAngles(Expr):
     rotation: Operand
     sequence: str = ROLL_PITCH_YAW
     takes, gives = ((3, 3),), (3,)
-    # Off the group the map is an extension nobody differentiates: the cases go through Exp.
+    # Off the group the map is an arbitrary extension, so the cases are elements of it: they go through Exp.
     cases = (
         (lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),
         (lambda cls, w: cls(SO3Exp(w), "XYX"), {"w": [0.4, -1.1, 0.6]}),

@@ -257,7 +257,7 @@ class Reorder(TwistNode):
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        # Swapping the halves is its own inverse, whichever way it goes.
+        # Swapping the halves is its own inverse.
         return ANGULAR_FIRST.from_linear_first(values[0])
 
     def simplify(self) -> Expr:

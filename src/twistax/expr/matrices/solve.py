@@ -24,7 +24,7 @@ from .linalg import Diag
 #: Above this condition number a constant matrix is not inverted beforehand: a solve leaves the smaller residual.
 WORST_CONDITION = 1e8
 
-#: A larger matrix is eliminated anew for every right-hand side.
+#: Larger matrices are eliminated again for every right-hand side.
 LARGEST_INVERTED = 16
 
 #: Larger systems are LAPACK's: unrolled they would not gain.

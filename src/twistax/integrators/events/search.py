@@ -17,7 +17,7 @@ from .conditions import Advance, EventConditions
 from .crossings import CrossingTable, Row, row_of, state_of
 from .root_finding import Bracket, ExtremumSearch, near_zero
 
-#: Places within a step at which a method without a polynomial is looked at, by shorter steps.
+#: Places within a step at which the conditions are evaluated by shorter steps, for methods without a polynomial.
 _FEW = 3
 
 
@@ -259,7 +259,7 @@ class _Search:
         place, value = held((job.place, values[number]))
         job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
 
-        # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
+        # The bracket closed on an end whose sign came from a polynomial: the step itself may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
         # Beside a part, where it closed on the end next to that, the root is there.
@@ -274,12 +274,12 @@ class _Search:
         done, widens, visits, here = held((done, widens, visits, here))
         root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
 
-        # Up to an extremum the condition goes the way that its sign says, then back.
+        # The condition moves in the direction of its sign up to an extremum, then back.
         tip, wanted = job.extremum.middle[0], self.senses[number]
         first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
         extremum_found = job.looks & job.extremum.past
         half, follows = 0.5 * self.spacing, self._next_item(job.item)
-        # What begins where the integration has ended is not looked at.
+        # Pairs after the end of the integration are skipped.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
         follows = held(jnp.where(over, self.flags.size, follows))
         none = -jnp.ones_like(h)

@@ -27,7 +27,7 @@ from .progress_callback import ProgressCalls
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
 _PROGRESS = 256
-#: How many limits a kernel looks at: it compares the time with each.
+#: The most limits of a kernel: it compares the time with each.
 _SEEN = 64
 
 

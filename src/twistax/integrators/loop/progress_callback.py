@@ -20,7 +20,7 @@ Now = TypeVar("Now")
 #: Called with the time that was reached, and the share of the way to the end.
 ProgressCallback = Callable[[float, float], Any]
 
-#: Who asked, while their integrations run: the programs, which are kept, know the number alone.
+#: The callbacks of running integrations by number: compiled programs, which are cached, hold only the number.
 _CALLBACKS: dict[int, tuple[ProgressCallback, list[Exception]]] = {}
 _NUMBERS = itertools.count()
 

@@ -29,7 +29,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
             raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
     names = [_name(port) for port in exporter.arguments]
     functions = [exporter.family(family) for family in named]
-    # Scalar expressions are the faster ones, but know no tables.
+    # Scalar expressions are faster, but have no tables.
     kind: Any = casadi.MX if any(function.program.tables for function in functions) else casadi.SX
     ports = zip(names, exporter.arguments, strict=True)
     symbols: list[Any] = [kind.sym(name, *_matrix(port.shape)) for name, port in ports]

@@ -119,7 +119,7 @@ class OptimalityConditions:
         self.sizes = Move(stages.variables, sum(stages.after), rows, equalities, 1)
         free = self.shooting.free
         self.fixed = np.append(self.staged.step(*free) == 0.0, np.ones(len(self._places), bool))
-        #: Where inequalities and equalities stand among all rows.
+        #: The places of inequalities and equalities among all rows.
         self._rows = [a.astype(int) for a in core.staged.split_rows(np.arange(len(self.shooting.exists)))[:2]]
         determined = self.shooting.determined & ~self.shooting.redundant
         #: Rows that ends alone decide and the core has not, and their sizes.
@@ -235,7 +235,7 @@ class OptimalityConditions:
         matvec: Callable[[Any], Any] = functools.partial(self._conditions, optimum)
         curved = self._part.phase.kernels.retract is not None
         if side.dtype != np.float64:
-            # The conditions are worth nothing in single precision. Of the equations JAX needs the solutions alone.
+            # The conditions are too inexact in single precision. JAX needs only the solutions of the equations.
             if curved:
                 raise TrajectoryError(f"solution: derivatives of rotations and poses {_DOUBLE}")
             matvec = lambda flat: _no_slope(optimum.z[0]) * flat  # noqa: E731
