@@ -19,17 +19,17 @@ import functools
 
 import numpy as np
 
-from ..checks import listed
-from ..errors import ModelError
-from ..expr import Concat, Constant, Dot, Expr, Hstack, Max, Sqrt, Stack, Sum, Where
-from ..expr.fields import ExprLike
-from ..expr.lie import Adjoint, AdjointAction, SE3AdjointDual
+from ...checks import listed
+from ...errors import ModelError
+from ...expr import Concat, Constant, Dot, Expr, Hstack, Max, Sqrt, Stack, Sum, Where
+from ...expr.fields import ExprLike
+from ...expr.lie import Adjoint, AdjointAction, SE3AdjointDual
+from ..kinematic_tree import KinematicTree, Positions
+from ..loops import Loop
 from .dynamics import Wrenches, bias_forces, checked, mass_matrix
 from .inertia_frames import mirrored
 from .jacobians import frame_jacobian
 from .loop_rows import UNIT, LoopRows, numbers, solved
-from .loops import Loop
-from .mechanism import Mechanism, Positions
 
 
 @dataclasses.dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ClosedLoops:
         q, qd: positions and velocities; the mechanism's own states where None.
     """
 
-    mechanism: Mechanism
+    mechanism: KinematicTree
     q: Positions | None = None
     qd: ExprLike | None = None
 
@@ -168,7 +168,7 @@ def _largest(vector: Expr) -> Expr:
 
 
 def closed_dynamics(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None = None,
     qd: ExprLike | None = None,
     tau: ExprLike | None = None,
@@ -198,7 +198,7 @@ def closed_dynamics(
 
 def _motion(
     owner: str,
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None,
     qd: ExprLike | None,
     tau: ExprLike | None,
@@ -211,7 +211,7 @@ def _motion(
 
 
 def loop_diagnostics(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None = None,
     qd: ExprLike | None = None,
     tau: ExprLike | None = None,
@@ -244,7 +244,7 @@ def loop_diagnostics(
 
 
 def loop_wrench(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     loop: str,
     q: Positions | None = None,
     qd: ExprLike | None = None,
@@ -269,7 +269,7 @@ def loop_wrench(
 
 
 def loop_wrenches(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None = None,
     qd: ExprLike | None = None,
     tau: ExprLike | None = None,
@@ -291,7 +291,7 @@ def loop_wrenches(
     return total  # type: ignore[return-value]
 
 
-def loop_gap(mechanism: Mechanism, loop: str, q: Positions | None = None) -> Expr:
+def loop_gap(mechanism: KinematicTree, loop: str, q: Positions | None = None) -> Expr:
     """The closure residual (m,) of a loop, m and rad; zero if it is closed. Raises ShapeError; ModelError for an
     unknown loop.
     """
@@ -299,7 +299,7 @@ def loop_gap(mechanism: Mechanism, loop: str, q: Positions | None = None) -> Exp
     return of.gap(mechanism.pose(of.other, q, relative_to=of.frame))
 
 
-def loop_of(mechanism: Mechanism, name: str) -> Loop:
+def loop_of(mechanism: KinematicTree, name: str) -> Loop:
     """The closure of a name. Raises ModelError."""
     loops = {loop.name: loop for loop in mechanism.loops}
     if name not in loops:
@@ -307,7 +307,7 @@ def loop_of(mechanism: Mechanism, name: str) -> Loop:
     return loops[name]
 
 
-def redundant_rows(mechanism: Mechanism) -> int:
+def redundant_rows(mechanism: KinematicTree) -> int:
     """The number of redundant rows of G at a random configuration; parameters have their values, or one."""
     rows = ClosedLoops(mechanism).rows
     lengths = np.linalg.svd(numbers(rows.scaled), compute_uv=False)

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..expr import Constant, Control, Expr, Stack, State, leaves_of
-from ..expr.fields import ExprLike
+from ...expr import Constant, Control, Expr, Stack, State, leaves_of
+from ...expr.fields import ExprLike
+from ..joints import Joint
+from ..kinematic_tree import KinematicTree
+from ..tree import Segment
 from .derivatives import forward_dynamics_derivatives
 from .dynamics import Wrenches
 from .jacobians import BODY, frame_jacobian
-from .joints import Joint
-from .mechanism import Mechanism
-from .tree import Segment
 
 
 def slopes_of_accelerations(
-    mechanism: Mechanism, forces: Expr, wrenches: Wrenches | None
+    mechanism: KinematicTree, forces: Expr, wrenches: Wrenches | None
 ) -> list[tuple[ExprLike, ExprLike]]:
     """The derivatives of `forward_dynamics` by the states of positions and velocities, by forces and by wrenches.
 
@@ -51,7 +51,7 @@ def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
     return columns @ Stack(*(joint.velocity_of(place, Constant(unit)) for unit in np.eye(joint.dofs))).T
 
 
-def _numbers(mechanism: Mechanism) -> list[Expr]:
+def _numbers(mechanism: KinematicTree) -> list[Expr]:
     """All constants of a mechanism: geometry and inertia."""
     numbers: list[Expr] = [mechanism.gravity]
     for segment in mechanism.segments:

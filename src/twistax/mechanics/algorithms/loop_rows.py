@@ -20,7 +20,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..expr import (
+from ...expr import (
     Concat,
     Constant,
     Expr,
@@ -35,8 +35,8 @@ from ..expr import (
     evaluate_all,
     leaves_of,
 )
+from ..kinematic_tree import KinematicTree
 from .inertia_frames import mirrored
-from .mechanism import Mechanism
 
 #: Systems of more unknowns are LAPACK's.
 _SMALL = 48
@@ -55,7 +55,7 @@ def solved(A: Expr, b: Expr) -> Expr:
 class LoopRows:
     """The closure rows G (m, n) of a mechanism at one configuration."""
 
-    def __init__(self, mechanism: Mechanism, G: Expr) -> None:
+    def __init__(self, mechanism: KinematicTree, G: Expr) -> None:
         self.G, self._metric = G, mechanism.loop_metric
         length = characteristic_length(mechanism)
         #: D (m,) and E (n,), m for turns.
@@ -112,7 +112,7 @@ class LoopRows:
         return Outer(k, k) * A + (1.0 - k) * np.eye(A.shape[0])
 
 
-def characteristic_length(mechanism: Mechanism) -> float:
+def characteristic_length(mechanism: KinematicTree) -> float:
     """The length l of the metric, m, by default from the mechanism with its parameter values."""
     if mechanism.loop_metric.length is not None:
         return float(mechanism.loop_metric.length)
@@ -146,7 +146,7 @@ def _lengths(wrenches: np.ndarray, length: float) -> np.ndarray:
     return 1.0 / np.sqrt(np.sum(wrenches[:, :3] ** 2, axis=1) + np.sum(wrenches[:, 3:] ** 2, axis=1) / length**2)
 
 
-def _speeds(mechanism: Mechanism, length: float) -> np.ndarray:
+def _speeds(mechanism: KinematicTree, length: float) -> np.ndarray:
     """Of every freedom the root of |v|^2 + |l w|^2 of the joints that it moves (n,)."""
     squares = np.zeros(mechanism.dofs)
     for segment in mechanism.segments:

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from ..expr import Expr
-from ..expr.fields import ExprLike
-from ..expr.lie import Compose, Inverse, SE3AdjointDual
+from ...expr import Expr
+from ...expr.fields import ExprLike
+from ...expr.lie import Compose, Inverse, SE3AdjointDual
+from ..kinematic_tree import KinematicTree, Positions
 from .dynamics import Wrenches, carried_wrenches, checked
-from .mechanism import Mechanism, Positions
 
 
 def joint_wrench(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     joint: str,
     q: Positions | None = None,
     qd: ExprLike | None = None,

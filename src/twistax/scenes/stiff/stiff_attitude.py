@@ -4,7 +4,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Scene, about, said, stored_end
+from ..scene import Scene, about, said, stored_end
 
 #: Moments of inertia, kg m2.
 INERTIA = (1.0, 2.0, 3.0)

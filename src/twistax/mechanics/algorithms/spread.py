@@ -16,9 +16,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..expr import Constant, Cross, Dot, Expr, Outer, Trace
-from ..expr.lie import Act, CoadjointAction, Hat, angular, linear, twist
-from .tree import Segment
+from ...expr import Constant, Cross, Dot, Expr, Outer, Trace
+from ...expr.lie import Act, CoadjointAction, Hat, angular, linear, twist
+from ..tree import Segment
 
 
 class Spread(NamedTuple):

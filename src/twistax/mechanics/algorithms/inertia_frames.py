@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from ..expr import Block, Constant, Cos, Expr, Sin, Where
-from ..expr.lie import AxisRotation, CoadjointAction, translation
-from ..expr.lie.elements import parts_of_pose
-from .screws import complement
+from ...expr import Block, Constant, Cos, Expr, Sin, Where
+from ...expr.lie import AxisRotation, CoadjointAction, translation
+from ...expr.lie.elements import parts_of_pose
+from ..screws import complement
 
 #: Factors of the entries of 3x3 matrices.
 _REFLECTED = np.array([[1.0, -1.0, 0.0], [-1.0, 1.0, 0.0], [0.0, 0.0, 1.0]])

@@ -16,13 +16,13 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from ..expr import Block, Concat, Constant, Cross, Dot, Expr
-from ..expr.lie import angular, linear
-from .mechanism import Mechanism
-from .tree import Segment
+from ...expr import Block, Concat, Constant, Cross, Dot, Expr
+from ...expr.lie import angular, linear
+from ..kinematic_tree import KinematicTree
+from ..tree import Segment
 
 
-def turning_of_rotors(mechanism: Mechanism, qd: Expr) -> Expr | None:
+def turning_of_rotors(mechanism: KinematicTree, qd: Expr) -> Expr | None:
     """H' a [w x v; 0] of all joints (n,), N; None where it vanishes for all velocities."""
     terms: list[Expr] = [Constant(0.0)] * mechanism.dofs
     turning = list(_turning(mechanism))
@@ -34,7 +34,7 @@ def turning_of_rotors(mechanism: Mechanism, qd: Expr) -> Expr | None:
     return Concat(*terms) if turning else None
 
 
-def turning_by_velocities(mechanism: Mechanism, qd: Expr) -> Expr | None:
+def turning_by_velocities(mechanism: KinematicTree, qd: Expr) -> Expr | None:
     """The derivatives (n, n) of `turning_of_rotors` by the velocities."""
     slopes: list[list[Expr]] = [[Constant(0.0)] * mechanism.dofs for _ in range(mechanism.dofs)]
     turning = list(_turning(mechanism))
@@ -47,7 +47,7 @@ def turning_by_velocities(mechanism: Mechanism, qd: Expr) -> Expr | None:
     return Block(slopes) if turning else None
 
 
-def _turning(mechanism: Mechanism) -> Iterator[tuple[Segment, Expr]]:
+def _turning(mechanism: KinematicTree) -> Iterator[tuple[Segment, Expr]]:
     """The segments whose rotors have such a term: a joint of one or two freedoms turns about the axis it slides on."""
     for segment in mechanism.segments:
         rotor, H = segment.link.drive.rotor, segment.link.joint.motion_subspace

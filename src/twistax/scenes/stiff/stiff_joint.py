@@ -4,7 +4,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Array, Scene, about, newton_euler, placed, said, stored_end, total_momentum
+from ..scene import Array, Scene, about, newton_euler, placed, said, stored_end, total_momentum
 
 #: N/m and N s/m: the joint gives way by 1e-8 m in 1 N, and its gap closes at some 1e4/s.
 STIFFNESS, DAMPING = 1e8, 2e4

@@ -4,7 +4,7 @@ import numpy as np
 
 import twistax as tx
 
-from .scene import Scene, about, newton_euler, placed, said, stored_end
+from ..scene import Scene, about, newton_euler, placed, said, stored_end
 
 #: Mass, kg, principal moments of inertia, kg m2, and how far below the centre of mass the thrust acts, m.
 MASS, INERTIA, ARM = 2.0, (0.8, 1.0, 0.3), 0.5

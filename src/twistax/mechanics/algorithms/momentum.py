@@ -12,12 +12,12 @@ import operator
 
 import numpy as np
 
-from ..errors import ModelError
-from ..expr import Constant, Dot, Expr, Stack
-from ..expr.fields import ExprLike
-from ..expr.lie import Act, CoadjointAction, translation
+from ...errors import ModelError
+from ...expr import Constant, Dot, Expr, Stack
+from ...expr.fields import ExprLike
+from ...expr.lie import Act, CoadjointAction, translation
+from ..kinematic_tree import KinematicTree, Positions
 from .dynamics import checked, composite_inertias
-from .mechanism import Mechanism, Positions
 
 _NOTHING = Constant(0.0)
 
@@ -26,7 +26,7 @@ def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
     return functools.reduce(operator.add, terms) if terms else empty
 
 
-def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+def kinetic_energy(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
     """The kinetic energy (), J: the sum of $V.M V / 2$ over all bodies, plus that of rotors and of masses that move
     inside bodies.
 
@@ -43,7 +43,7 @@ def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLik
     return _sum(terms)
 
 
-def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+def potential_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     """$U = -sum m_i g . c_i$ over all bodies (), J: zero for masses at the base. Raises ShapeError."""
     poses = checked("potential_energy", mechanism).poses(q)
     lifted = [
@@ -52,7 +52,7 @@ def potential_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     return -_sum(lifted)
 
 
-def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+def spring_energy(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     """$sum k |q - q_0|^2 / 2$ over the springs of all drives (), J; of a ball q is Log R. Raises ShapeError."""
     places = checked("spring_energy", mechanism).positions("spring_energy", q)
     terms: list[Expr] = []
@@ -63,7 +63,7 @@ def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     return _sum(terms)
 
 
-def total_mass(mechanism: Mechanism) -> Expr:
+def total_mass(mechanism: KinematicTree) -> Expr:
     """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
     masses = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
     if not masses:
@@ -71,7 +71,7 @@ def total_mass(mechanism: Mechanism) -> Expr:
     return _sum(masses)
 
 
-def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+def center_of_mass(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     """$c = sum m_i c_i / sum m_i$ of all bodies that move (3,), m, in the base.
 
     Raises ShapeError; ModelError where there is no mass.
@@ -81,7 +81,7 @@ def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
     return _sum(moments) / total_mass(mechanism)
 
 
-def spatial_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+def spatial_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
     """The momentum [p; L] (6,) of all bodies about the BASE's origin, in the base's axes: the sum of Ad*_T M V. Raises
     ShapeError.
 
@@ -92,13 +92,13 @@ def spatial_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprL
     return _sum(terms, Constant(np.zeros(6)))
 
 
-def centroidal_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+def centroidal_momentum(mechanism: KinematicTree, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
     """[p; L] (6,) of all bodies about their centre of mass, in the base's axes: N s and N m s. Raises ShapeError."""
     about_base = spatial_momentum(mechanism, q, qd)
     return CoadjointAction(translation(center_of_mass(mechanism, q)), about_base, inverse=True)
 
 
-def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
+def centroidal_matrix(mechanism: KinematicTree, q: Positions | None = None) -> Expr:
     """The centroidal momentum matrix A (6, n), kg and kg m: $A qd$ is the centroidal momentum; columns $Ad*_T I_c H$.
 
     Masses that move inside bodies have an additional momentum relative to their bodies, which $A qd$ does not contain.

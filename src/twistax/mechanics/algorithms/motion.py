@@ -23,11 +23,11 @@ import dataclasses
 
 import numpy as np
 
-from ..expr import Constant, Cross, Expr
-from ..expr.lie import Act, AdjointAction, AdjointDual, Inverse, angular, linear, twist
-from ..expr.lie.elements import parts_of_pose
-from .mechanism import Mechanism
-from .tree import Segment
+from ...expr import Constant, Cross, Expr
+from ...expr.lie import Act, AdjointAction, AdjointDual, Inverse, angular, linear, twist
+from ...expr.lie.elements import parts_of_pose
+from ..kinematic_tree import KinematicTree
+from ..tree import Segment
 
 ZERO = Constant(np.zeros(3))
 _NO_INERTIA = Constant(np.zeros((6, 6)))
@@ -80,7 +80,7 @@ def acceleration_of_base(gravity: Expr) -> Expr:
     return twist(linear=-gravity, angular=ZERO)
 
 
-def motion(mechanism: Mechanism, positions: list[Expr], qd: Expr) -> list[Moving]:
+def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Moving]:
     """The outward pass: angular velocities and the terms that follow from them."""
     moving: list[Moving] = []
     for segment, position in zip(mechanism.segments, positions, strict=True):

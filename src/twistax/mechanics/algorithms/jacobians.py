@@ -12,12 +12,12 @@ from collections.abc import Callable
 
 import numpy as np
 
-from ..errors import ModelError
-from ..expr import Constant, Cross, Expr, Stack
-from ..expr.fields import ExprLike
-from ..expr.lie import Adjoint, AdjointAction, Compose, Inverse, angular, linear, translation, twist
+from ...errors import ModelError
+from ...expr import Constant, Cross, Expr, Stack
+from ...expr.fields import ExprLike
+from ...expr.lie import Adjoint, AdjointAction, Compose, Inverse, angular, linear, translation, twist
+from ..kinematic_tree import KinematicTree, Positions
 from .dynamics import checked
-from .mechanism import Mechanism, Positions
 
 _ZERO = Constant(np.zeros(6))
 
@@ -45,7 +45,7 @@ ALIGNED = Axes("ALIGNED")
 
 
 def frame_twist(
-    mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
+    mechanism: KinematicTree, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
     """The velocity (6,) of a frame relative to the base, $[v; w] = J qd$ in m/s and rad/s, in the chosen axes.
 
@@ -57,7 +57,7 @@ def frame_twist(
     return AdjointAction(_to(axes, mechanism.pose(frame, q)), V)
 
 
-def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
+def frame_jacobian(mechanism: KinematicTree, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
     """The Jacobian J (6, n) of a frame: $J qd = [v; w]$ is its velocity, m/s and rad/s, in the chosen axes.
 
     Raises as `frame_twist` does.
@@ -71,7 +71,7 @@ def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None,
 
 
 def frame_jacobian_rate(
-    mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
+    mechanism: KinematicTree, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
     """The time derivative J' (6, n) of `frame_jacobian`: $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that
     does.
@@ -119,7 +119,7 @@ def _known(axes: Axes) -> Axes:
 class _Path:
     """The path from a frame to the base."""
 
-    def __init__(self, owner: str, mechanism: Mechanism, frame: str, q: Positions | None) -> None:
+    def __init__(self, owner: str, mechanism: KinematicTree, frame: str, q: Positions | None) -> None:
         checked(owner, mechanism)
         self.mechanism, self.at = mechanism, mechanism.frame(frame)
         self.poses = mechanism.poses(q)

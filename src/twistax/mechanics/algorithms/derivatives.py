@@ -31,16 +31,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..errors import ModelError
-from ..expr import Concat, Constant, Cross, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
-from ..expr.fields import ExprLike
-from ..expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
-from .dynamics import Wrenches, checked, forward_dynamics, outside
-from .mechanism import Mechanism, Positions
+from ...errors import ModelError
+from ...expr import Concat, Constant, Cross, Expr, Hstack, InverseFactor, InversePositive, Stack, Where
+from ...expr.fields import ExprLike
+from ...expr.lie import Adjoint, AdjointAction, AdjointDual, CoadjointAction, Compose, angular, linear, twist
+from ..kinematic_tree import KinematicTree, Positions
+from ..tree import Segment
+from .dynamics import Wrenches, checked, outside
+from .forward_dynamics import forward_dynamics
 from .motion import ZERO, acceleration_of_base
 from .rotors import turning_by_velocities
 from .spread import Spread
-from .tree import Segment
 
 _NOTHING = Constant(np.zeros(6))
 
@@ -62,7 +63,7 @@ class AccelerationDerivatives(NamedTuple):
 
 
 def inverse_dynamics_derivatives(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None = None,
     qd: ExprLike | None = None,
     qdd: ExprLike | None = None,
@@ -86,7 +87,7 @@ def inverse_dynamics_derivatives(
 
 
 def forward_dynamics_derivatives(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     q: Positions | None = None,
     qd: ExprLike | None = None,
     tau: ExprLike | None = None,
@@ -146,7 +147,7 @@ class _Perturbed:
     def __init__(
         self,
         owner: str,
-        mechanism: Mechanism,
+        mechanism: KinematicTree,
         q: Positions | None,
         qd: ExprLike | None,
         qdd: Expr,
