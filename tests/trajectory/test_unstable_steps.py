@@ -85,7 +85,11 @@ def test_a_warm_start_from_such_a_result(limit: dict[str, Any]) -> None:
         assert again.iterations <= 1
         assert again.message.endswith("Solved by Collocation(tx.tableaus.RADAU_IIA5), as the start was.")
         assert again.cost == pytest.approx(first.cost, rel=1e-9)
-    assert float(solution(stated)().cost) == pytest.approx(first.cost, rel=1e-8)
+
+
+def test_an_optimum_in_programs_is_that_of_implicit_steps() -> None:
+    stated = hypersensitive(at_ends(40, 15.0))
+    assert float(solution(stated)().cost) == pytest.approx(stated.solve().cost, rel=1e-8)
 
 
 def test_it_is_a_strategy() -> None:
