@@ -105,7 +105,9 @@ class LiftedFunctionals(Bridge):
         """Bounds on norms of continuous controls are as smooth as these."""
         splines = dict[str, Spline]()
         for name, part in self.bounds.items():
-            degrees = [controls[e.name].degree for e in leaves_of(part) if isinstance(e, Control) and e.name in controls]
+            degrees = [
+                controls[e.name].degree for e in leaves_of(part) if isinstance(e, Control) and e.name in controls
+            ]
             if degrees:
                 splines[name] = Spline(max(degrees)) if max(degrees) > 1 else Linear()
         return splines
