@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import double_integrator, regulator_error
 
 import twistax as tx
 from twistax.trajectory import Collocation, Linear, Problem, Rate, Spline
@@ -39,27 +39,11 @@ def test_least_effort_that_is_a_parabola_is_exact_on_three_nodes() -> None:
     )
 
 
-def regulator(nodes: int, degree: int) -> float:
-    """x' = u from 1 in 2 s with x^2 + u^2 as running cost: tanh(2)."""
-    x, u = tx.State("x"), tx.Control("u")
-    problem = Problem(
-        tx.compile(tx.System(rates={x: u})),
-        tx.Minimize(running=x**2 + u**2),
-        nodes=nodes,
-        final_time=2.0,
-        initial={x: 1.0},
-        controls=Spline(degree),
-        transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE6, substeps=4),
-    )
-    result = problem.solve(tolerance=1e-11)
-    assert result.solved
-    return result.cost - float(np.tanh(2.0))
-
-
 @pytest.mark.slow
 def test_the_order_in_the_mesh() -> None:
     """A parabola misses by the sixth power of the intervals."""
-    far, near = regulator(4, 2), regulator(7, 2)
+    rule = Collocation(tx.tableaus.GAUSS_LEGENDRE6, substeps=4)
+    far, near = (regulator_error(nodes, Spline(2), 1e-11, transcription=rule) for nodes in (4, 7))
     assert far > near > 0.0
     assert np.log2(far / near) == pytest.approx(6.0, abs=0.5)
 

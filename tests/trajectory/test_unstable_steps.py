@@ -1,7 +1,5 @@
 """Horizons on which explicit steps blow up, against the value functions of the hypersensitive problem."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

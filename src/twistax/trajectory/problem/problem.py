@@ -211,7 +211,9 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
+        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, transcription, hessian,
+        ...
+        """
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -255,7 +257,7 @@ class Problem:
         return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
 
     def started(self, *arguments: Any, **named: Any) -> Started:
-        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        """The start and the data of a solve with these arguments; see `start.started`."""
         return started(self, *arguments, **named)
 
     # ---- solving ----------------------------------------------------------------------------------------------------
@@ -275,6 +277,7 @@ class Problem:
         guesses: int = 1,
         seed: int | None = None,
         callback: Callback | None = None,
+        progress: Any = None,
         max_iterations: int = 1000,
         max_seconds: float | None = None,
         tolerance: float = 1e-6,
@@ -288,8 +291,7 @@ class Problem:
 
         The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
         that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
-        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
-        at once.
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Threads may share a problem.
 
         Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
         of order 5, and the message says so; `result.problem` is the one that was solved. A warm start from such a
@@ -307,16 +309,16 @@ class Problem:
             free: other limits of free parameters, by leaf or name; the same sides stay open.
             final_time: a number where the problem has one, limits where it has limits.
             final_time_guess: where a free final time starts.
-            guesses: how many tries. Without a seed the first starts from the guess itself, or from `warm`; the others
-                start from the perturbed guess.
-            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
-                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
-                parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
-                at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
-                large as its scale, and as the guess's gaps.
+            guesses: how many tries. The first one starts from the guess, or `warm`, the others from perturbed guesses.
+            seed: perturb every try's guess. The same seed gives the same tries. Standard deviations are 0.4 of the
+                scale for free tangents of states, final times and parameters, and 0.15 for controls; at most a sixth of
+                the distance of limits. They are halved until the gaps of the dynamics are at most thirty times as large
+                as their scale and as the gaps of the guess.
             callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
                 with status STOPPED, and the result is the iterate with the smallest error, with its measures.
                 `IPOPT` and `Fatrop` call it and go on.
+            progress: True prints a line for each iteration (cost, violation, step), False nothing; a `Progress` formats
+                the cost. Left out, lines come after two seconds, on a terminal, unless there is a callback.
             max_iterations: iterations a try may use.
             max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
                 at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
@@ -360,7 +362,7 @@ class Problem:
         tolerance: float = 1e-6,
         mesh_tolerance: float = MESH,
     ) -> TrajectoryResults:
-        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+        """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
         A guess with an axis of cases has one of nodes or intervals too.
@@ -378,7 +380,7 @@ class Problem:
         return solved_many(self, arguments | {"free": free}, options)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
-        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
+        """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)
