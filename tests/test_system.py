@@ -250,23 +250,3 @@ def test_constraints_get_names() -> None:
     assert list(system.constraints) == ["Norm(F) <= 10.", "Norm(F) <= 10. (2)", "V[0] == 0."]
     assert list(tx.System(rates={V: F}, constraints={"thrust": limit}).constraints) == ["thrust"]
     assert list(tx.System(rates={V: F}, constraints=limit).constraints) == ["Norm(F) <= 10."]
-
-
-@pytest.mark.parametrize(
-    "use",
-    [
-        lambda s: tx.integrate(s, {"x": 1.0}, t1=1.0, dt=0.1),
-        lambda s: tx.trajectory.linearize(s, 0.0, {"x": 1.0}),
-        lambda s: tx.trajectory.discretize(s, 0.0, {"x": 1.0}, None, 0.1),
-        lambda s: tx.trajectory.Problem(s, objective=tx.Minimize(0.0), nodes=3, final_time=1.0, initial={}, final={}),
-        lambda s: tx.diffrax.ambient_term(s),
-        lambda s: tx.diffrax.lie_term(s),
-    ],
-    ids=["integrate", "linearize", "discretize", "Problem", "ambient_term", "lie_term"],
-)
-def test_a_system_that_is_not_compiled_is_named(
-    use: Callable[[tx.System], object], unchecked: None, request: pytest.FixtureRequest
-) -> None:
-    message = f"{request.node.callspec.id} expects a compiled system, got System.\n  fix: dynamics = tx.compile"
-    with pytest.raises(tx.ModelError, match=message):
-        use(tx.System(rates={tx.State("x"): 1.0}))

@@ -129,6 +129,9 @@ ROWS = [
     bad("a mount of three", lambda: link(mount=UNIT), "Link", "mount", "(3, 3)"),
     bad("gravity as a number", lambda: Chain([link()], gravity=-9.81), "Chain", "gravity", "()"),
     bad("gravity of NaN", lambda: Chain([link()], gravity=[0.0, 0.0, np.nan]), "Chain", "gravity", "nan"),
+    bad(
+        "a force of three on a body", lambda: body().acceleration(np.zeros(6), np.zeros(3)), "acceleration", "F", "(3,)"
+    ),
     bad("positions of another number", lambda: tx.mechanics.rnea(arm(), q, q, tx.State("a", 3)), "qdd", "(2,)", "(3,)"),
     bad("dynamics of a list of links", lambda: tx.mechanics.aba([link()], q, q, q), "forward_dynamics", "list"),
     bad("a mass matrix of one", lambda: tx.mechanics.mass_matrix(arm(), tx.State("a")), "q", "(2,)", "()"),

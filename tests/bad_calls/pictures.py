@@ -51,6 +51,7 @@ ROWS = [
     bad("up that is a word", lambda: show(up="z"), "up", "'z'"),
     bad("no time at all", lambda: show(seconds=0.0), "seconds", "0.0"),
     bad("a time without end", lambda: show(seconds=np.inf), "seconds", "inf"),
+    bad("a time backwards", lambda: show(seconds=-1.0), "seconds", "-1.0"),
     bad("shapes that are numbers", lambda: show(shapes=[1.0]), "shapes", "1.0"),
     bad("a solution without poses", lambda: plain.show("a.html"), "no state is a pose", "'m'"),
     bad("a batch in three dimensions", lambda: batch.show("a.html"), "show", "batch"),

@@ -144,6 +144,12 @@ ROWS = [
     bad("a Hessian weighed by text", lambda: cart().hessian(0.0, X, U, None, "w"), "weights", "str"),
     bad("weights of another shape", lambda: cart().hessian(0.0, X, U, None, {"position": [1.0]}), "weights", "(1,)"),
     bad(
+        "a weight of text",
+        lambda: cart().hessian(0.0, X, U, None, {"position": "much"}),
+        "weights['position']",
+        "'much'",
+    ),
+    bad(
         "weights of what it has not", lambda: cart().hessian(0.0, X, U, None, {"positn": 1.0}), "'positn'", "'position'"
     ),
     bad("text made fast", lambda: tx.fast("f"), "fast", "str"),
@@ -159,6 +165,12 @@ ROWS = [
     bad("a lowered call without states", lambda: tx.lower(s * v)(0.0), "'s'", "missing"),
     bad("a lowered call with a control too much", lambda: tx.lower(s * 1.0)(0.0, {"s": 1.0}, {"v": 1.0}), "'v'"),
     bad("a lowered call with a wrong shape", lambda: tx.lower(v)(0.0, {"v": np.ones(2)}), "x['v']", "(2,)"),
+    bad("a lowered call at several times", lambda: tx.lower(s * 1.0)(np.zeros(3), {"s": 1.0}), "t", "(3,)"),
+    bad("a lowered call at no time", lambda: tx.lower(s * 1.0)(None, {"s": 1.0}), "t", "None"),
+    bad(
+        "a lowered call with a complex state", lambda: tx.lower(v)(0.0, {"v": 1j * np.ones(3)}), "x['v']", "complex128"
+    ),
+    bad("a lowered call with an expression", lambda: tx.lower(v)(0.0, {"v": v}), "x['v']", "State", "expression"),
     bad("a gradient of no function", lambda: tx.tangent_grad(3.0), "tangent_grad", "3.0"),
     bad("a gradient on no group", lambda: tx.tangent_grad(lambda g: g, group="SE3"), "tangent_grad", "'SE3'"),
     bad("an unknown inertia", lambda: body()(0.0, AT_REST, TORQUE, INERTIA | {"m": 1.0}), "'m'", "'J'"),
