@@ -83,6 +83,13 @@ ROWS = [
     bad("an infinite start", lambda: decays(x0=DECAY | {"v": [1.0, np.inf, 0.0]}), "x0['v']", "inf"),
     bad("a pose that is none", lambda: turn(x0=AT_REST | {"g": 2.0 * np.eye(4)}), "x0['g']", "SE3", "off by"),
     bad("a reflected pose", lambda: turn(x0=AT_REST | {"g": np.diag([1.0, 1.0, -1.0, 1.0])}), "x0['g']", "SE3"),
+    bad(
+        "a pose a little off",
+        lambda: turn(x0=AT_REST | {"g": np.diag([1.0, 1.0, 1.01, 1.0])}),
+        "x0['g']",
+        "off by 0.02",
+    ),
+    bad("a last row", lambda: turn(x0=AT_REST | {"g": np.eye(4) + 0.02 * np.eye(4, k=-3)}), "x0['g']", "off by 0.02"),
     bad("a pose of NaN", lambda: turn(x0=AT_REST | {"g": np.nan * np.eye(4)}), "x0['g']", "nan"),
     bad("a quaternion for a pose", lambda: turn(x0=AT_REST | {"g": [1.0, 0.0, 0.0, 0.0]}), "x0['g']", "(4, 4)", "(4,)"),
     # times

@@ -78,6 +78,12 @@ ROWS = [
     bad("an ellipsoid of no mass", lambda: view.Ellipsoid.of_inertia(0.0, np.zeros(3), np.eye(3)), "mass", "0.0"),
     bad("an ellipsoid of moments", lambda: view.Ellipsoid.of_inertia(1.0, np.zeros(3), np.ones(3)), "inertia", "1."),
     bad(
+        "an ellipsoid of no inertia",
+        lambda: view.Ellipsoid.of_inertia(1.0, np.zeros(3), np.zeros((3, 3))),
+        "inertia",
+        "0.",
+    ),
+    bad(
         "a link that looks like a word", lambda: Link(joints.Fixed("a"), ball, np.eye(4), shapes="box"), "shapes", "'b'"
     ),
     bad("a base that looks like a number", lambda: tx.mechanics.Mechanism(arm.links, shapes=1.0), "shapes", "1.0"),

@@ -16,7 +16,7 @@ MENDS = re.compile(
     r"fix:|expect|must|need|give|known|has:|are:|takes?\b|choose from|--help|reads|requires|knows|too many|missing a"
 )
 #: What a ShapeError says.
-SHAPES = re.compile(r"^\S+ expects [^\n]* with shape \([^\n]*\), got \(")
+SHAPES = re.compile(r"^(\S+ expects [^\n]* with shape|'\w+': \w+ expects shape) \([^\n]*\), got \(")
 #: Seconds of this process that an error may take.
 SLOWEST = 2.0
 
