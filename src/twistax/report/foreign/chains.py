@@ -15,9 +15,9 @@ def _pulled(x: Any, m: Any) -> list[Any]:
     places: list[Any] = [[0.0] * 3, *map(at, range(_MASSES)), [x.ex, x.ey, x.ez]]
     pulls = []
     for one, other in itertools.pairwise(places):
-        apart = [b - a for a, b in zip(one, other, strict=True)]
-        length = m.sqrt(apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2)
-        pulls.append([(1.0 - 0.033 / length) * d for d in apart])
+        offset = [b - a for a, b in zip(one, other, strict=True)]
+        length = m.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+        pulls.append([(1.0 - 0.033 / length) * d for d in offset])
     speeds = [getattr(x, f"v{axis}{k}") for k in range(_MASSES) for axis in _AXES]
     falls = [
         (after - before) / 0.033 - 9.81 * (axis == 2)
@@ -63,13 +63,13 @@ def _heated(x: Any, m: Any) -> Any:
     y = [getattr(x, f"y{i}") for i in range(_LINES)]
     ghost = y[1] - 2.0 * d * (y[0] - x.v) / (4.0 - y[0])
     line = [ghost, *y, y[-2]]
-    found = []
+    rates = []
     for i, at in enumerate(_X):
         c = math.cos(pi * at)
         heat = (2.0 * pi**2 - 6.0) * e * c + pi**2 * e**2 + (-2.0 * pi**2 - 1.0) * e**2 * c**2
         bend, slope = (line[i + 2] - 2.0 * y[i] + line[i]) / d**2, (line[i + 2] - line[i]) / (2.0 * d)
-        found.append((heat + (4.0 - y[i]) * bend - slope**2) / (4.0 + y[i]))
-    return found
+        rates.append((heat + (4.0 - y[i]) * bend - slope**2) / (4.0 + y[i]))
+    return rates
 
 
 HEAT = Foreign(

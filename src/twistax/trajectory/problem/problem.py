@@ -211,7 +211,9 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
+        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, transcription, hessian,
+        ...
+        """
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -252,11 +254,11 @@ class Problem:
         return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
 
     def started(self, *arguments: Any, **named: Any) -> Started:
-        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        """The start and the data of a solve with these arguments; see `start.started`."""
         return started(self, *arguments, **named)
 
     def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
-        """States at the nodes with what ends fix in place.
+        """States at the nodes, with the values that are fixed at both ends.
 
         Raises:
             TrajectoryError: they are those of another problem.
@@ -368,7 +370,7 @@ class Problem:
         tolerance: float = 1e-6,
         mesh_tolerance: float = MESH,
     ) -> TrajectoryResults:
-        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+        """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
         A guess with an axis of cases has one of nodes or intervals too.
@@ -386,7 +388,7 @@ class Problem:
         return solved_many(self, arguments | {"free": free}, options)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
-        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
+        """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)
