@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -218,7 +219,7 @@ def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | N
     for axes in places[count:]:
         axes.remove()
     if title:
-        figure.suptitle(title)
+        figure.suptitle(textwrap.fill(title, 50 * across), fontsize="medium")
     return figure
 
 
