@@ -81,11 +81,11 @@ def _labelled(
 ) -> list[Panel]:
     """A panel for each unit of the entries."""
     by_unit: dict[str, list[int]] = {}
-    for column, (_, stated) in enumerate(labels):
-        by_unit.setdefault(stated, []).append(column)
+    for column, (_, unit_of_entry) in enumerate(labels):
+        by_unit.setdefault(unit_of_entry, []).append(column)
     drawn = []
-    for stated, columns in by_unit.items():
-        shown, factor = (unit, _FACTORS[stated, unit]) if (stated, unit) in _FACTORS else (stated, 1.0)
+    for unit_of_entry, columns in by_unit.items():
+        shown, factor = (unit, _FACTORS[unit_of_entry, unit]) if (unit_of_entry, unit) in _FACTORS else (unit_of_entry, 1.0)
         curve = _joined([(ts, factor * values[:, columns]) for ts, values in pieces])
         title = name if len(by_unit) == 1 else f"{name}, {shown}"
         drawn.append(Panel(title, shown, [labels[i][0] for i in columns], curve, columns=columns, factor=factor))
@@ -180,9 +180,9 @@ class Pictured(NamedTuple):
             group = group_of(pieces[0][1]) if pieces else None
             return panels(name, group, pieces, units.get(name, ""), self.labels.get(name, ()))
         drawn = []
-        for leaf, own in columns.items():
-            pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, own]) for ts, values in self.pieces(leaf)]
-            some = [self.labels[leaf][i] for i in own]
+        for leaf, columns_of in columns.items():
+            pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, columns_of]) for ts, values in self.pieces(leaf)]
+            some = [self.labels[leaf][i] for i in columns_of]
             drawn += panels(f"{leaf} of {name}", None, pieces, units.get(name, units.get(leaf, "")), some)
         return drawn
 

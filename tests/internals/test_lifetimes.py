@@ -114,14 +114,14 @@ def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call that nobody waits for may still be under way when the last kernel goes."""
     from twistax.scalar.targets.llvm import kernel
 
-    monkeypatch.setattr(kernel, "_REST", 1e9)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 1e9)
     dynamics = tx.compile(_system(11), backend=tx.Native(least=0))
     before = set(map(id, kernel._CODE.values()))
     jax.block_until_ready(dynamics(0.0, POINT))
-    codes = [weakref.ref(lease.code) for lease in kernel._CODE.values() if id(lease) not in before]
+    codes = [weakref.ref(handle.code) for handle in kernel._CODE.values() if id(handle) not in before]
     del dynamics
     assert _left(codes) == len(codes) > 0
-    monkeypatch.setattr(kernel, "_REST", 0.0)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 0.0)
     kept = tx.compile(_system(12), backend=tx.Native(least=0))
     jax.block_until_ready(kept(0.0, POINT))
     assert _left(codes) == 0
@@ -153,7 +153,7 @@ def test_500_systems_leave_no_memory_behind(monkeypatch: pytest.MonkeyPatch) -> 
     """But for what was dropped within half a minute, which is as much as there was time to compile."""
     from twistax.scalar.targets.llvm import kernel
 
-    monkeypatch.setattr(kernel, "_REST", 0.0)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 0.0)
     _left([ref for k in range(10) for ref in _used(k)])
     before = _own_memory()
     for k in range(500):
@@ -184,7 +184,8 @@ def _at_once(function: Callable[[], Any], count: int = 8) -> list[Any]:
 
 def test_threads_derive_one_program_as_one_thread_does() -> None:
     from twistax.scalar.derivatives import cotangent_program, tangent_program
-    from twistax.scalar.reader import ScalarProgram, scalarize
+    from twistax.scalar.program import ScalarProgram
+    from twistax.scalar.reader import scalarize
 
     def made() -> ScalarProgram:
         f = tx.lower(_system(1).rates["v"])
@@ -226,7 +227,7 @@ class _Watched(list):
 def test_one_thread_at_a_time_adds_derivatives(which: str) -> None:
     """Two nodes that are added at once would get one number. No turn of threads is left to chance here."""
     from twistax.scalar import derivatives
-    from twistax.scalar.primitives.entry import flat
+    from twistax.scalar.primitives.interface import flat
     from twistax.scalar.reader import scalarize
 
     f = tx.lower(_system(1).rates["v"])

@@ -16,7 +16,8 @@ from oracles import hat
 from twistax import mechanics
 from twistax.expr import leaves_of
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
-from twistax.scalar.reader import ScalarProgram, scalarize
+from twistax.scalar.program import ScalarProgram
+from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.kernel_body import by_numpy
 
 LONG = np.longdouble

@@ -376,7 +376,7 @@ def test_numbers_of_a_file_become_parameters() -> None:
             '<geom type="mesh" mesh="m"/></body></worldbody>',
             "line 3, <mesh name='m'>: Error opening file",
         ),
-        ("<!DOCTYPE mujoco>", "this is no XML|document type"),
+        ("<!DOCTYPE mujoco>", "this is not XML|document type"),
         (
             "<worldbody><body><joint/>\n<inertial pos='nan 0 0' mass='1' diaginertia='1 1 1'/></body></worldbody>",
             "line 3, <inertial>: expected finite numbers in pos, got 'nan 0 0'",

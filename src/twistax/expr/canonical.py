@@ -8,29 +8,29 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Sequence
+from typing import Any
 
 import jax
 import numpy as np
 
 from .graph import postorder
-from .leaves import Constant, Leaf
-from .node import Expr
+from .operators import NODES
 
 _MARK = "_is_canonical"
 
 
-def canonicalize_all(roots: Sequence[Expr]) -> list[Expr]:
+def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
     """Simpler trees of the same shapes, equal wherever the originals are finite; parts they share stay shared."""
     nodes = postorder(*roots)
     uses = Counter(id(child) for node in nodes for child in node.children()) + Counter(map(id, roots))
     absorbed = {id(c) for n in nodes if n.associative for c in n.children() if type(c) is type(n) and uses[id(c)] == 1}
-    done: dict[int, Expr] = {}
-    operands: dict[int, list[Expr]] = {}
+    done: dict[int, Any] = {}
+    operands: dict[int, list[Any]] = {}
     for node in nodes:
         if _MARK in node.__dict__:
             done[id(node)] = node
             continue
-        children: list[Expr] = []
+        children: list[Any] = []
         for child in node.children():
             new = done.get(id(child))
             if new is None:
@@ -47,7 +47,7 @@ def canonicalize_all(roots: Sequence[Expr]) -> list[Expr]:
     return [done[id(root)] for root in roots]
 
 
-def _settled(node: Expr) -> Expr:
+def _settled(node: Any) -> Any:
     """Fold and simplify until nothing changes; a rewrite may build new nodes, which are settled first."""
     while _MARK not in node.__dict__:
         node = node.with_children([_settled(child) for child in node.children()])
@@ -61,14 +61,14 @@ def _settled(node: Expr) -> Expr:
     return node
 
 
-def fold(node: Expr) -> Expr:
+def fold(node: Any) -> Any:
     """The Constant a node amounts to when all its children are constants; else the node itself.
 
     Folding is done in float64, whatever the switch says, so that a folded number is as good as one typed in.
     A result that is not finite is not folded: the run shall show it where it happens.
     """
-    children = node.children()
-    if isinstance(node, Leaf) or not children or not all(isinstance(child, Constant) for child in children):
+    children, Constant = node.children(), NODES["Constant"]
+    if node.is_leaf or not children or not all(isinstance(child, Constant) for child in children):
         return node
     from .numerals import numerals  # not at import: it loads much of JAX that `import jax` does not
 

@@ -7,36 +7,35 @@ from typing import Any, NamedTuple, TypeAlias
 
 import numpy as np
 
-from .leaves import State
-from .node import Expr
+from .operators import NODES, Operators
 
 #: Values of the fields by name, where arrays and numbers of operands stand for states, and a node that takes any number
 #: of operands has a list of them; or a function of the class and of states that gives the expression, and their values.
-Case: TypeAlias = Mapping[str, Any] | tuple[Callable[..., Expr], Mapping[str, Any]]
+Case: TypeAlias = Mapping[str, Any] | tuple[Callable[..., Any], Mapping[str, Any]]
 
 
 class Example(NamedTuple):
     """One conformance case: an expression, values of its leaves, and whether it is smooth there."""
 
-    expr: Expr
+    expr: Any
     values: Mapping[str, Any]
     smooth: bool = True
 
 
-def example_of(cls: type[Expr], case: Case, smooth: bool) -> Example:
+def example_of(cls: Any, case: Case, smooth: bool) -> Example:
     """A case of a class as an example."""
     values: dict[str, np.ndarray] = {}
 
-    def leaf(name: str, value: Any) -> Expr:
-        if isinstance(value, Expr):
+    def leaf(name: str, value: Any) -> Any:
+        if isinstance(value, Operators):
             return value
         values[name] = np.asarray(value, float)
-        return State(name, shape=values[name].shape)
+        return NODES["State"](name, shape=values[name].shape)
 
     if isinstance(case, tuple):
-        build, given = case
-        return Example(build(cls, **{name: leaf(name, value) for name, value in given.items()}), values, smooth)
-    several: list[Expr] = []
+        build, operands = case
+        return Example(build(cls, **{name: leaf(name, value) for name, value in operands.items()}), values, smooth)
+    several: list[Any] = []
     named = dict(case)
     for field in cls._fields:
         if field.variadic:

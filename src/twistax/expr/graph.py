@@ -5,7 +5,7 @@ from __future__ import annotations
 import functools
 import operator
 from collections.abc import Callable, Hashable, Iterator, Mapping, Sequence
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, ClassVar, Protocol, TypeVar, runtime_checkable
 
 from ..checks import callable_with, short
 from ..errors import ModelError, OperationError
@@ -14,20 +14,37 @@ from ..scalar.walk import walk
 if TYPE_CHECKING:
     import jax
 
-    from .leaves import Leaf
-    from .node import Expr
 
+@runtime_checkable
+class Node(Protocol):
+    """What walking over graphs and printing ask of a node; `Expr` says what it is."""
+
+    is_leaf: ClassVar[bool]
+    precedence: ClassVar[int]
+
+    def children(self) -> Sequence[Any]: ...
+    def eager_children(self) -> Sequence[Any]: ...
+    def outline(self) -> Sequence[tuple[str, Any]]: ...
+    def with_children(self, children: Any) -> Any: ...
+    def key(self) -> str: ...
+    def check_shape(self) -> tuple[int, ...]: ...
+    def evaluate_on_demand(self, values: Any, branches: Any) -> Any: ...
+    def details(self) -> list[str]: ...
+    def to_text(self, *operands: str) -> str: ...
+
+
+N = TypeVar("N", bound=Node)
 
 #: So many nodes may be evaluated more than once.
 _ANEW = 20_000
 
 
-def postorder(*roots: Expr) -> list[Expr]:
+def postorder(*roots: N) -> list[N]:
     """Every node below the roots once (by identity), children before parents."""
     return list(walk(roots, lambda node: node.children()))
 
 
-def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
+def traverse(expr: N, visit: Callable[[N], None]) -> None:
     """Call `visit` on every node below `expr`, children first, each once. Raises OperationError."""
     if not hasattr(expr, "children"):
         raise OperationError(f"traverse expects an expression, got {short(expr)}")
@@ -36,14 +53,14 @@ def traverse(expr: Expr, visit: Callable[[Expr], None]) -> None:
         visit(node)
 
 
-def leaves_of(*roots: Expr) -> Iterator[Leaf]:
+def leaves_of(*roots: Node) -> Iterator[Any]:
     """Every leaf below the roots, each object once."""
-    return (node for node in postorder(*roots) if node.is_leaf)  # type: ignore[misc]
+    return (node for node in postorder(*roots) if node.is_leaf)
 
 
-def substitute(root: Expr, exchange: Mapping[str, Expr]) -> Expr:
+def substitute(root: N, exchange: Mapping[str, N]) -> N:
     """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf stay the same objects."""
-    done: dict[int, Expr] = {}
+    done: dict[int, N] = {}
     for node in postorder(root):
         children = node.children()
         if children:
@@ -53,9 +70,9 @@ def substitute(root: Expr, exchange: Mapping[str, Expr]) -> Expr:
     return done[id(root)]
 
 
-def find_path(root: Expr, target: Expr) -> str:
+def find_path(root: Node, target: Node) -> str:
     """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long way is left out."""
-    parents: dict[int, tuple[Expr, str]] = {}
+    parents: dict[int, tuple[Node, str]] = {}
     stack = [root]
     seen = {id(root)}
     while stack:
@@ -68,7 +85,7 @@ def find_path(root: Expr, target: Expr) -> str:
                 parents[id(child)] = (node, name)
                 stack.append(child)
     steps = [type(target).__name__]
-    current: Expr = target
+    current: Node = target
     while id(current) in parents:
         parent, name = parents[id(current)]
         steps.append(f"{type(parent).__name__}.{name}")
@@ -79,7 +96,7 @@ def find_path(root: Expr, target: Expr) -> str:
     return " -> ".join(steps)
 
 
-def bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
+def bottom_up(root: N, slot: str, compute: Callable[[N], Any]) -> Any:
     """Compute a cached property for every node below `root`, children first."""
     if slot not in root.__dict__:
         for node in walk([root], lambda node: [child for child in node.children() if slot not in child.__dict__]):
@@ -90,10 +107,10 @@ def bottom_up(root: Expr, slot: str, compute: Callable[[Expr], Any]) -> Any:
 # ---- values ----------------------------------------------------------------------------------------------------------
 
 #: Equal for equal subtrees.
-_key: Callable[[Expr], str] = operator.methodcaller("key")
+_key: Callable[[Node], str] = operator.methodcaller("key")
 
 
-def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> list[jax.Array]:
+def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> list[jax.Array]:
     """The value of every root. Equal subtrees (by structure, not identity) are evaluated once.
 
     What all branches of a node need is evaluated before it, so that it is not evaluated in each of them.
@@ -109,7 +126,7 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
     shared, needs = _shared_by_branches(roots, distinct)
     count = 0
 
-    def values(roots: Sequence[Expr], scope: Hashable, known: int) -> list[jax.Array]:
+    def values(roots: Sequence[Node], scope: Hashable, known: int) -> list[jax.Array]:
         """The values of roots in a scope; bit k of `known` says whether shared node k was evaluated around it."""
         fresh, known = needs.get(scope, 0) & ~known, needs.get(scope, 0) | known
         first = []
@@ -118,13 +135,13 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
             fresh &= fresh - 1
         for node in walk([*first, *roots], waiting, _key):
             if node.key() not in memo:
-                memo[node.key()] = read(node) if node.is_leaf else value(node, known)  # type: ignore[arg-type]
+                memo[node.key()] = read(node) if node.is_leaf else value(node, known)
         return [memo[root.key()] for root in roots]
 
-    def waiting(node: Expr) -> list[Expr]:
+    def waiting(node: Node) -> list[Node]:
         return [child for child in node.eager_children() if child.key() not in memo]
 
-    def value(node: Expr, known: int) -> jax.Array:
+    def value(node: Node, known: int) -> jax.Array:
         nonlocal count
         count += 1
         if count > len(distinct) + _ANEW:
@@ -140,17 +157,17 @@ def evaluate_all(roots: Sequence[Expr], read: Callable[[Leaf], jax.Array]) -> li
         ]
         return node.evaluate_on_demand([memo[child.key()] for child in eager], branches)
 
-    def branch(root: Expr, scope: Hashable, known: int) -> jax.Array:
+    def branch(root: Node, scope: Hashable, known: int) -> jax.Array:
         before = len(memo)
-        (found,) = values([root], scope, known)
+        (value,) = values([root], scope, known)
         while len(memo) > before:  # what was evaluated here exists in the branch only
             memo.popitem()
-        return found
+        return value
 
     return values(roots, None, 0)
 
 
-def _shared_by_branches(roots: Sequence[Expr], order: Sequence[Expr]) -> tuple[list[Expr], dict[Hashable, int]]:
+def _shared_by_branches(roots: Sequence[Node], order: Sequence[Node]) -> tuple[list[Node], dict[Hashable, int]]:
     """The nodes that stand in more than one scope, operands first, and which of them each scope needs for certain.
 
     A branch is a scope, (key of the node, place), and so is what is outside of all, None. Bit k of a number is node k.
@@ -162,13 +179,13 @@ def _shared_by_branches(roots: Sequence[Expr], order: Sequence[Expr]) -> tuple[l
     for node in reversed(order):
         eager = len(node.eager_children())
         for k, child in enumerate(node.children()):
-            own = scopes[node.key()] if k < eager else (node.key(), k - eager)
-            if not child.is_leaf and scopes.setdefault(child.key(), own) != own:
+            of_child = scopes[node.key()] if k < eager else (node.key(), k - eager)
+            if not child.is_leaf and scopes.setdefault(child.key(), of_child) != of_child:
                 scopes[child.key()] = child.key()
-    shared: list[Expr] = []
+    shared: list[Node] = []
     needs: dict[Hashable, int] = {}
 
-    def need(scope: Hashable, child: Expr) -> None:
+    def need(scope: Hashable, child: Node) -> None:
         if scopes.get(child.key()) == child.key():
             needs[scope] = needs.get(scope, 0) | needs[child.key()]
 

@@ -8,25 +8,29 @@ from __future__ import annotations
 
 import hashlib
 import inspect
-import re
 from collections.abc import Callable, Iterator, Sequence
-from typing import TYPE_CHECKING, Any, ClassVar, TypeVar, cast, dataclass_transform
+from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar, cast, dataclass_transform, overload
 
 import jax
 import numpy as np
 
 from ..checks import listed
 from ..errors import ImmutableError, ModelError, OperationError, ShapeError
-from .fields import Field, bind_fields, declare_fields, freeze
+from .canonical import canonicalize_all
+from .declaring import Field, bind_fields, declare_fields, freeze
+from .examples import Case, Example, example_of
 from .graph import bottom_up, find_path
 from .moved import first_module
-from .operators import Operators
-from .printing import text as printing
+from .operators import NODES, Operators, as_node
+from .packing import pack, unpack
+from .printing.printed import Printed
 
 if TYPE_CHECKING:
     from ..groups import Order
-    from .examples import Case, Example
-    from .printing.picture import Picture
+
+    ExprLike: TypeAlias = "Expr | float | int | np.ndarray | jax.Array | list[Any] | tuple[Any, ...]"
+else:
+    ExprLike = Any
 
 Shape = tuple[int, ...]
 #: Values while a function is traced or run; where constants are folded, what NumPy has in place of an array of JAX.
@@ -34,26 +38,37 @@ Numbers = TypeVar("Numbers", jax.Array, Any)
 E = TypeVar("E", bound="Expr")
 
 
+class Operand:
+    """Marks a field that holds one child expression (to a type checker: takes numbers and arrays too)."""
+
+    if TYPE_CHECKING:
+
+        @overload
+        def __get__(self, instance: None, owner: type) -> Operand: ...
+        @overload
+        def __get__(self, instance: object, owner: type) -> Expr: ...
+        def __get__(self, instance: object | None, owner: type) -> Any: ...
+        def __set__(self, instance: object, value: ExprLike) -> None: ...
+
+
+if TYPE_CHECKING:
+    Operands = tuple["Expr", ...]
+else:
+
+    class Operands:
+        """Marks a field that holds any number of child expressions."""
+
+
 @dataclass_transform(eq_default=False)
-class Expr(Operators):
+class Expr(Printed, Operators):
     """Base of all expressions.
 
     Nodes are values: they never change, hash by identity and compare by structure through `key()`.
     `==`, `<=` and `>=` build constraints.
     """
 
-    #: Name used in repr, trees and messages; the class name unless a node says otherwise.
-    label: ClassVar[str] = "Expr"
-    #: The operator between the operands in texts; none for functions.
-    infix: ClassVar[str] = ""
-    #: The function's name in formulas; the label in upright letters unless a node says otherwise.
-    latex_name: ClassVar[str] = ""
-    #: The formula, with <i> for operand i and <i:p> for it in parentheses where it binds weaker than p.
-    formula: ClassVar[str] = ""
     #: What `evaluate` applies to the values of the operands, for a node without an `evaluate` of its own.
     function: ClassVar[Callable[..., Any]]
-    #: Binding strength in printed formulas: 100 binds tightest (names, functions).
-    precedence: ClassVar[int] = 100
     #: The shapes that the operands must have and that of the result, for a node without `infer_shape` of its own.
     takes: ClassVar[tuple[Shape, ...]] = ()
     gives: ClassVar[Shape] = ()
@@ -83,11 +98,25 @@ class Expr(Operators):
 
     _fields: ClassVar[tuple[Field, ...]] = ()
 
+    if TYPE_CHECKING:  # what `Operators` builds
+
+        def __add__(self, other: Any) -> Expr: ...
+        def __neg__(self) -> Expr: ...
+        def __iter__(self) -> Iterator[Expr]: ...
+        @property
+        def T(self) -> Expr: ...
+
+        __radd__ = __sub__ = __rsub__ = __mul__ = __rmul__ = __truediv__ = __rtruediv__ = __add__
+        __matmul__ = __rmatmul__ = __pow__ = __rpow__ = __getitem__ = __add__
+        __pos__ = __abs__ = __invert__ = __neg__
+
     def __init_subclass__(cls, *, init: bool = True, **kwargs: Any) -> None:
         # `init=False` tells a type checker that the constructor is the inherited one.
         super().__init_subclass__(**kwargs)
         if "label" not in cls.__dict__:
             cls.label = cls.__name__
+        if cls.__module__.startswith(f"{__package__}."):
+            NODES[cls.__name__] = cls
         if "abstract" not in cls.__dict__:
             cls.abstract = False
         if {"evaluate", "function"} & cls.__dict__.keys() and "by_operators" not in cls.__dict__:
@@ -143,9 +172,9 @@ class Expr(Operators):
                 f"{type(self).__name__} has no {name!r}; it has: {listed([p.name for p in taken], name)}"
             )
         variadic = [p.name for p in taken if p.kind is p.VAR_POSITIONAL]
-        given = {p.name: getattr(self, p.name) for p in taken} | changes
-        operands = [operand for name in variadic for operand in given.pop(name)]
-        return type(self)(*operands, **given)
+        arguments = {p.name: getattr(self, p.name) for p in taken} | changes
+        operands = [operand for name in variadic for operand in arguments.pop(name)]
+        return type(self)(*operands, **arguments)
 
     # ---- hooks -----------------------------------------------------------------------------------------------
 
@@ -212,44 +241,20 @@ class Expr(Operators):
     @classmethod
     def example(cls) -> list[Example]:
         """The cases for the conformance suite."""
-        from .examples import example_of
-
         cases = [(case, True) for case in cls.cases] + [(case, False) for case in cls.kinks]
         return [example_of(cls, case, smooth) for case, smooth in cases]
-
-    def details(self) -> list[str]:
-        """The static fields as texts and trees show them: those that differ from their defaults."""
-        return [f"{f.name}={getattr(self, f.name)!r}" for f in self._fields if f.shown(getattr(self, f.name))]
-
-    def to_text(self, *operands: str) -> str:
-        """One-line text from the operands' texts."""
-        if self.infix:
-            return f"({f' {self.infix} '.join(operands)})"
-        return f"{self.label}({', '.join([*operands, *self.details()])})"
-
-    def to_latex(self, *operands: str) -> str:
-        """LaTeX from the operands' LaTeX."""
-        if self.formula:
-            children = self.children()
-            return re.sub(
-                r"<(\d)(?::(\d+))?>",
-                lambda at: printing.wrap_latex(children[int(at[1])], operands[int(at[1])], int(at[2] or 0)),
-                self.formula,
-            )
-        name = self.latex_name or rf"\operatorname{{{self.label}}}".replace("_", r"\_")
-        return rf"{name}\left({', '.join(operands)}\right)"
 
     # ---- structure -------------------------------------------------------------------------------------------
 
     def children(self) -> list[Expr]:
         """The operands, in order."""
-        found: list[Expr] = []
+        children: list[Expr] = []
         for field in self._fields:
             if field.variadic:
-                found.extend(getattr(self, field.name))
+                children.extend(getattr(self, field.name))
             elif field.operand:
-                found.append(getattr(self, field.name))
-        return found
+                children.append(getattr(self, field.name))
+        return children
 
     def child_names(self) -> list[str]:
         """Where each child sits: field names, with positions for variadic nodes."""
@@ -319,19 +324,17 @@ class Expr(Operators):
     @property
     def is_group_element(self) -> bool:
         """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
-        own = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_element", own)
+        of_node = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_element", of_node)
 
     @property
     def boolean(self) -> bool:
         """Whether the entries are true or false: constraints and what is made of them."""
-        own = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_boolean", own)
+        of_node = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_boolean", of_node)
 
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
-        from .canonical import canonicalize_all
-
         return canonicalize_all([self])[0]
 
     def __hash__(self) -> int:
@@ -344,37 +347,7 @@ class Expr(Operators):
         return self
 
     def __reduce__(self) -> Any:
-        from .packing import pack, unpack
-
         return unpack, pack(self)
-
-    def __repr__(self) -> str:
-        return printing.render(self, "to_text", "...")
-
-    def _repr_latex_(self) -> str:
-        return f"${self.latex()}$"
-
-    def _repr_html_(self) -> str:
-        from .printing.mathml import mathml
-
-        return mathml(self.latex())
-
-    def latex(self) -> str:
-        """The formula in LaTeX, without dollar signs."""
-        return printing.render(self, "to_latex", r"\cdots")
-
-    def tree(self) -> str:
-        """The tree, a line a node, shared parts shown once."""
-        return printing.tree(self)
-
-    def svg(self) -> Picture:
-        """The graph as a picture, the text of an SVG file, which notebooks show; shared parts are drawn once.
-
-        Raises: ModelError for more than 300 nodes.
-        """
-        from .printing.picture import svg
-
-        return svg({"": self})
 
 
 def to_expr(value: Any) -> Expr:
@@ -382,11 +355,8 @@ def to_expr(value: Any) -> Expr:
 
     Raises: ModelError for anything else.
     """
-    if isinstance(value, Expr):
-        return value
-    from .leaves import Constant
-
-    return Constant(value)
+    node: Expr = as_node(value)
+    return node
 
 
 def _shape_of(node: Expr, root: Expr) -> Shape:
@@ -407,8 +377,8 @@ def node_classes() -> Iterator[type[Expr]]:
 def all_nodes() -> list[type[Expr]]:
     """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
     package = __name__.partition(".")[0]
-    own = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
-    return sorted(own, key=lambda cls: (cls.__module__, cls.__qualname__))
+    classes = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
+    return sorted(classes, key=lambda cls: (cls.__module__, cls.__qualname__))
 
 
 def to_numbers(owner: str, child: Expr) -> Expr:

@@ -3,32 +3,30 @@
 from __future__ import annotations
 
 import re
-import sys
 from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING, Any, NoReturn, cast
+from typing import TYPE_CHECKING, Any, NoReturn
 
 import numpy as np
 
 from ..errors import OperationError
 from . import spellings
 
-if TYPE_CHECKING:
-    from .node import Expr
-    from .operations.arithmetic import Equality, Inequality, Less
+#: The node classes of the language by name, each added when it is defined: they are built on this module.
+NODES: dict[str, Any] = {}
 
 
-def _nodes() -> Any:
-    """The package with all nodes: they are built on this module."""
-    return sys.modules[__package__ or ""]
+def as_node(value: Any) -> Any:
+    """The value itself if it is an expression, else a Constant. Raises ModelError."""
+    return value if isinstance(value, Operators) else NODES["Constant"](value)
 
 
-def _unary(node: str) -> Callable[[Any], Expr]:
-    return lambda a: getattr(_nodes(), node)(a)
+def _unary(node: str) -> Callable[[Any], Any]:
+    return lambda a: NODES[node](a)
 
 
-def _both_ways(node: str) -> tuple[Callable[[Any, Any], Expr], Callable[[Any, Any], Expr]]:
+def _both_ways(node: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
     """The operator of a node with two operands, and the one Python asks where the expression stands on the right."""
-    return lambda a, b: getattr(_nodes(), node)(a, b), lambda b, a: getattr(_nodes(), node)(a, b)
+    return lambda a, b: NODES[node](a, b), lambda b, a: NODES[node](a, b)
 
 
 def _refused(written: str, why: str, fix: str) -> Callable[..., Any]:
@@ -45,6 +43,8 @@ _NUMBER = "an expression has no number before it is lowered, tx.lower(expr)"
 
 class Operators:
     """The operators of `Expr`."""
+
+    check_shape: Callable[[], tuple[int, ...]]
 
     __add__, __radd__ = _both_ways("Add")
     __sub__, __rsub__ = _both_ways("Sub")
@@ -85,11 +85,11 @@ class Operators:
     __hash__ = object.__hash__
 
     # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
-    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Expr:
+    def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:
             raise OperationError(
-                f"{ufunc!r} is not a function of NumPy's own, and has no meaning for expressions.\n"
+                f"{ufunc!r} is no ufunc of NumPy and is not defined for expressions.\n"
                 "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
             )
         function = _meaning(name, self)
@@ -129,28 +129,28 @@ class Operators:
             "  fix: lower it with tx.lower(expr) and call the function, or build with tx.Stack / tx.Concat"
         )
 
-    def __pos__(self) -> Expr:
-        return cast("Expr", self)
+    def __pos__(self) -> Any:
+        return self
 
     @property
-    def T(self) -> Expr:
+    def T(self) -> Any:
         """Transpose."""
-        return _nodes().Transpose(self)
+        return NODES["Transpose"](self)
 
-    def __lt__(self, other: Any) -> Less:
-        return _nodes().Less(self, other)
+    def __lt__(self, other: Any) -> Any:
+        return NODES["Less"](self, other)
 
-    def __gt__(self, other: Any) -> Less:
-        return _nodes().Less(other, self)
+    def __gt__(self, other: Any) -> Any:
+        return NODES["Less"](other, self)
 
-    def __le__(self, other: Any) -> Inequality:
-        return _nodes().Inequality(self, other)
+    def __le__(self, other: Any) -> Any:
+        return NODES["Inequality"](self, other)
 
-    def __ge__(self, other: Any) -> Inequality:
-        return _nodes().Inequality(other, self)
+    def __ge__(self, other: Any) -> Any:
+        return NODES["Inequality"](other, self)
 
-    def __eq__(self, other: Any) -> Equality:  # type: ignore[override]
-        return _nodes().Equality(self, other)
+    def __eq__(self, other: Any) -> Any:
+        return NODES["Equality"](self, other)
 
     def __bool__(self) -> bool:
         raise OperationError(
@@ -159,7 +159,7 @@ class Operators:
         )
 
     def __len__(self) -> int:
-        shape = cast("Expr", self).check_shape()
+        shape = self.check_shape()
         if not shape:
             raise OperationError(
                 f"{self!r} is a scalar and has no length: a vector was expected.\n"
@@ -167,68 +167,68 @@ class Operators:
             )
         return shape[0]
 
-    def __iter__(self) -> Iterator[Expr]:
+    def __iter__(self) -> Iterator[Any]:
         return (self[i] for i in range(len(self)))
 
 
-def _dot(a: Any, b: Any) -> Expr:
-    a, b = _nodes().to_expr(a), _nodes().to_expr(b)
+def _dot(a: Any, b: Any) -> Any:
+    a, b = as_node(a), as_node(b)
     if a.ndim > 2 or b.ndim > 2:
-        raise OperationError("np.dot of expressions knows vectors and matrices; a @ b multiplies stacks of matrices")
+        raise OperationError("np.dot of expressions takes vectors and matrices; a @ b multiplies stacks of matrices")
     if a.ndim == 0 or b.ndim == 0:
-        return _nodes().Mul(a, b)
-    return _nodes().Dot(a, b) if a.ndim == b.ndim == 1 else _nodes().MatMul(a, b)
+        return NODES["Mul"](a, b)
+    return NODES["Dot"](a, b) if a.ndim == b.ndim == 1 else NODES["MatMul"](a, b)
 
 
-def _cross(a: Any, b: Any) -> Expr:
-    a, b = _nodes().to_expr(a), _nodes().to_expr(b)
+def _cross(a: Any, b: Any) -> Any:
+    a, b = as_node(a), as_node(b)
     if a.ndim > 1 or b.ndim > 1:
         raise OperationError(
-            "np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right"
+            "np.cross of expressions takes vectors; tx.linalg.Cross takes k columns (3, k) on the right"
         )
-    return _nodes().Cross(a, b)
+    return NODES["Cross"](a, b)
 
 
-def _joined(arrays: Any, axis: int = 0) -> Expr:
-    exprs = [_nodes().to_expr(array) for array in arrays]
+def _joined(arrays: Any, axis: int = 0) -> Any:
+    exprs = [as_node(array) for array in arrays]
     if axis in (1, -1) and all(e.ndim == 2 for e in exprs):
-        return _nodes().Hstack(exprs)
+        return NODES["Hstack"](exprs)
     if axis == 0 or (axis == -1 and all(e.ndim == 1 for e in exprs)):
-        return _nodes().Concat(*exprs)
-    raise OperationError("np.concatenate of expressions knows axis 0, and axis 1 of matrices")
+        return NODES["Concat"](*exprs)
+    raise OperationError("np.concatenate of expressions takes axis 0, and axis 1 of matrices")
 
 
-def _stacked(arrays: Any, axis: int = 0) -> Expr:
+def _stacked(arrays: Any, axis: int = 0) -> Any:
     if axis != 0:
-        raise OperationError("np.stack of expressions knows axis 0 only; transpose the result")
-    return _nodes().Stack(list(arrays))
+        raise OperationError("np.stack of expressions takes axis 0 only; transpose the result")
+    return NODES["Stack"](list(arrays))
 
 
-def _transposed(a: Any, axes: Any = None) -> Expr:
-    expr = _nodes().to_expr(a)
+def _transposed(a: Any, axes: Any = None) -> Any:
+    expr = as_node(a)
     if axes not in (None, (1, 0), [1, 0]) or expr.ndim > 2:
         raise OperationError(
-            "np.transpose of an expression knows matrices; tx.linalg.Transpose swaps the last two axes"
+            "np.transpose of an expression takes matrices; tx.linalg.Transpose swaps the last two axes"
         )
     return expr.T
 
 
-def _blocks(arrays: Any) -> Expr:
+def _blocks(arrays: Any) -> Any:
     """Blocks as NumPy has them: a flat list of numbers and vectors is a vector."""
     entries = [e for row in arrays for e in (row if isinstance(row, (list, tuple)) else [row])]
-    ranks = [_nodes().to_expr(entry).ndim for entry in entries]
+    ranks = [as_node(entry).ndim for entry in entries]
     if max(ranks, default=0) > 2:
-        raise OperationError("np.block of expressions knows vectors and matrices; tx.Block joins the first two axes")
+        raise OperationError("np.block of expressions takes vectors and matrices; tx.Block joins the first two axes")
     if max(ranks, default=0) < 2 and not any(isinstance(row, (list, tuple)) for row in arrays):
-        return _nodes().Hstack(list(arrays))
-    return _nodes().Block(arrays)
+        return NODES["Hstack"](list(arrays))
+    return NODES["Block"](arrays)
 
 
-def _clipped(a: Any, a_min: Any = None, a_max: Any = None) -> Expr:
-    expr = _nodes().to_expr(a)
+def _clipped(a: Any, a_min: Any = None, a_max: Any = None) -> Any:
+    expr = as_node(a)
     if a_min is not None:
-        expr = _nodes().Max(expr, a_min)
-    return expr if a_max is None else _nodes().Min(expr, a_max)
+        expr = NODES["Max"](expr, a_min)
+    return expr if a_max is None else NODES["Min"](expr, a_max)
 
 
 #: Functions of NumPy, each with the node that has the same operands.
@@ -240,7 +240,7 @@ _SAME = dict(
         negative Neg  square Square  sqrt Sqrt     exp Exp        log Log        logaddexp LogSumExp
         absolute Abs  fabs Abs       sign Sign     maximum Max    minimum Min
         sin Sin       cos Cos        tan Tan       arcsin Asin    arccos Acos    arctan Atan       arctan2 Atan2
-        sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality less Less positive to_expr
+        sinh Sinh     cosh Cosh      tanh Tanh     equal Equality  less_equal Inequality less Less
         invert Not    logical_not Not
         vdot Dot      inner Dot      outer Outer   trace Trace    diag Diag      sum Sum           all All  any Any
         where Where   interp Linterp               linalg.inv Inv  linalg.solve Solve
@@ -250,26 +250,27 @@ _SAME = dict(
 
 #: Others, with what they build; an argument that a function does not take is an error.
 _MEANINGS: dict[str, Callable[..., Any]] = {
+    "positive": as_node,
     "reciprocal": lambda x: 1.0 / x,
     "deg2rad": lambda x: x * (np.pi / 180.0),
     "radians": lambda x: x * (np.pi / 180.0),
     "rad2deg": lambda x: x * (180.0 / np.pi),
     "degrees": lambda x: x * (180.0 / np.pi),
-    "greater_equal": lambda a, b: _nodes().Inequality(b, a),
-    "greater": lambda a, b: _nodes().Less(b, a),
+    "greater_equal": lambda a, b: NODES["Inequality"](b, a),
+    "greater": lambda a, b: NODES["Less"](b, a),
     "dot": _dot,
     "cross": _cross,
     "transpose": _transposed,
-    "linalg.norm": lambda x, ord=None: _nodes().Norm(x, ord),
+    "linalg.norm": lambda x, ord=None: NODES["Norm"](x, ord),
     "concatenate": _joined,
     "stack": _stacked,
-    "hstack": lambda arrays: _nodes().Hstack(list(arrays)),
-    "vstack": lambda arrays: _nodes().Vstack(list(arrays)),
+    "hstack": lambda arrays: NODES["Hstack"](list(arrays)),
+    "vstack": lambda arrays: NODES["Vstack"](list(arrays)),
     "block": _blocks,
     "clip": _clipped,
-    "shape": lambda a: _nodes().to_expr(a).shape,
-    "ndim": lambda a: _nodes().to_expr(a).ndim,
-    "size": lambda a: int(np.prod(_nodes().to_expr(a).shape)),
+    "shape": lambda a: as_node(a).shape,
+    "ndim": lambda a: as_node(a).ndim,
+    "size": lambda a: int(np.prod(as_node(a).shape)),
 }
 #: Functions that no node means, with what is near.
 _NEAR = {
@@ -290,7 +291,7 @@ def _meaning(name: str, expr: Any) -> Callable[..., Any]:
     if name in _NEAR:
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:
-        return getattr(_nodes(), _SAME[name])
+        return NODES[_SAME[name]]
     if name in _MEANINGS:
         return _MEANINGS[name]
     if fix := spellings.spelled(name, "x", expr.ndim):

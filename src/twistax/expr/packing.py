@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from typing import Any
 
 from ..scalar.walk import walk
-from .node import Expr
+from .operators import Operators
 
 #: A key may count objects of this process; what looks up a table is made of its numbers.
 _MADE_AGAIN = ("_key", "_lookup")
@@ -18,7 +18,7 @@ class _Place(int):
     """Stands for a node in a table."""
 
 
-def pack(value: Any) -> tuple[list[tuple[type[Expr], dict[str, Any]]], Any]:
+def pack(value: Any) -> tuple[list[tuple[type[Any], dict[str, Any]]], Any]:
     """Nodes, or tuples, lists and dicts of them, as a table of nodes, operands first, that pickle reads flatly.
 
     Raises:
@@ -28,24 +28,24 @@ def pack(value: Any) -> tuple[list[tuple[type[Expr], dict[str, Any]]], Any]:
     places = {id(node): _Place(k) for k, node in enumerate(nodes)}
     table = []
     for node in nodes:
-        own = {name: value for name, value in node.__dict__.items() if name not in _MADE_AGAIN}
-        _check_pickles(node, own)
-        table.append((type(node), _exchanged(own, lambda node: places[id(node)])))
+        fields = {name: value for name, value in node.__dict__.items() if name not in _MADE_AGAIN}
+        _check_pickles(node, fields)
+        table.append((type(node), _exchanged(fields, lambda node: places[id(node)])))
     return table, _exchanged(value, lambda node: places[id(node)])
 
 
-def unpack(table: list[tuple[type[Expr], dict[str, Any]]], value: Any) -> Any:
+def unpack(table: list[tuple[type[Any], dict[str, Any]]], value: Any) -> Any:
     """What was packed."""
     nodes: list[Any] = []
-    for cls, own in table:
+    for cls, fields in table:
         node = object.__new__(cls)
-        node.__dict__.update(_exchanged(own, nodes.__getitem__))
+        node.__dict__.update(_exchanged(fields, nodes.__getitem__))
         nodes.append(node)
     return _exchanged(value, nodes.__getitem__)
 
 
-def _nodes_in(value: Any) -> Iterator[Expr]:
-    if isinstance(value, Expr):
+def _nodes_in(value: Any) -> Iterator[Any]:
+    if isinstance(value, Operators):
         yield value
     elif type(value) in (tuple, list, dict):
         for entry in value.values() if type(value) is dict else value:
@@ -54,19 +54,19 @@ def _nodes_in(value: Any) -> Iterator[Expr]:
 
 def _exchanged(value: Any, other: Callable[[Any], Any]) -> Any:
     """The same with what stands for each node or place in it."""
-    if isinstance(value, (_Place, Expr)):
+    if isinstance(value, (_Place, Operators)):
         return other(value)
     if type(value) in (tuple, list):
         return type(value)(_exchanged(entry, other) for entry in value)
     return {name: _exchanged(entry, other) for name, entry in value.items()} if type(value) is dict else value
 
 
-def _check_pickles(node: Expr, own: Mapping[str, Any]) -> None:
+def _check_pickles(node: Any, fields: Mapping[str, Any]) -> None:
     """Name the node that holds what pickle refuses; cloudpickle takes more."""
-    held = {"class": type(node)} | {name: value for name, value in own.items() if callable(value)}
-    for name, value in held.items():
+    values = {"class": type(node)} | {name: value for name, value in fields.items() if callable(value)}
+    for name, value in values.items():
         try:
-            if not isinstance(value, Expr):
+            if not isinstance(value, Operators):
                 pickle.dumps(value)
         except Exception as error:  # of whatever kind its class raises
             if "cloudpickle" not in sys.modules:

@@ -116,7 +116,7 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
 
 
 def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
-    """The result of traced times: NON_FINITE and NaN where known ones would be refused."""
+    """The result for traced times: NON_FINITE and NaN for times that would be refused if they were known."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
@@ -136,7 +136,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 def solution_of(
     stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
 ) -> Solution:
-    """The `Solution` of a rollout; with known numbers a failure raises, or the part before it is returned."""
+    """The `Solution` of a rollout. With known numbers a failure raises, or the part before it is returned."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)
     code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations

@@ -28,12 +28,14 @@ __all__ = ["Statistics", "Sweep", "sweep"]
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Moments and ends of each result over the members that did not fail, shaped as one member's results.
+    """Mean, standard deviation and extremes of each result over all members that did not fail.
+
+    Every array has the shape and the unit of the result of one member.
 
     Attributes:
-        count: how many members there are.
-        mean, std: the mean, and the standard deviation of the sample (n - 1).
-        least, most: the ends.
+        count: number of members that did not fail.
+        mean, std: the mean, and the sample standard deviation (divisor n - 1).
+        least, most: the smallest and the largest value.
     """
 
     count: int
@@ -96,7 +98,7 @@ class Sweep:
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
         if not good.any():
-            raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
+            raise InputError(f"percentiles expects members that did not fail; all {self.count} did, see Sweep.failed")
 
         def column(place: int) -> NDArray[Any]:
             return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)

@@ -1,14 +1,12 @@
-"""A scalar program: a jaxpr read into a graph, every equation on arrays of nodes, and written anew to be emitted."""
+"""Jaxprs read into a graph of scalars, every equation on arrays of nodes."""
 
 from __future__ import annotations
 
-import dataclasses
 import functools
 import os
-from collections import Counter
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -27,29 +25,26 @@ from ..jax_inside import (
     on_key_data,
     source_of,
 )
-from .graph import LIMITS, Call, Graph, Limits
-from .primitives.entry import Nodes, flat, nodes
+from .graph import LIMITS, Call, ScalarGraph
+from .primitives.interface import Limits, Nodes, flat, nodes
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
+from .program import ScalarProgram
 
-Value = TypeVar("Value")
-
-
-# ---- reading ---------------------------------------------------------------------------------------------------------
-
+_DIV = OPERATIONS["div"]
 
 #: The directory of this package.
 _PACKAGE = str(Path(__file__).parents[2]) + os.sep
 
 
 class _OwnDerivative:
-    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare.
+    """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
 
     Those of this package, by name and place, have one derivative, which is not traced for it.
     """
 
-    def __init__(self, name: str, own: ClosedJaxpr, equation: ClosedJaxpr) -> None:
+    def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
         self._alone = equation
-        source = source_of(own) or ""
+        source = source_of(body) or ""
         self._key = (name, source, _fingerprint(equation))
         self._named = f" at {_PACKAGE}" in source
 
@@ -75,17 +70,17 @@ class _OwnDerivative:
         return _fingerprint(jax.make_jaxpr(linear)(*avals))
 
 
-class Reader:
+class JaxprReader:
     """Reads jaxprs into one graph.
 
     Attributes:
         graph: where the scalars go.
-        whole: keep functions with a derivative of their own as calls; else they are unrolled.
+        keep_calls: whether functions with a custom derivative stay calls; else they are unrolled.
     """
 
-    def __init__(self, graph: Graph, whole: bool = True) -> None:
+    def __init__(self, graph: ScalarGraph, keep_calls: bool = True) -> None:
         self.graph = graph
-        self.whole = whole
+        self.keeps_calls = keep_calls
         self._literals: dict[Any, Nodes] = {}
         self._reading: list[Jaxpr] = []
 
@@ -111,35 +106,79 @@ class Reader:
     def inlined(self, program: ScalarProgram, inputs: Sequence[Nodes]) -> list[Nodes]:
         """The results of a scalar program on arrays of nodes."""
         known = dict(zip(flat(*program.inputs), flat(*inputs), strict=True))
-        _copy(program, self, known)
-        return [_renamed(known, own) for own in program.outputs]
+        self.copy(program, known)
+        return [renamed(known, array) for array in program.outputs]
 
     def known(self, arrays: Iterable[Nodes]) -> bool:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
 
-    def call(self, eqn: Any, arrays: Sequence[Nodes], own: ClosedJaxpr | None = None) -> list[Nodes]:
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]:
         """An equation as a call of a function.
 
         Args:
-            own: what it does, where it is a call only for its own derivative.
+            body: what it does, for a function that is called only because of its custom derivative.
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
-        key = object() if own is None else _OwnDerivative(eqn.primitive.name, own, equation)
-        return list(self.graph.call(equation, key, distinct.values(), own is not None).results)
+        key = object() if body is None else _OwnDerivative(eqn.primitive.name, body, equation)
+        return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
+
+    def copy(
+        self,
+        program: ScalarProgram,
+        known: dict[int, int],
+        shared: Collection[int] = (),
+        order: Sequence[int] | None = None,
+    ) -> None:
+        """Add the nodes of a program to the graph.
+
+        Args:
+            known: node of the program -> node of this graph: at first its inputs, afterwards all that are needed.
+            shared: divisors of which the reciprocal is taken once.
+            order: of the nodes; as they are if None.
+        """
+        old, new = program.graph, self.graph
+        done: set[int] = set()
+        for i in program.live if order is None else order:
+            if i in known:
+                continue
+            call, operation = old.call_of(i), old.operation(i)
+            if call is not None:
+                if id(call) not in done:
+                    done.add(id(call))
+                    self._copy_call(call, known)
+            elif operation is None:
+                known[i] = new.constant(old.numbers[i], old.dtypes[i])
+            else:
+                arguments = [known[a] for a in old.arguments(i)]
+                if operation is _DIV and old.arguments(i)[1] in shared:
+                    known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
+                elif operation.written is not None and not self.keeps_calls:
+                    known[i] = operation.written(new)(*arguments)
+                else:
+                    known[i] = operation.on(new)(*arguments)
+
+    def _copy_call(self, call: Call, known: dict[int, int]) -> None:
+        arguments = [renamed(known, array) for array in call.arguments]
+        # What was a call for its size may fit a graph that unrolls more.
+        if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):
+            results = self.read(call.jaxpr, arguments)
+        else:
+            results = list(self.graph.call(call.jaxpr, call.key, arguments, call.inline).results)
+        known.update(zip(flat(*call.results), flat(*results), strict=True))
 
     def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
-        entry, found = entry_of(eqn), None
+        entry, scalars = entry_of(eqn), None
         if any(map(is_key, (*eqn.invars, *eqn.outvars))) and eqn.primitive.name != "jit":
             return self.call(eqn, arrays)
         if entry is not None and (entry.any_type or not self._foreign(eqn)):
             try:
-                found = entry.scalars(self, eqn, *arrays)
+                scalars = entry.scalars(self, eqn, *arrays)
             except Unread as error:
                 say_unread(error)
-        return self.call(eqn, arrays) if found is None else found
+        return self.call(eqn, arrays) if scalars is None else scalars
 
     def _literal(self, literal: Any) -> Nodes:
         key = (literal.aval.dtype, np.shape(literal.val), np.asarray(literal.val).tobytes())
@@ -174,14 +213,14 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
         moved = _MOVED if eqn.primitive.name == "jit" else ()
-        own = [
+        params = [
             (k, v)
             for k, v in sorted(eqn.params.items())
             if not (k in moved or _holds_jaxprs(v) or (rules and callable(v)))
         ]
-        inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
+        inner = tuple(_fingerprint(jaxpr_inside) for jaxpr_inside in inner_jaxprs(eqn))
         ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
-        body.append((eqn.primitive.name, str(own), inner, ins, outs))
+        body.append((eqn.primitive.name, str(params), inner, ins, outs))
     consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
     return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
 
@@ -192,94 +231,9 @@ def _holds_jaxprs(parameter: Any) -> bool:
     return any(hasattr(entry, "eqns") for entry in entries)
 
 
-# ---- programs --------------------------------------------------------------------------------------------------------
-
-
-@dataclasses.dataclass(frozen=True, eq=False)
-class ScalarProgram:
-    """A function of arrays as scalars. Compared and hashed by identity.
-
-    Attributes:
-        graph: the scalars.
-        inputs: the arrays of nodes that are the arguments.
-        outputs: the arrays of nodes that are the results.
-        types: the types of the results.
-    """
-
-    graph: Graph
-    inputs: tuple[Nodes, ...]
-    outputs: tuple[Nodes, ...]
-    types: tuple[np.dtype[Any], ...]
-
-    @functools.cached_property
-    def flat(self) -> list[int]:
-        """The nodes of all results, one after the other."""
-        return flat(*self.outputs)
-
-    @functools.cached_property
-    def live(self) -> list[int]:
-        """The nodes that are needed, arguments first."""
-        return self.graph.live(self.flat)
-
-    @functools.cached_property
-    def calls(self) -> list[Call]:
-        """The calls that are needed."""
-        return list({id(c): c for i in self.live if (c := self.graph.call_of(i)) is not None}.values())
-
-    def computed(
-        self,
-        entry: Callable[[int, int], Value],
-        number: Callable[[Any, Any], Value],
-        apply: Callable[..., Value],
-    ) -> dict[int, Value]:
-        """What each node that is needed is in another language, arguments first.
-
-        Args:
-            entry: of an argument, at a place.
-            number: with its type.
-            apply: an operation, by its node, on the values of its arguments.
-        """
-        g = self.graph
-        values: dict[int, Value] = {}
-        for i in self.live:
-            place, operation = g.input_of(i), g.operation(i)
-            if place is not None:
-                values[i] = entry(*place)
-            elif operation is None:
-                values[i] = number(g.numbers[i], g.dtypes[i])
-            else:
-                values[i] = apply(operation, i, *(values[a] for a in g.arguments(i)))
-        return values
-
-    def counts(self) -> dict[str, int]:
-        """Operations by name; a function with a derivative of its own counts as one."""
-        operations = (self.graph.operation(i) for i in self.live)
-        found = Counter(operation.name for operation in operations if operation is not None)
-        if self.calls:
-            found["call"] = len(self.calls)
-        return dict(sorted(found.items()))
-
-    @property
-    def operations(self) -> int:
-        """The number of all operations."""
-        return sum(self.counts().values())
-
-    def depending(self, arguments: Sequence[int]) -> set[int]:
-        """The nodes that are needed and depend on some of the arguments, and the arguments' own."""
-        found = set(flat(*(self.inputs[k] for k in arguments)))
-        for i in self.live:
-            if any(j in found for j in self.graph.sources(i)):
-                found.add(i)
-        return found
-
-    def restricted(self, outputs: Sequence[Nodes]) -> ScalarProgram:
-        """The same inputs with other outputs."""
-        return ScalarProgram(self.graph, self.inputs, tuple(outputs), tuple(map(self.graph.dtype_of, outputs)))
-
-
-def called_names(calls: Iterable[Call]) -> str:
-    """The operations of JAX that are called, for messages."""
-    return ", ".join(sorted({eqn.primitive.name for call in calls for eqn in call.jaxpr.jaxpr.eqns}))
+def renamed(known: dict[int, int], array: Nodes) -> Nodes:
+    """An array of nodes of the old graph, in the new one."""
+    return nodes([known[i] for i in flat(array)], array.shape)
 
 
 def scalarize(
@@ -303,131 +257,12 @@ def scalarize(
     closed = function if isinstance(function, ClosedJaxpr) else jax.make_jaxpr(function)(*shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
-    own = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
+    precision = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
     # Of the operations on scalars the angle of a point tells zeros apart.
     signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
-    graph = Graph(own, checked, largest, limits, signed_zeros)
+    graph = ScalarGraph(precision, checked, largest, limits, signed_zeros)
     inputs = tuple(
         nodes([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], a.shape) for k, a in enumerate(avals)
     )
-    outputs = Reader(graph).read(closed, inputs)
+    outputs = JaxprReader(graph).read(closed, inputs)
     return ScalarProgram(graph, inputs, tuple(outputs), tuple(np.dtype(v.aval.dtype) for v in closed.jaxpr.outvars))
-
-
-# ---- written anew ----------------------------------------------------------------------------------------------------
-
-_DIV = OPERATIONS["div"]
-
-
-def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
-    """The program that an emitter writes: calls that are functions of scalars are unrolled, and x / d, y / d, ...
-    become products with one 1 / d, unless the program is checked.
-
-    A shared reciprocal costs one more rounding, half a unit in the last place.
-
-    Args:
-        limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
-    """
-    unrolled = program.calls or any(o.written for i in program.live if (o := program.graph.operation(i)) is not None)
-    expanded = _rebuilt(program, set(), whole=False, limits=limits) if unrolled else program
-    if program.graph.checked:
-        return expanded
-    g = expanded.graph
-    uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
-    shared = {divisor for divisor, count in uses.items() if count > 1}
-    return _rebuilt(expanded, shared, whole=False, limits=limits) if shared else expanded
-
-
-def one_by_one(
-    program: ScalarProgram, first: Iterable[int] = (), given: Mapping[int, Nodes] | None = None
-) -> ScalarProgram:
-    """The program in another order: one result after the other, each with what is not there yet.
-
-    Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
-    of the program need fewer of one another.
-
-    Args:
-        first: nodes that come before the results, in their order.
-        given: arguments that are no inputs any more -> nodes that stand for them, which do not depend on them.
-    """
-    order = program.graph.one_by_one([*first, *program.flat])
-    return _rebuilt(program, set(), True, program.graph.limits, order, given)
-
-
-def _rebuilt(
-    program: ScalarProgram,
-    shared: set[int],
-    whole: bool,
-    limits: Limits,
-    order: Sequence[int] | None = None,
-    given: Mapping[int, Nodes] | None = None,
-) -> ScalarProgram:
-    """The program in a graph of its own.
-
-    Args:
-        shared: divisors of which the reciprocal is taken once.
-        whole: keep calls.
-        order: of the nodes; as they are if None.
-        given: arguments that are no inputs any more -> nodes that stand for them, computed first.
-    """
-    old, given = program.graph, given or {}
-    new = Graph(old.dtype, old.checked, old.largest, limits, old.signed_zeros)
-    inputs: list[Nodes] = []
-    known: dict[int, int] = {}
-    for own in (a for k, a in enumerate(program.inputs) if k not in given):
-        entries = [new.input(len(inputs), j, old.dtypes[i]) for j, i in enumerate(flat(own))]
-        known.update(zip(flat(own), entries, strict=True))
-        inputs.append(nodes(entries, own.shape))
-    reader = Reader(new, whole)
-    if given:
-        _copy(program.restricted(list(given.values())), reader, known, shared)
-    for k, own in given.items():
-        known.update(zip(flat(program.inputs[k]), (known[i] for i in flat(own)), strict=True))
-    _copy(program, reader, known, shared, order)
-    outputs = tuple(_renamed(known, own) for own in program.outputs)
-    return ScalarProgram(new, tuple(inputs), outputs, program.types)
-
-
-def _copy(
-    program: ScalarProgram,
-    reader: Reader,
-    known: dict[int, int],
-    shared: Collection[int] = (),
-    order: Sequence[int] | None = None,
-) -> None:
-    """Add the nodes of a program to the graph of a reader; `known` says what they are there, at first the inputs."""
-    old, new, whole = program.graph, reader.graph, reader.whole
-    done: set[int] = set()
-    for i in program.live if order is None else order:
-        if i in known:
-            continue
-        call, operation = old.call_of(i), old.operation(i)
-        if call is not None:
-            if id(call) not in done:
-                done.add(id(call))
-                _copy_call(new, reader, call, known, whole)
-        elif operation is None:
-            known[i] = new.constant(old.numbers[i], old.dtypes[i])
-        else:
-            arguments = [known[a] for a in old.arguments(i)]
-            if operation is _DIV and old.arguments(i)[1] in shared:
-                known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
-            elif operation.written is not None and not whole:
-                known[i] = operation.written(new)(*arguments)
-            else:
-                known[i] = operation.on(new)(*arguments)
-
-
-def _copy_call(new: Graph, reader: Reader, call: Call, known: dict[int, int], whole: bool) -> None:
-    arguments = [_renamed(known, own) for own in call.arguments]
-    # What was a call for its size may fit a graph that unrolls more.
-    if not whole and (call.inline or new.limits != LIMITS):
-        results = reader.read(call.jaxpr, arguments)
-    else:
-        results = list(new.call(call.jaxpr, call.key, arguments, call.inline).results)
-    known.update(zip(flat(*call.results), flat(*results), strict=True))
-
-
-def _renamed(known: dict[int, int], own: Nodes) -> Nodes:
-    """An array of nodes of the old graph, in the new one."""
-    return nodes([known[i] for i in flat(own)], own.shape)

@@ -57,8 +57,8 @@ class Dynamics:
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
         groups = {name: group.name for name, group in self.group.factors.items() if not group.flat}
-        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in own] for kind, own in kinds.items()}
-        shown = [f"{kind}: {', '.join(own)}" for kind, own in named.items() if own]
+        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in entries] for kind, entries in kinds.items()}
+        shown = [f"{kind}: {', '.join(entries)}" for kind, entries in named.items() if entries]
         return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"
 
     def __call__(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:

@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from twistax.scalar.graph import Graph
-from twistax.scalar.reader import ScalarProgram
+from twistax.scalar.graph import ScalarGraph
+from twistax.scalar.program import ScalarProgram
 from twistax.scalar.targets.llvm.kernel import Kernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
@@ -22,7 +22,7 @@ def program_of(operations: Sequence[Any], dtype: Any, arguments: int) -> ScalarP
     """All operations on the same scalars, each argument one entry; the results in one row for each type."""
     dtype = np.dtype(dtype)
     real = dtype if dtype.kind == "f" else np.dtype(np.float64)
-    graph = Graph(real, checked=True)
+    graph = ScalarGraph(real, checked=True)
     nodes = [graph.input(k, 0, dtype) for k in range(arguments)]
     found = [graph.node(operation, *nodes) for operation in operations]
     outputs = tuple(np.array([i], np.int64) for i in found)
@@ -36,7 +36,7 @@ def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.
     form = native_form(program)
     kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
     rows = np.broadcast_arrays(*columns)
-    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.tile.read])]
+    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.body.read])]
 
 
 #: Every vector that this machine has: SSE2, AVX2, AVX-512.

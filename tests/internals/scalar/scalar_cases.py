@@ -13,7 +13,9 @@ import numpy as np
 from jax.extend.core import jaxpr_as_fun
 
 from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
-from twistax.scalar.reader import ScalarProgram, emitted_form, scalarize
+from twistax.scalar.program import ScalarProgram
+from twistax.scalar.reader import scalarize
+from twistax.scalar.rewriting import emitted_form
 
 
 def evaluate(program: ScalarProgram, *arguments: Any) -> list[np.ndarray]:

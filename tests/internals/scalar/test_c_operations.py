@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 from export_systems import Library, needs_compiler
 
-from twistax.scalar.graph import Graph
+from twistax.scalar.graph import ScalarGraph
 from twistax.scalar.primitives.entry import convert
 from twistax.scalar.primitives.table import OPERATIONS
-from twistax.scalar.reader import ScalarProgram
+from twistax.scalar.program import ScalarProgram
 from twistax.scalar.targets.c import c_type
 from twistax.system.export.c_code import body
 from twistax.system.export.programs import ExportedFunction, Port
@@ -36,7 +36,7 @@ class Sheet:
 
     def __init__(self, dtype: Any) -> None:
         self.dtype = np.dtype(dtype)
-        self.g = Graph(dtype, checked=True)
+        self.g = ScalarGraph(dtype, checked=True)
         self.inputs = tuple(np.array([self.g.input(k, 0, self.dtype)]).reshape(()) for k in range(4))
         self.real = [int(self.inputs[k]) for k in (1, 2, 3)]
         self.rows: dict[str, int] = {}

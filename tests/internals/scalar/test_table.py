@@ -19,10 +19,12 @@ from test_architecture import SOURCE, imported_modules
 from twistax import jax_inside
 from twistax.jax_inside import Literal, Unread, all_equations
 from twistax.scalar.backends import array_operations
-from twistax.scalar.graph import Graph
-from twistax.scalar.primitives.entry import Entry, nodes
+from twistax.scalar.graph import ScalarGraph
+from twistax.scalar.primitives.entry import Entry
+from twistax.scalar.primitives.interface import nodes
 from twistax.scalar.primitives.table import OPERATIONS, TABLE
-from twistax.scalar.reader import Reader, emitted_form, scalarize
+from twistax.scalar.reader import JaxprReader, scalarize
+from twistax.scalar.rewriting import emitted_form
 from twistax.scalar.small_call import known_inside, small_call
 
 
@@ -139,7 +141,7 @@ def test_a_rule_reads_all_parameters(name: str) -> None:
     eqn = next(eqn for eqn in all_equations(traced(name).jaxpr) if eqn.primitive.name == name)
     watched = Watched(eqn.params)
     eqn = eqn.replace(params=watched)
-    entry, graph = TABLE[name], Graph(np.float64)
+    entry, graph = TABLE[name], ScalarGraph(np.float64)
     assert watched is eqn.params
     assert entry.understands(eqn)
     arrays = [
@@ -148,7 +150,7 @@ def test_a_rule_reads_all_parameters(name: str) -> None:
         else nodes([graph.input(k, j, np.dtype(v.aval.dtype)) for j in range(v.aval.size)], v.aval.shape)
         for k, v in enumerate(eqn.invars)
     ]
-    entry.scalars(Reader(graph, whole=False), eqn, *arrays)
+    entry.scalars(JaxprReader(graph, keep_calls=False), eqn, *arrays)
     assert set(watched) - watched.read <= set(IDLE.split()) | NAMED.get(name, set())
 
 

@@ -37,9 +37,9 @@ def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[NonlinearProgr
     guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
     with in_double():
         started = problem.started(guess, final_time_guess=3.0)
-        staged = problem.core(1e-6, started.point, started.given).staged
-        program = NonlinearProgram(staged, started.given, with_copies=copies)
-        start = program.start(started.point, started.given, None)
+        staged = problem.core(1e-6, started.point, started.instance).staged
+        program = NonlinearProgram(staged, started.instance, with_copies=copies)
+        start = program.start(started.point, started.instance, None)
     return program, start.x + 0.3 * rng.normal(size=program.size)
 
 

@@ -40,7 +40,7 @@ def test_rollouts_by_the_core_are_those_of_the_integrator(options: dict[str, Any
     """Of held controls, as `between` looks at them, beside `replay`: of a group, and of free nodes."""
     problem = turned(**options)
     result = problem.solve()
-    core, given = problem.core(1e-6, *problem.started()[:2]), problem.started().given
+    core, given = problem.core(1e-6, *problem.started()[:2]), problem.started().instance
     data = core.staged.numbers.vector(given)
     rollout = CoreRollout(core.staged.parts[0], problem.transcription.rolling(12), core.staged.border.size, data)
     found, expected = rollout.states(result.warm.point), result.replay(steps=12)

@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from ..graph import postorder
-
-if TYPE_CHECKING:
-    from ..node import Expr
+from ..graph import Node, postorder
 
 #: Above this many nodes (shared parts counted as often as they are printed) only the top of a graph is printed, and of
 #: a node with more operands only the first ones.
@@ -19,12 +16,12 @@ _LONGEST = 400
 _DEEPEST, _MOST_LINES = 60, 2000
 
 
-def wrap(node: Expr, text: str, level: int) -> str:
+def wrap(node: Node, text: str, level: int) -> str:
     """Parentheses around an operand that binds weaker than its place demands."""
     return text if node.precedence >= level else f"({text})"
 
 
-def wrap_latex(node: Expr, text: str, level: int) -> str:
+def wrap_latex(node: Node, text: str, level: int) -> str:
     """As `wrap`, with growing parentheses, and around negative numbers that are no terms of a sum."""
     plain = node.precedence >= level and not (text.startswith("-") and level > 10)
     return text if plain else rf"\left({text}\right)"
@@ -56,7 +53,7 @@ def matrix_latex(rows: Sequence[Sequence[str]]) -> str:
     return rf"\begin{{bmatrix}} {body} \end{{bmatrix}}"
 
 
-def render(root: Expr, method: str, ellipsis: str) -> str:
+def render(root: Node, method: str, ellipsis: str) -> str:
     """What a method of the nodes, `to_text` or `to_latex`, makes of a graph."""
     sizes: dict[int, int] = {}  # how many nodes each subtree prints, shared parts counted every time
     done: dict[int, str] = {}
@@ -69,11 +66,11 @@ def render(root: Expr, method: str, ellipsis: str) -> str:
     return done[id(root)]
 
 
-def tree(root: Expr) -> str:
+def tree(root: Node) -> str:
     """A line a node with its shape; a part met before is shown as a reference to where it stands."""
     lines: list[str] = []
     numbers: dict[int, int] = {}
-    stack: list[tuple[Expr, str, str, str]] = [(root, "", "", "")]
+    stack: list[tuple[Node, str, str, str]] = [(root, "", "", "")]
     while stack and len(lines) < _MOST_LINES:
         node, field, lead, indent = stack.pop()
         name = f"{field}: " if field else ""

@@ -1,28 +1,21 @@
-"""What an entry of the table says of a primitive of JAX, or of an operation on scalars."""
+"""Entries of the table of primitives, and operations on scalars."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
 import math
-from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
-from typing import TYPE_CHECKING, Any, NamedTuple, TypeAlias
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax import lax
-from numpy.typing import NDArray
 
 from ...jax_inside import ClosedJaxpr, inner_jaxprs, parameters
-from ..cotangents import Cotangent
-
-if TYPE_CHECKING:
-    from ..graph import Graph
-    from ..reader import Reader
-
-#: An array of nodes.
-Nodes: TypeAlias = NDArray[Any]
+from .cotangents import Cotangent
+from .interface import Graph, Nodes, Reader, each
 
 #: read(reader, equation, *arrays of nodes) -> the arrays of the results; None: the equation stays a call of JAX.
 Read: TypeAlias = "Callable[..., list[Nodes] | None]"
@@ -59,7 +52,7 @@ def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Entry:
-    """What is known of a primitive of JAX. Compared and hashed by identity.
+    """The entry of a primitive of JAX. Compared and hashed by identity.
 
     Attributes:
         name: of the primitive.
@@ -90,7 +83,7 @@ class Entry:
         return self.name
 
     def understands(self, eqn: Any) -> bool:
-        """Whether the values of an equation's parameters are ones that are read.
+        """Whether the entry handles the values of an equation's parameters.
 
         Raises:
             Unread: it has other parameters than are known.
@@ -98,7 +91,7 @@ class Entry:
         return self.when(parameters(eqn, *_names(self.takes)))
 
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-        """The results of an equation as nodes; None: it stays a call of JAX.
+        """The results of an equation as nodes; None if it stays a call.
 
         Raises:
             Unread: a parameter has a form that is not known.
@@ -124,7 +117,7 @@ moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
 
 
 class Forms(NamedTuple):
-    """How an operation is written in another language, by the type of its last argument; None: it is not.
+    """The forms of an operation in another language, by the type of its last argument; None if there is none.
 
     In C: an expression in $a, $b, $c; $T and $R are the types of the arguments and the result, $U is an unsigned
     type to add integers in, $f the suffix of libm's names, $least and $most the ends of the result's type.
@@ -167,6 +160,7 @@ class Operation(Entry):
         result: the type of the result, None: that of the arguments.
         symmetric: whether arguments may be swapped.
         parity: -1 for odd functions, 1 for even ones, 0 for others.
+        is_power: whether it is x^n; `factors_in_range` says how the graph multiplies by it.
         maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
         written: graph -> what makes the node that emitters write for it; None: they write the operation.
         llvm, c, casadi: how it is written in these languages.
@@ -179,6 +173,7 @@ class Operation(Entry):
     result: np.dtype[Any] | None = None
     symmetric: bool = False
     parity: int = 0
+    is_power: bool = False
     maker: Callable[[Graph], Callable[..., int]] | None = None
     written: Callable[[Graph], Callable[..., int]] | None = None
     inside: Callable[[Any], bool] = SMALL
@@ -190,19 +185,19 @@ class Operation(Entry):
         return [each(self.on(reader.graph), *arrays)]
 
     def on(self, g: Graph) -> Callable[..., int]:
-        """What makes its node from those of the arguments."""
+        """The function that makes its node from those of the arguments."""
         return functools.partial(g.node, self) if self.maker is None else self.maker(g)
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         """sum_i (partial_i) t_i for each set of tangents t."""
         if self.partials is None:
-            return [None] * len(along)
-        partials, found = self.partials(g, arguments, node), []
-        for tangents in along:
+            return [None] * len(directions)
+        partials, results = self.partials(g, arguments, node), []
+        for tangents in directions:
             pairs = zip(partials, tangents, strict=True)
             terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
-            found.append(functools.reduce(g.add, terms) if terms else None)
-        return found
+            results.append(functools.reduce(g.add, terms) if terms else None)
+        return results
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
@@ -222,9 +217,9 @@ def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
 class Select(Operation):
     """a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         zero = g.constant(0.0, g.dtypes[node])
-        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in along]
+        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in directions]
         return [None if pair == [zero, zero] else g.select(arguments[0], *pair) for pair in chosen]
 
     def cotangents(
@@ -237,9 +232,9 @@ class Select(Operation):
 class Convert(Operation):
     """The conversion to another type. Linear between floating-point types, else of no derivative."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         linear = self._linear(g, arguments, node)
-        return [g.node(self, t) if linear and t is not None else None for (t,) in along]
+        return [g.node(self, t) if linear and t is not None else None for (t,) in directions]
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
@@ -286,30 +281,3 @@ def _converted(dtype: np.dtype[Any], x: Any) -> Any:
 def whole(casadi: Any, a: Any) -> Any:
     """The whole part, towards zero."""
     return casadi.sign(a) * casadi.floor(casadi.fabs(a))
-
-
-# ---- arrays of nodes -------------------------------------------------------------------------------------------------
-
-
-def nodes(flat: Iterable[int], shape: Iterable[int]) -> Nodes:
-    """An array of nodes."""
-    return np.array(list(flat), np.int64).reshape(tuple(shape))
-
-
-def flat(*arrays: Nodes) -> list[int]:
-    """The nodes of arrays, one after the other."""
-    return [node for array in arrays for node in array.reshape(-1).tolist()]
-
-
-def each(function: Callable[..., int], *arrays: Nodes) -> Nodes:
-    """A function of nodes on arrays, entry by entry."""
-    shape = np.broadcast_shapes(*(a.shape for a in arrays))
-    return nodes(map(function, *(flat(a if a.shape == shape else np.broadcast_to(a, shape)) for a in arrays)), shape)
-
-
-def gathered(a: Nodes, axes: Collection[int]) -> tuple[list[list[int]], tuple[int, ...]]:
-    """The entries over the axes, one list for each of the rest, and the shape of the rest."""
-    kept = [i for i in range(a.ndim) if i not in axes]
-    shape = tuple(a.shape[i] for i in kept)
-    count = math.prod(a.shape[i] for i in axes)
-    return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape

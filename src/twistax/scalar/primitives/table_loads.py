@@ -4,15 +4,13 @@ from __future__ import annotations
 
 import dataclasses
 import weakref
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 
-from .entry import ALWAYS, Entry, Nodes, Operation, each, everywhere
+from .entry import ALWAYS, Entry, Operation, everywhere
+from .interface import Nodes, Reader, each
 from .table_load import Table, load
-
-if TYPE_CHECKING:
-    from ..reader import Reader, ScalarProgram
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False, kw_only=True)
@@ -34,10 +32,10 @@ _KNOWN: weakref.WeakValueDictionary[Any, Load] = weakref.WeakValueDictionary()
 def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
     """The one operation that loads from a table, at an offset, in a type."""
     key = (table, offset, dtype)
-    found = _KNOWN.get(key)
-    if found is None:
+    operation = _KNOWN.get(key)
+    if operation is None:
         numbers = table.numbers(dtype)
-        found = _KNOWN[key] = Load(
+        operation = _KNOWN[key] = Load(
             name="table_load",
             number=lambda place: numbers[np.asarray(place) + offset],
             array=lambda place: load(table, place, dtype, offset),
@@ -49,7 +47,7 @@ def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
             table=table,
             offset=offset,
         )
-    return found
+    return operation
 
 
 def _by_casadi(casadi: Any, table: Table, offset: int, place: Any) -> Any:
@@ -64,9 +62,3 @@ def _read(reader: Reader, eqn: Any, place: Nodes) -> list[Nodes]:
 
 #: In the table of primitives.
 TABLE_LOAD = Entry("table_load", _read, "table offset dtype", inside=ALWAYS)
-
-
-def loaded_tables(program: ScalarProgram) -> list[Table]:
-    """The tables that a program loads from, each once."""
-    operations = (program.graph.operation(i) for i in program.live)
-    return list(dict.fromkeys(operation.table for operation in operations if isinstance(operation, Load)))

@@ -1,4 +1,4 @@
-"""What is asked at single nodes: values of the states at both ends, and constraints at any node."""
+"""Conditions at single nodes: values of the states at both ends, and constraints at any node."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Conditions:
         return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
 
     def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
-        """(entries,) residuals that no unknown can change where these entries of the states are fixed."""
+        """(entries,) residuals that are constant if these entries of the states are fixed."""
         fixed_states, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
         decided: list[bool] = []
         for residual in self.residuals:

@@ -211,7 +211,9 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
+        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, transcription, hessian,
+        ...
+        """
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -252,11 +254,11 @@ class Problem:
         return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
 
     def started(self, *arguments: Any, **named: Any) -> Started:
-        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        """The start and the data of a solve with these arguments; see `start.started`."""
         return started(self, *arguments, **named)
 
     def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
-        """States at the nodes with what ends fix in place.
+        """States at the nodes, with the values that are fixed at both ends.
 
         Raises:
             TrajectoryError: they are those of another problem.
@@ -331,18 +333,16 @@ class Problem:
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
-            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
-                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
-                are asked.
+            between: how far a dense rollout may violate path constraints, in their scales, such as 1e-6. Where it
+                violates them they are tightened, and the problem is solved again with a warm start.
             mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
                 interval, integrated closely again from its planned start, ends within this of its planned end, in
-                scales of the states, and the objective is off by this share at most: see `result.accuracy`. An infinite
-                one takes any mesh, as a controller that solves again at every step may want it.
+                scales of the states, and the relative error of the objective is at most this: see `result.accuracy`.
+                An infinite one accepts any mesh.
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
-                within this of its planned end, in scales of the states, and the objective changes by no more than this,
-                relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
-                thousand nodes are not enough.
+                within this of its planned end, in scales of the states, and the relative change of the objective from
+                mesh to mesh is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`;
+                `result.meshes` has all of them. The status is COARSE where a thousand nodes are not enough.
             strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
                 method alone. Solvers of others have some of their own.
 
@@ -368,7 +368,7 @@ class Problem:
         tolerance: float = 1e-6,
         mesh_tolerance: float = MESH,
     ) -> TrajectoryResults:
-        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+        """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
         A guess with an axis of cases has one of nodes or intervals too.
@@ -386,7 +386,7 @@ class Problem:
         return solved_many(self, arguments | {"free": free}, options)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
-        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
+        """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)

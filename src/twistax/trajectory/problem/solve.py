@@ -1,4 +1,4 @@
-"""How a problem is solved: once or many times, from guesses or warm."""
+"""The steps of `Problem.solve`: one solve or many, from guesses or from a warm start."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class SolveOptions:
 
     @property
     def needed(self) -> float:
-        """The tolerance of the solver: a refinement needs a smaller one."""
+        """The tolerance of the solver; mesh refinement needs a smaller one."""
         return float(self.tolerance if self.refine is None else min(self.tolerance, CLOSER * self.refine))
 
     @property
@@ -162,7 +162,7 @@ def _with_line(problem: Any, options: SolveOptions, line: Progress) -> Any:
 def _on_one_mesh(
     problem: Any, options: SolveOptions, budget: Budget, report: Callback | None
 ) -> tuple[Any, Point, Given]:
-    """The best result of all tries, the guess of the first one, and what was solved for."""
+    """The best result of all tries, the first guess, and the data of the problem."""
     between, tolerance = options.between, options.needed
     with in_double():
         begin = time.perf_counter()
@@ -211,7 +211,7 @@ def _on_one_mesh(
 def _by_implicit_steps(
     problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
 ) -> tuple[Any, str]:
-    """The result, or a better one by implicit steps where explicit steps are unstable; and a remark for its message."""
+    """The result, or a better one with implicit steps if explicit steps are unstable; and a remark for its message."""
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""
@@ -257,7 +257,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
         begin = time.perf_counter()
         plain = started_cases(problem, cases)
         first = next(case for case in plain if not isinstance(case, TwistaxError))
-        core = problem.core(tolerance, first.point, first.given)
+        core = problem.core(tolerance, first.point, first.instance)
         every = plain
         if any(part.bounded for part in problem.parts):
 

@@ -304,14 +304,14 @@ class StatedPhase:
     # ---- between a trajectory as stated and as solved ----------------------------------------------------------------
 
     def seen(self, xs: Mapping[str, Any], us: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """States and controls as stated, from those of the transcription."""
+        """States and controls of the statement, from those of the transcription."""
         states, controls = dict(xs), dict(us)
         for bridge in reversed(self.bridges):
             states, controls = bridge.back(states, controls)
         return states, controls
 
     def lifted(self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]) -> Path:
-        """States and held controls of the transcription, from a trajectory as stated."""
+        """States and held controls of the transcription, from those of the statement."""
         path = Path(ts, dict(xs), dict(us), params)
         for bridge in self.bridges:
             bridge.forward(path)

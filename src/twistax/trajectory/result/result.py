@@ -27,15 +27,16 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class TrajectoryResult(Quality):
-    """The trajectories of a solve, and how well they solve its problem; see `Quality` for the other attributes.
+    """The result of a solve: the trajectories, and how well they satisfy the problem. See `Quality` for its other
+    attributes.
 
-    Of a problem that was not stated as a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are
-    those of its one trajectory; see `Trajectory`.
+    For a problem without a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are those of its
+    only trajectory; see `Trajectory`.
 
     Attributes:
         phases: the trajectory of each phase; times go on from phase to phase.
-        durations: how long each phase takes, s.
-        meshes: of `solve(refine=...)` the meshes it went through, a `Meshed` each.
+        durations: duration of each phase, s.
+        meshes: of `solve(refine=...)`: a `Meshed` for each mesh.
     """
 
     phases: tuple[Trajectory, ...]

@@ -107,7 +107,7 @@ class Trajectory:
         return animated([self], path, choices)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """Roll out the found controls from the first node, and measure what comes out.
+        """Roll out the controls of the solution from the first node, and measure errors and violations.
 
         Args:
             method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions
@@ -169,7 +169,7 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
             for x, t in ends
         ]
         largest |= largest_by_name(path.shown, np.maximum(*sizes))
-    at_nodes = shooting.own
+    at_nodes = shooting.at_single_node
     sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
     largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}

@@ -1,4 +1,4 @@
-"""What a solve may take: iterations, seconds, and a callback that may end it."""
+"""The limits of a solve: iterations, seconds, and a callback that may end it."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from .status import Status
 
 
 class Budget:
-    """What all runs of a solve may take together.
+    """The limits that all runs of one solve share.
 
     Args:
         max_iterations: of all runs.
@@ -35,21 +35,21 @@ class Budget:
 
     @property
     def left(self) -> int:
-        """Iterations that are left."""
+        """The remaining iterations."""
         return max(self._most - self.used, 0)
 
     @property
     def seconds_left(self) -> float | None:
-        """Of the wall time, some at least; None without an end."""
+        """The remaining wall time, not less than a minimum; None without a limit."""
         return None if np.isinf(self._due) else max(self._due - time.monotonic(), 1e-6)
 
     @property
     def is_spent(self) -> bool:
-        """Whether no further run may begin."""
+        """Whether no further run may start."""
         return self.left == 0 or self.ended is not None
 
     def ends(self, iteration: int, cost: float, violation: float, z: Array | None = None) -> bool:
-        """Whether a run should end before this iteration of it, at the unknowns z."""
+        """Whether a run must stop before this iteration, at the unknowns z."""
         stop = None
         if self._callback is not None:
             step = None if z is None or iteration == 0 or np.shape(self._last) != z.shape else z - self._last

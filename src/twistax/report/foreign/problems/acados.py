@@ -88,9 +88,9 @@ def _pulled(x: Any, m: Any) -> list[Any]:
     places: list[Any] = [[0.0] * 3, *map(at, range(_MASSES)), [x.ex, x.ey, x.ez]]
     pulls = []
     for one, other in itertools.pairwise(places):
-        apart = [b - a for a, b in zip(one, other, strict=True)]
-        length = m.sqrt(apart[0] ** 2 + apart[1] ** 2 + apart[2] ** 2)
-        pulls.append([(1.0 - 0.033 / length) * d for d in apart])
+        offset = [b - a for a, b in zip(one, other, strict=True)]
+        length = m.sqrt(offset[0] ** 2 + offset[1] ** 2 + offset[2] ** 2)
+        pulls.append([(1.0 - 0.033 / length) * d for d in offset])
     speeds = [getattr(x, f"v{axis}{k}") for k in range(_MASSES) for axis in _AXES]
     falls = [
         (after - before) / 0.033 - 9.81 * (axis == 2)

@@ -116,13 +116,13 @@ def _heated(x: Any, m: Any) -> Any:
     y = [getattr(x, f"y{i}") for i in range(_LINES)]
     ghost = y[1] - 2.0 * d * (y[0] - x.v) / (4.0 - y[0])
     line = [ghost, *y, y[-2]]
-    found = []
+    rates = []
     for i, at in enumerate(_X):
         c = math.cos(pi * at)
         heat = (2.0 * pi**2 - 6.0) * e * c + pi**2 * e**2 + (-2.0 * pi**2 - 1.0) * e**2 * c**2
         bend, slope = (line[i + 2] - 2.0 * y[i] + line[i]) / d**2, (line[i + 2] - line[i]) / (2.0 * d)
-        found.append((heat + (4.0 - y[i]) * bend - slope**2) / (4.0 + y[i]))
-    return found
+        rates.append((heat + (4.0 - y[i]) * bend - slope**2) / (4.0 + y[i]))
+    return rates
 
 
 HEAT = Foreign(

@@ -19,14 +19,14 @@ def _entered(x: Any, m: Any) -> list[Any]:
     drag = (0.07854 - 0.61592e-2 * a + 0.621408e-3 * a**2) * push
     r = 20_902_900.0 + h
     g = 0.14076539e17 / r**2
-    along, up = m.cos(x.gamma), m.sin(x.gamma)
+    cosine, sine = m.cos(x.gamma), m.sin(x.gamma)
     return [
-        v * up / 1e5,
-        v / r * along * m.sin(x.psi) / m.cos(x.theta),
-        v / r * along * m.cos(x.psi),
-        (-drag / mass - g * up) / 1e4,
-        lift / (mass * v) * m.cos(x.beta) + along * (v / r - g / v),
-        lift * m.sin(x.beta) / (mass * v * along) + v / (r * m.cos(x.theta)) * along * m.sin(x.psi) * m.sin(x.theta),
+        v * sine / 1e5,
+        v / r * cosine * m.sin(x.psi) / m.cos(x.theta),
+        v / r * cosine * m.cos(x.psi),
+        (-drag / mass - g * sine) / 1e4,
+        lift / (mass * v) * m.cos(x.beta) + cosine * (v / r - g / v),
+        lift * m.sin(x.beta) / (mass * v * cosine) + v / (r * m.cos(x.theta)) * cosine * m.sin(x.psi) * m.sin(x.theta),
     ]
 
 

@@ -1,4 +1,4 @@
-"""A tile as a compiled function of batches that JAX can call, and whether it does what its program says."""
+"""A kernel body as a compiled function of batches that JAX can call, and its self-test."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from ....jax_inside import jax_versions
 from ... import kernel_cache as cache
 from ...kernel_cache import version
 from .code import Module, addressed
-from .kernel_body import RowFunction, Tile
+from .kernel_body import BatchFunction, KernelBody
 from .lanes import Array
 from .machine_code import BuildError, MachineCode, Processor, compiled, load, written_by
 
@@ -31,14 +31,14 @@ from .machine_code import BuildError, MachineCode, Processor, compiled, load, wr
 _ALL = 2**31
 
 #: How many places for kernels are made together.
-_PLACES_AT_ONCE = 64
+_SLOTS_AT_ONCE = 64
 
 #: Seconds for which code stays after its last kernel: XLA may be in the middle of a call that nobody waits for.
-_REST = 30.0
+_RETIREMENT = 30.0
 
 
-class _Lease:
-    """What kernels of one target hold of their code.
+class _CodeHandle:
+    """The machine code that kernels of one target share.
 
     What comes from the cache was seen to be right, under the same versions of all that runs it.
     """
@@ -56,19 +56,19 @@ class _Lease:
         return self._unchecked is None
 
     def keep(self) -> None:
-        """It was seen to be right: other processes need not compile it."""
+        """Keep the code in the cache after it passed the self-test, so that other processes need not compile it."""
         if self._unchecked is not None:
             cache.keep(self._key, self._unchecked)
             self._unchecked = None
 
 
 #: The kernels that are in use, by the name of their target; and code that is not, with the time since when.
-_CODE: weakref.WeakValueDictionary[str, _Lease] = weakref.WeakValueDictionary()
-_RESTING: list[tuple[float, ctypes.c_void_p, MachineCode]] = []
+_CODE: weakref.WeakValueDictionary[str, _CodeHandle] = weakref.WeakValueDictionary()
+_RETIRED: list[tuple[float, ctypes.c_void_p, MachineCode]] = []
 
 #: The address of the place where the handler of a target finds its kernel. XLA keeps targets as long as the process
 #: lives, so what it keeps are small handlers that look there.
-_PLACES: dict[str, int] = {}
+_SLOTS: dict[str, int] = {}
 _FREE: list[tuple[int, int]] = []
 _HANDLERS: list[MachineCode] = []
 
@@ -77,37 +77,37 @@ _LOCK = threading.Lock()
 
 
 class Kernel:
-    """A tile in machine code of a processor, for at most so many threads; all if None.
+    """A kernel body in machine code of a processor, for at most so many threads; all if None.
 
     Raises:
         ImportError: llvmlite is not installed.
         BuildError: no machine code came of it.
     """
 
-    def __init__(self, tile: RowFunction, processor: Processor, threads: int | None = None) -> None:
-        self.tile = tile
-        self._read = [tile.arguments[k] for k in tile.read]
-        self._written = [tile.results[k] for k in tile.written]
+    def __init__(self, body: BatchFunction, processor: Processor, threads: int | None = None) -> None:
+        self.body = body
+        self._read = [body.arguments[k] for k in body.read]
+        self._written = [body.results[k] for k in body.written]
         #: Of what is read what results stand in the place of.
-        self._in_place = {tile.read.index(k): tile.written.index(own) for own, k in tile.in_place.items()}
+        self._in_place = {body.read.index(k): body.written.index(result) for result, k in body.in_place.items()}
         module = Module(processor)
-        tile.write(module)
-        _write_handler(module, tile, threads or _ALL)
+        body.write(module)
+        _write_handler(module, body, threads or _ALL)
         text = module.text()
         #: Says what it does and for which processor, so that it is the same in every process.
         self.target = _name(text, processor)
         with _LOCK:
             _free()
-            found = _CODE.get(self.target)
-            if found is None:
-                found = _Lease(self.target, text, module, ("run", "handler"))
-                _register(self.target, found, processor)
-        self.lease = found
+            handle = _CODE.get(self.target)
+            if handle is None:
+                handle = _CodeHandle(self.target, text, module, ("run", "handler"))
+                _register(self.target, handle, processor)
+        self.handle = handle
 
     @property
     def symbol(self) -> tuple[str, int]:
-        """What other code calls `run` by, and where it is."""
-        return f"{self.target}.run", self.lease.code.addresses["run"]
+        """The name and the address of `run`, for other code."""
+        return f"{self.target}.run", self.handle.code.addresses["run"]
 
     def __call__(self, rows: int, *arguments: jax.Array, length: int = 0) -> list[jax.Array]:
         """The results for rows of arguments, each (rows, *shape), or (1, *shape) where all share one; traceable.
@@ -115,68 +115,68 @@ class Kernel:
         Args:
             length: of the first axis of long arguments and results.
         """
-        given = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.tile.read]
+        operands = [jnp.reshape(arguments[k], (len(arguments[k]), -1)) for k in self.body.read]
         types = [jax.ShapeDtypeStruct((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
-        for k, own in self._in_place.items():
-            given[k] = jnp.broadcast_to(given[k], types[own].shape)
+        for k, result in self._in_place.items():
+            operands[k] = jnp.broadcast_to(operands[k], types[result].shape)
         call = jax.ffi.ffi_call(self.target, types, input_output_aliases=self._in_place)
-        found = dict(zip(self.tile.written, call(*given), strict=True))
-        shapes = [(rows, *a.of_length(length)) for a in self.tile.results]
+        results = dict(zip(self.body.written, call(*operands), strict=True))
+        shapes = [(rows, *a.of_length(length)) for a in self.body.results]
         return [
-            jnp.reshape(found[k], shape) if k in found else jnp.zeros(shape, a.dtype)
-            for k, (a, shape) in enumerate(zip(self.tile.results, shapes, strict=True))
+            jnp.reshape(results[k], shape) if k in results else jnp.zeros(shape, a.dtype)
+            for k, (a, shape) in enumerate(zip(self.body.results, shapes, strict=True))
         ]
 
     def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
         rows = max(map(len, arguments), default=1)
-        given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
+        operands = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
         results = [np.zeros((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
-        for k, own in self._in_place.items():
-            results[own][:] = given[k]
-        arrays = [*given, *results]
+        for k, result in self._in_place.items():
+            results[result][:] = operands[k]
+        arrays = [*operands, *results]
         strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
         table = (ctypes.c_int64 * (2 * len(arrays)))(*(a.ctypes.data for a in arrays), *strides)
         if rows:
             call = ctypes.CFUNCTYPE(None, ctypes.c_void_p, ctypes.c_int64, ctypes.c_int64)(
-                self.lease.code.addresses["run"]
+                self.handle.code.addresses["run"]
             )
             call(ctypes.addressof(table), 0, rows)
         return results
 
 
-def _register(target: str, lease: _Lease, processor: Processor) -> None:
-    """Make the code what XLA calls by the name of a target, for as long as it is there."""
-    address, fresh = lease.code.addresses["handler"], target not in _PLACES
+def _register(target: str, handle: _CodeHandle, processor: Processor) -> None:
+    """Let XLA call the code by the name of its target, until the code is retired."""
+    address, fresh = handle.code.addresses["handler"], target not in _SLOTS
     if fresh:
         if not _FREE:
             module = Module(processor)
-            names = _write_places(module, _PLACES_AT_ONCE)
+            names = _write_slots(module, _SLOTS_AT_ONCE)
             text = module.text()
-            handlers = _Lease(_name(text, processor), text, module, [*names, "places"])
+            handlers = _CodeHandle(_name(text, processor), text, module, [*names, "places"])
             handlers.keep()
             _HANDLERS.append(handlers.code)
             first = handlers.code.addresses["places"]
             _FREE.extend((first + 8 * k, handlers.code.addresses[name]) for k, name in enumerate(names))
-        _PLACES[target], handler = _FREE.pop()
-    place = ctypes.c_void_p.from_address(_PLACES[target])
+        _SLOTS[target], handler = _FREE.pop()
+    place = ctypes.c_void_p.from_address(_SLOTS[target])
     place.value = address
     if fresh:
         capsule = jax.ffi.pycapsule(ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(handler))
         jax.ffi.register_ffi_target(target, capsule, platform="cpu")
-    _CODE[target] = lease
-    weakref.finalize(lease, _rest, place, lease.code)
+    _CODE[target] = handle
+    weakref.finalize(handle, _retire, place, handle.code)
 
 
-def _rest(place: ctypes.c_void_p, code: MachineCode) -> None:
-    """Its last kernel is gone."""
-    _RESTING.append((time.monotonic(), place, code))
+def _retire(place: ctypes.c_void_p, code: MachineCode) -> None:
+    """Retire code whose last kernel is gone."""
+    _RETIRED.append((time.monotonic(), place, code))
 
 
 def _free() -> None:
-    """Let code go that has rested for long enough; the same kernel may have been made anew since."""
-    while _RESTING and time.monotonic() - _RESTING[0][0] > _REST:
-        _, place, code = _RESTING.pop(0)
+    """Free code that has been retired for long enough, unless the same kernel has been made again."""
+    while _RETIRED and time.monotonic() - _RETIRED[0][0] > _RETIREMENT:
+        _, place, code = _RETIRED.pop(0)
         if place.value == code.addresses["handler"]:
             place.value = None
 
@@ -234,9 +234,9 @@ def _template() -> Template:
     return Template(Path(__file__).with_name("kernel.ll").read_text())
 
 
-def _write_handler(module: Module, tile: RowFunction, threads: int) -> None:
+def _write_handler(module: Module, body: BatchFunction, threads: int) -> None:
     """Adds `run(table, first, end)`, some rows of the arrays in a table, and `handler(frame)`, all, by many threads."""
-    arrays, read, results = tile.arrays, len(tile.read), len(tile.written)
+    arrays, read, results = body.arrays, len(body.read), len(body.written)
     major, minor = _API
     messages = {
         "wrong.version": f"a kernel of twistax is made for version {major}.{minor} of XLA's foreign-function interface",
@@ -245,10 +245,10 @@ def _write_handler(module: Module, tile: RowFunction, threads: int) -> None:
     buffers = []
     for k, array in enumerate(arrays.values()):
         family, place = ("argument", k) if k < read else ("result", k - read)
-        own = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
+        fields = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
         size, words = (f"%size.{k}", f"length * {array.size}") if array.long else (str(array.size), str(array.size))
         buffers += [f"check.{k}:", *([_LONG.format(k=k, size=array.size)] if array.long else [])]
-        buffers.append(_BUFFER.format(**own, size=size, shared="true" if k < read else "false"))
+        buffers.append(_BUFFER.format(**fields, size=size, shared="true" if k < read else "false"))
         expected = f"{np.dtype(array.dtype).name} of shape (rows, {words})"
         messages[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
     constants = [
@@ -260,8 +260,8 @@ def _write_handler(module: Module, tile: RowFunction, threads: int) -> None:
         pointers="\n".join(_POINTER.format(k=k, name=name, stride=k + len(arrays)) for k, name in enumerate(arrays)),
         moved="\n".join(_MOVED.format(name=name, stored=a.stored) for name, a in arrays.items()),
         rows="".join(f", ptr %{name}.row, i64 %{name}.stride" for name in arrays),
-        lanes=tile.lanes,
-        chunk=tile.chunk,
+        lanes=body.lanes,
+        chunk=body.chunk,
         table=16 * len(arrays),
         job=32 + 16 * len(arrays),
         major=major,
@@ -294,8 +294,8 @@ ret ptr %error
 }}"""
 
 
-def _write_places(module: Module, count: int) -> list[str]:
-    """Adds handlers that call the kernel whose address stands in the variable `places`, and gives their names."""
+def _write_slots(module: Module, count: int) -> list[str]:
+    """Add handlers that call the kernels whose addresses stand in the variable `places`; return their names."""
     message = "a kernel of twistax is called, and what it was compiled for is gone"
     failed = _template().template.partition("define internal ptr @failed")
     module.functions["places"] = "\n".join(
@@ -321,43 +321,45 @@ _LEAST = 1e-3
 _CALLED = False
 
 
-def check_kernel(kernel: Kernel, tile: Tile) -> None:
-    """Computes one more row of a tile than a vector has lanes, at random; compares, the first time through JAX too.
+def check_kernel(kernel: Kernel, body: KernelBody) -> None:
+    """Compare a kernel with NumPy on random rows, one more than a vector has lanes; the first time in a process also
+    through JAX.
 
     Once for each kernel: what was seen to be right is kept, also for other processes.
 
     Raises:
         BuildError: they differ.
     """
-    if kernel.lease.checked:
+    if kernel.handle.checked:
         return
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
-    rows = tile.lanes + 1 if tile.read else 1
-    arguments = tile.exercised([_drawn(random, (rows, math.prod(a.of_length(tile.tried))), a) for a in tile.arguments])
-    expected, beside = tile.plain(arguments), [tile.plain([_moved(a) for a in arguments])]
-    found = kernel.run([arguments[k] for k in tile.read], tile.tried)
+    rows = body.lanes + 1 if body.read else 1
+    arguments = body.exercised([_drawn(random, (rows, math.prod(a.of_length(body.tried))), a) for a in body.arguments])
+    expected, nearby = body.plain(arguments), [body.plain([_moved(a) for a in arguments])]
+    results = kernel.run([arguments[k] for k in body.read], body.tried)
 
     def agrees() -> bool:
-        own = zip(tile.written, found, strict=True)
-        return all(_agree(values, expected[k], [each[k] for each in beside]) for k, values in own)
+        pairs = zip(body.written, results, strict=True)
+        return all(_agree(values, expected[k], [near[k] for near in nearby]) for k, values in pairs)
 
     if not agrees():
         # Of nearly singular constants the arguments, moved once, may say nothing: each operation is moved.
-        beside += [tile.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
+        nearby += [body.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
         if not agrees():
             raise BuildError("its results differ from those of NumPy")
     global _CALLED
     if not _CALLED:
         with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend="cpu")[0]):
-            shapes = ((rows, *a.of_length(tile.tried)) for a in tile.arguments)
+            shapes = ((rows, *a.of_length(body.tried)) for a in body.arguments)
             shaped = [a.reshape(shape) for a, shape in zip(arguments, shapes, strict=True)]
-            called = jax.jit(lambda *values: kernel(rows, *values, length=tile.tried))(*shaped)
-        for k, own in zip(tile.written, found, strict=True):
-            if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
-                raise BuildError("JAX calls it otherwise than expected")
+            called = jax.jit(lambda *values: kernel(rows, *values, length=body.tried))(*shaped)
+        for k, result in zip(body.written, results, strict=True):
+            by_jax = np.asarray(called[k]).reshape(result.shape)
+            if not np.array_equal(by_jax, result, equal_nan=result.dtype.kind == "f"):
+                raise BuildError("its results differ where JAX calls it")
         _CALLED = True
-    kernel.lease.keep()
+    kernel.handle.keep()
 
 
 def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> NDArray[Any]:
@@ -366,26 +368,26 @@ def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> 
 
 
 def _moved(values: NDArray[Any]) -> NDArray[Any]:
-    """The next numbers: how far results move by that tells how much rounding may do."""
+    """The next larger floating-point numbers: the change of the results shows the effect of rounding."""
     return np.nextafter(values, np.inf, dtype=values.dtype) if values.dtype.kind == "f" else values
 
 
 def _rounded(random: np.random.Generator, values: NDArray[Any]) -> NDArray[Any]:
-    """The next numbers, above or below."""
+    """The next larger or smaller floating-point numbers, at random."""
     if values.dtype.kind != "f":
         return values
     return np.nextafter(values, random.choice([-np.inf, np.inf], values.shape), dtype=values.dtype)
 
 
-def _agree(own: NDArray[Any], other: NDArray[Any], beside: Sequence[NDArray[Any]]) -> bool:
-    if own.dtype.kind != "f":
+def _agree(values: NDArray[Any], expected: NDArray[Any], nearby: Sequence[NDArray[Any]]) -> bool:
+    if values.dtype.kind != "f":
         # A comparison of nearly equal numbers may fall either way.
-        return bool(np.mean(own == other) >= 0.5)
-    finite = np.isfinite(other) & np.all(np.isfinite(beside), axis=0)
+        return bool(np.mean(values == expected) >= 0.5)
+    finite = np.isfinite(expected) & np.all(np.isfinite(nearby), axis=0)
     if not finite.any():
         return True
-    size = np.max(np.abs(other[finite]), initial=_LEAST) * _TOLERANCE[own.dtype]
-    moved = np.max([np.abs(near[finite] - other[finite]) for near in beside], axis=0)
-    own, other = own[finite], other[finite]
+    size = np.max(np.abs(expected[finite]), initial=_LEAST) * _TOLERANCE[values.dtype]
+    moved = np.max([np.abs(near[finite] - expected[finite]) for near in nearby], axis=0)
+    values, expected = values[finite], expected[finite]
     with np.errstate(invalid="ignore"):  # what is infinite where it should not be does not agree
-        return bool(np.mean(np.abs(own - other) <= size + 1e3 * moved) >= 0.9)
+        return bool(np.mean(np.abs(values - expected) <= size + 1e3 * moved) >= 0.9)

@@ -39,7 +39,7 @@ from .bridge import Bridge, Path, Statement, extended
 
 @dataclasses.dataclass(frozen=True)
 class InPhase:
-    """What a phase knows of the problem that it is a part of.
+    """The facts about the whole problem that a phase needs.
 
     Attributes:
         name: which parameters of extremes have in front.

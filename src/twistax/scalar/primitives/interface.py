@@ -1,0 +1,105 @@
+"""The interfaces of a graph of scalars and of a reader of jaxprs for the table of primitives; and arrays of nodes."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+from collections.abc import Callable, Collection, Iterable, Sequence
+from typing import Any, Protocol, TypeAlias
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ...jax_inside import ClosedJaxpr
+
+#: An array of nodes.
+Nodes: TypeAlias = NDArray[Any]
+
+
+@dataclasses.dataclass(frozen=True)
+class Limits:
+    """Up to which size parts are unrolled that a library does as well: beyond, the compiler's time outweighs it.
+
+    Attributes:
+        pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
+        table: tables read at a place known only at run time, by comparing with each place.
+        equations: loops, all iterations together, and branches.
+    """
+
+    pivoted: int = 4
+    table: int = 16
+    equations: int = 4000
+
+
+class Graph(Protocol):
+    """The interface of `ScalarGraph`, which documents the methods."""
+
+    dtype: np.dtype[Any]
+    limits: Limits
+    zero: int
+    one: int
+    nodes: list[tuple[Any, ...]]
+    dtypes: list[np.dtype[Any]]
+    numbers: list[Any]
+    calls: list[Any]
+
+    def constant(self, value: Any, dtype: np.dtype[Any] | None = None) -> int: ...
+    def array(self, values: Any) -> Nodes: ...
+    def node(self, operation: Any, *arguments: int) -> int: ...
+    def known(self, operation: Any, *arguments: int) -> int | None: ...
+    def operation(self, node: int) -> Any: ...
+    def values(self, array: Nodes) -> NDArray[Any] | None: ...
+    def dtype_of(self, array: Nodes) -> np.dtype[Any]: ...
+    def reciprocal_of(self, node: int) -> int | None: ...
+
+    def add(self, a: int, b: int) -> int: ...
+    def sub(self, a: int, b: int) -> int: ...
+    def neg(self, a: int) -> int: ...
+    def mul(self, a: int, b: int) -> int: ...
+    def div(self, a: int, b: int) -> int: ...
+    def over(self, a: int, factor: int) -> int: ...
+    def select(self, c: int, a: int, b: int) -> int: ...
+
+    def scaled(self, factor: int, cotangent: int) -> int: ...
+    def joined(self, a: int, b: int) -> int: ...
+    def may_be_cut(self, cotangent: int) -> bool: ...
+
+
+class Reader(Protocol):
+    """The interface of `JaxprReader`, which documents the methods."""
+
+    keeps_calls: bool
+
+    @property
+    def graph(self) -> Graph: ...
+    def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
+    def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
+    def known(self, arrays: Iterable[Nodes]) -> bool: ...
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]: ...
+
+
+# ---- arrays of nodes -------------------------------------------------------------------------------------------------
+
+
+def nodes(flat: Iterable[int], shape: Iterable[int]) -> Nodes:
+    """An array of nodes."""
+    return np.array(list(flat), np.int64).reshape(tuple(shape))
+
+
+def flat(*arrays: Nodes) -> list[int]:
+    """The nodes of arrays, one after the other."""
+    return [node for array in arrays for node in array.reshape(-1).tolist()]
+
+
+def each(function: Callable[..., int], *arrays: Nodes) -> Nodes:
+    """A function of nodes on arrays, entry by entry."""
+    shape = np.broadcast_shapes(*(a.shape for a in arrays))
+    return nodes(map(function, *(flat(a if a.shape == shape else np.broadcast_to(a, shape)) for a in arrays)), shape)
+
+
+def gathered(a: Nodes, axes: Collection[int]) -> tuple[list[list[int]], tuple[int, ...]]:
+    """The entries over the axes, one list for each of the rest, and the shape of the rest."""
+    kept = [i for i in range(a.ndim) if i not in axes]
+    shape = tuple(a.shape[i] for i in kept)
+    count = math.prod(a.shape[i] for i in axes)
+    return a.transpose([*kept, *axes]).reshape(math.prod(shape), count).tolist(), shape
