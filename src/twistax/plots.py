@@ -85,7 +85,9 @@ def _labelled(
         by_unit.setdefault(unit_of_entry, []).append(column)
     drawn = []
     for unit_of_entry, columns in by_unit.items():
-        shown, factor = (unit, _FACTORS[unit_of_entry, unit]) if (unit_of_entry, unit) in _FACTORS else (unit_of_entry, 1.0)
+        shown, factor = (
+            (unit, _FACTORS[unit_of_entry, unit]) if (unit_of_entry, unit) in _FACTORS else (unit_of_entry, 1.0)
+        )
         curve = _joined([(ts, factor * values[:, columns]) for ts, values in pieces])
         title = name if len(by_unit) == 1 else f"{name}, {shown}"
         drawn.append(Panel(title, shown, [labels[i][0] for i in columns], curve, columns=columns, factor=factor))
@@ -143,7 +145,8 @@ def chosen(names: Sequence[Any], there: Iterable[str], units: Mapping[str, str] 
     several = (
         names[0] if len(names) == 1 and isinstance(names[0], Sequence) and not isinstance(names[0], str) else names
     )
-    wanted, known = [getattr(name, "name", name) for name in several], list(dict.fromkeys(there))
+    wanted = [str(getattr(name, "name", name)) for name in several]
+    known = list(dict.fromkeys(there))
     wrong = [name for name in [*wanted, *(units or {})] if name not in known]
     if wrong:
         raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {listed(known, str(wrong[0]))}")
