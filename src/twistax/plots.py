@@ -81,13 +81,11 @@ def _labelled(
 ) -> list[Panel]:
     """A panel for each unit of the entries."""
     by_unit: dict[str, list[int]] = {}
-    for column, (_, unit_of_entry) in enumerate(labels):
-        by_unit.setdefault(unit_of_entry, []).append(column)
+    for column, (_, label_unit) in enumerate(labels):
+        by_unit.setdefault(label_unit, []).append(column)
     drawn = []
-    for unit_of_entry, columns in by_unit.items():
-        shown, factor = (
-            (unit, _FACTORS[unit_of_entry, unit]) if (unit_of_entry, unit) in _FACTORS else (unit_of_entry, 1.0)
-        )
+    for label_unit, columns in by_unit.items():
+        shown, factor = (unit, _FACTORS[label_unit, unit]) if (label_unit, unit) in _FACTORS else (label_unit, 1.0)
         curve = _joined([(ts, factor * values[:, columns]) for ts, values in pieces])
         title = name if len(by_unit) == 1 else f"{name}, {shown}"
         drawn.append(Panel(title, shown, [labels[i][0] for i in columns], curve, columns=columns, factor=factor))
@@ -183,9 +181,9 @@ class Pictured(NamedTuple):
             group = group_of(pieces[0][1]) if pieces else None
             return panels(name, group, pieces, units.get(name, ""), self.labels.get(name, ()))
         drawn = []
-        for leaf, columns_of in columns.items():
-            pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, columns_of]) for ts, values in self.pieces(leaf)]
-            some = [self.labels[leaf][i] for i in columns_of]
+        for leaf, entries in columns.items():
+            pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, entries]) for ts, values in self.pieces(leaf)]
+            some = [self.labels[leaf][i] for i in entries]
             drawn += panels(f"{leaf} of {name}", None, pieces, units.get(name, units.get(leaf, "")), some)
         return drawn
 

@@ -1,7 +1,5 @@
 """Twists and wrenches side by side, as the columns of (6, k): values, cost and orders; transposes and inverses too."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

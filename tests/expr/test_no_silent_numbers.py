@@ -1,7 +1,5 @@
 """What was wrong in silence once: each is right now, or refused with a sentence that says how to mend it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any

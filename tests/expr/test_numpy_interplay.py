@@ -1,7 +1,5 @@
 """NumPy functions and arrays, and JAX arrays, that meet expressions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """DAVE-ML: tables against SciPy, MathML against Python, the checks inside files, and what is refused where."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os

@@ -1,7 +1,5 @@
 """Turbulence, engines, burning and sensors: against their spectra, the balance of momentum and finite differences."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Trees with joints of every kind against Lagrange's equations of point masses."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Mapping
 from typing import Any
@@ -10,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, pose
+from mechanics_oracles import Cloud, body_of, pose
 from scipy.linalg import expm
 
 import twistax as tx
@@ -21,10 +19,6 @@ from twistax.mechanics import ALIGNED, BODY, WORLD, Drive, Link, Mechanism, Mimi
 
 GRAVITY = np.array([0.7, -1.1, -9.6])
 AXIS = np.array([0.6, 0.0, -0.8])
-
-
-def body_of(cloud: Cloud) -> SpatialInertia:
-    return SpatialInertia(mass=cloud.mass, center_of_mass=cloud.center, inertia=cloud.tensor_about(cloud.center))
 
 
 class Tree:

@@ -1,7 +1,5 @@
 """Model files: what is read, what becomes a Parameter, what is refused and where it says so."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Mechanisms from MJCF against MuJoCo, where that is installed; and every model that comes with packages at hand."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """URDF that says a thing twice, says what URDF does not have, or says it as programs write it."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

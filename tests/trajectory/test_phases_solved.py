@@ -1,7 +1,5 @@
 """Problems of phases solved as others are: warm, for other ends, by other solvers, between nodes, many at once."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any

@@ -1,7 +1,5 @@
 """The options of the demo, and how a start is written on the command line."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable

@@ -28,7 +28,7 @@ from ..strategy.core_solver import CoreSolver
 from ..strategy.other_starts import perturbed
 from ..strategy.outcome import Callback, Outcome
 from ..strategy.status import AT_OPTIMUM, Status
-from ..strategy.stiffness import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
+from ..strategy.stiffness import IMPLICIT_NAME, LARGEST, stiffness
 from ..strategy.strategies import Strategy
 from ..strategy.strategies import solved as with_strategies
 from ..strategy.warm import WarmStart, warm_start, with_ends
@@ -127,6 +127,9 @@ def solved(problem: Any, options: SolveOptions) -> Any:
         raise TrajectoryError(
             f"QuasiNewton() has no second derivatives for {options.solver!r}.\n  fix: leave out hessian= or solver="
         )
+    if _is_by_implicit_steps(problem, options):
+        result = problem.implicit.solve(**{it.name: getattr(options, it.name) for it in dataclasses.fields(options)})
+        return dataclasses.replace(result, message=f"{result.message} Solved by {IMPLICIT_NAME}, as the start was.")
     line = options.progress
     if not isinstance(line, Progress):
         # A callback shows what its user wants to see.
@@ -208,6 +211,13 @@ def _on_one_mesh(
     return best_result(problem, tried), plain, instance
 
 
+def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
+    """Whether the warm start is of the problem by implicit steps, which stood in for one as this is."""
+    if options.warm is None or Strategy.IMPLICIT_STEPS not in options.strategies or problem.stands_in:
+        return False
+    return getattr(warm_start(options.warm).problem, "stands_in", False)
+
+
 def _by_implicit_steps(
     problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
 ) -> tuple[Any, str]:
@@ -220,8 +230,6 @@ def _by_implicit_steps(
         fastest = max(stiffness(staged, point, instance) for point in (start, result.warm.point))
     if fastest <= LARGEST:
         return result, ""
-    if problem.implicit is None:
-        problem.implicit = problem.transcribed_by(IMPLICIT)
     other = problem.implicit.solve(**again)
     remark = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
     is_finite = result.status is Status.NON_FINITE and other.status is not Status.NON_FINITE

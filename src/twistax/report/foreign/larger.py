@@ -1,14 +1,12 @@
 """The Delta III ascent in four phases, and a step of a five-link biped."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ..statement import Foreign, Phased, Points, Var
+from .statement import Foreign, Phased, Points, Var
 
 # ---- Delta III: lengths in radii of the Earth, speeds in circular ones, masses in those at lift-off ------------------
 
