@@ -31,6 +31,7 @@ from scipy.spatial.transform import Rotation
 
 import twistax as tx
 from twistax import lie
+from twistax.jax_inside import all_equations
 
 ORDERS = pytest.mark.parametrize("order", [tx.LINEAR_FIRST, tx.ANGULAR_FIRST], ids=str)
 RNG = np.random.default_rng(11)
@@ -301,19 +302,7 @@ def test_derivatives_through_a_chain_of_nodes() -> None:
 
 def shapes_computed(function: Any, *arguments: Any) -> set[tuple[int, ...]]:
     """The shapes of all intermediate values, those inside of calls too."""
-    found: set[tuple[int, ...]] = set()
-
-    def walk(jaxpr: Any) -> None:
-        for equation in jaxpr.eqns:
-            found.update(tuple(out.aval.shape) for out in equation.outvars)
-            for inner in jax.tree_util.tree_leaves(
-                list(equation.params.values()), is_leaf=lambda p: hasattr(p, "eqns")
-            ):
-                if hasattr(inner, "eqns") or hasattr(inner, "jaxpr"):
-                    walk(getattr(inner, "jaxpr", inner))
-
-    walk(jax.make_jaxpr(function)(*arguments).jaxpr)
-    return found
+    return {out.aval.shape for e in all_equations(jax.make_jaxpr(function)(*arguments).jaxpr) for out in e.outvars}
 
 
 @ORDERS

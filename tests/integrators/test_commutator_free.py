@@ -145,9 +145,3 @@ def test_methods_are_values() -> None:
 def test_bad_data_is_named(a: object, b: object, message: str) -> None:
     with pytest.raises(tx.ModelError, match=message):
         CommutatorFreeTableau("bad", 2, a, b)
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_a_method_needs_such_a_tableau() -> None:
-    with pytest.raises(tx.ModelError, match=r"expects a tableau like tx\.tableaus\.CF4, got ButcherTableau\(RK4"):
-        tx.CommutatorFree(RK4)  # type: ignore[arg-type]

@@ -126,11 +126,6 @@ def test_a_failure_under_eager_derivatives_is_that_under_jit(throw: bool, rows: 
         np.testing.assert_allclose(a, b, rtol=1e-9)
 
 
-def test_a_traced_end_needs_the_number_of_steps(body: tx.Dynamics) -> None:
-    with pytest.raises(tx.InputError, match="give steps=<whole number> instead of dt"):
-        jax.grad(lambda t1: tx.integrate(body, start(), t1=t1, dt=0.1, u={"F": np.ones(6)}).xs["V"].sum())(1.0)
-
-
 def test_a_known_pose_may_stand_beside_a_traced_twist() -> None:
     x0 = start()
     g = jnp.asarray(x0["g"])

@@ -262,11 +262,3 @@ def test_methods_are_values() -> None:
     assert tx.Magnus() == tx.Magnus(4, RK4)
     assert tx.Magnus(6) != tx.Magnus(4)
     assert hash(tx.Magnus(6)) == hash(tx.Magnus(6, DOP853))
-
-
-@pytest.mark.usefixtures("unchecked")
-def test_bad_arguments_are_named() -> None:
-    with pytest.raises(tx.ModelError, match="Magnus expects order 4 or 6, got 5"):
-        tx.Magnus(5)
-    with pytest.raises(tx.ModelError, match=r"Magnus: inner expects a tableau like tx\.tableaus\.RK4, got 'RK4'"):
-        tx.Magnus(4, "RK4")  # type: ignore[arg-type]

@@ -109,13 +109,6 @@ def test_it_maps_over_intervals_and_keeps_precision() -> None:
     np.testing.assert_allclose(many.A[2, :3, :3], [[c, s, 0], [-s, c, 0], [0, 0, 1]], atol=1e-6)
 
 
-@pytest.mark.parametrize("substeps", [0, -1, True])
-def test_nonsense_substeps_are_refused(substeps: int) -> None:
-    dynamics, *_ = case(tx.LINEAR_FIRST, 1)
-    with pytest.raises(tx.TrajectoryError, match="substeps"):
-        discretize(dynamics, T, *sample(0), H, substeps=substeps)
-
-
 def test_a_commutator_free_step_has_derivatives_too() -> None:
     """Its ends by the integrator itself, from starts that are moved along each tangent."""
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))

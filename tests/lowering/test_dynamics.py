@@ -253,32 +253,6 @@ def test_states_as_plain_numbers_and_lists() -> None:
         np.testing.assert_array_equal(found[name], wanted[name])
 
 
-# ---- mistakes at call time -----------------------------------------------------------------------------------------
-
-LIMITS: dict[str, tuple[tuple[Any, ...], list[str]]] = {
-    "an unknown state": (
-        (0.0, POINT | {"v": 1.0}, CONTROLS),
-        ["unknown key 'v' in x", "'V', 'g', 'mass', 'grid', 'a'"],
-    ),
-    "an unknown control": ((0.0, POINT, {"F": np.ones(6), "G": 1.0}), ["unknown key 'G' in u", "'F', 'spare'"]),
-    "an unknown parameter": ((0.0, POINT, CONTROLS, {"m": 1.0}), ["unknown key 'm' in params", "'M', 'k', 'idle'"]),
-    "a missing state": ((0.0, {"V": POINT["V"]}, CONTROLS), ["State 'g' is missing", "of shape (4, 4)"]),
-    "no states": ((0.0, None, CONTROLS), ["State 'V' is missing"]),
-    "a wrong shape": ((0.0, POINT, {"F": np.ones(3)}), ["u['F'] expects shape (6,), got (3,)"]),
-    "a vector for a dict": ((0.0, np.zeros(20), CONTROLS), ["x must be a dict from names to arrays, got ndarray"]),
-}
-
-
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("what", LIMITS)
-def test_mistake_at_call_time(what: str) -> None:
-    arguments, words = LIMITS[what]
-    with pytest.raises(tx.InputError) as caught:
-        DYNAMICS(*arguments)
-    for word in words:
-        assert word in str(caught.value)
-
-
 def test_names_of_leaves_never_meet_those_of_time_and_constants() -> None:
     """A control called t, read by an output only, is not asked for where the rate reads the time."""
     odd, other = tx.Control("t"), tx.Control("constant")

@@ -376,28 +376,6 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
 # ---- errors --------------------------------------------------------------------------------------------------------
 
 
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        (None, "weights must be a dict from names to arrays, got NoneType"),
-        (np.ones(6), "weights must be a dict from names to arrays, got ndarray"),
-        (
-            {"W": np.ones(6)},
-            "unknown key 'W' in weights; expected a rate, an output or a constraint: 'g', 'V', 'reach'",
-        ),
-        ({"V": np.ones(3)}, r"weights\['V'\] expects shape \(6,\), got \(3,\)"),
-        ({"V": 1.0}, r"weights\['V'\] expects shape \(6,\), got \(\)"),
-        ({"V": "much"}, r"weights\['V'\]"),
-        ({"inequality": np.ones(1)}, r"weights\['inequality'\] expects shape \(0,\), got \(1,\)"),
-    ],
-)
-def test_wrong_weights(weights: Any, message: str) -> None:
-    x, u = {"g": np.eye(4), "V": np.zeros(6)}, {"F": np.zeros(6)}
-    with pytest.raises(tx.InputError, match=message):
-        FALLING.hessian(0.0, x, u, None, weights)
-
-
 def test_wrong_names() -> None:
     y = tx.State("y")
     outputs = {"y": y * y, "up": y >= 0.0, "other": y}

@@ -31,7 +31,7 @@ class Field(NamedTuple):
     default: Any = _MISSING
 
     def shown(self, value: Any) -> bool:
-        """Whether printing mentions this static field: only when it differs from its default."""
+        """Whether printing shows this static field: only if it differs from its default."""
         if self.operand or self.variadic:
             return False
         return self.default is _MISSING or freeze(value) != freeze(self.default)
@@ -144,7 +144,7 @@ _KEPT: list[Any] = []
 
 
 def _number_of(value: Any) -> int:
-    """A number that no other object gets, not even one that comes to lie at the same address."""
+    """A number unique to an object, even if another object later has the same address."""
     new = next(_NUMBERS)
     number = _IDENTITIES.setdefault(id(value), new)
     if number == new:

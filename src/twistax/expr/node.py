@@ -267,7 +267,7 @@ class Expr(Printed, Operators):
         return names
 
     def outline(self) -> list[tuple[str, Expr]]:
-        """What `tree()` shows below this node, with names: the children, unless a node holds more than these."""
+        """The named entries that `tree()` shows below this node: its children, unless a node holds more."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self: E, children: list[Expr]) -> E:
@@ -287,7 +287,7 @@ class Expr(Printed, Operators):
         return type(self).from_fields(fields)
 
     def static_key(self) -> tuple[Any, ...]:
-        """What distinguishes this node from others of its class over the same children."""
+        """The data that distinguishes this node from others of its class with the same children."""
         return tuple(freeze(getattr(self, f.name)) for f in self._fields if not (f.operand or f.variadic))
 
     def key(self) -> str:

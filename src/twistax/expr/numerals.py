@@ -33,7 +33,7 @@ def _in_numpy(jaxpr: Any) -> bool:
 
 
 def _inner(eqn: Any) -> ClosedJaxpr | None:
-    """The one function that an equation calls, if all it does is to call it."""
+    """The called function, if an equation only calls one."""
     inner = inner_jaxprs(eqn) if eqn.primitive.name == "jit" else []
     return inner[0] if len(inner) == 1 else None
 
@@ -50,7 +50,7 @@ def _form(eqn: Any) -> Callable[..., Any] | None:
 
 
 def _differs(name: str, eqn: Any) -> bool:
-    """Whether NumPy would do something else."""
+    """Whether NumPy's result differs from JAX's."""
     types, result = [v.aval.dtype for v in eqn.invars], eqn.outvars[0].aval.dtype
     if name == "dot_general" and eqn.params["dimension_numbers"][1][0]:
         return True

@@ -1,4 +1,4 @@
-"""What every group of states offers."""
+"""The interface of groups of states."""
 
 from __future__ import annotations
 
@@ -63,13 +63,13 @@ class Group(ABC):
 
     @classmethod
     def examples(cls) -> tuple[Group, ...]:
-        """Groups of this class, for the suites that run over all classes: that without arguments unless overridden."""
+        """Instances of this class for the test suites of all groups; by default the one without arguments."""
         return (cls(),)
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """How messages call the group."""
+        """The name of the group in messages."""
 
     @property
     @abstractmethod
@@ -176,7 +176,7 @@ class Group(ABC):
 
     @property
     def sized(self) -> np.ndarray:
-        """(dimension,): which entries of a tangent are compared with the size of what they move, not with 1."""
+        """(dimension,): which entries of a tangent are compared to the size of what they move, not to 1."""
         return self._where(lambda part: part.sized)
 
     def _where(self, chosen: Any) -> np.ndarray:
@@ -186,7 +186,9 @@ class Group(ABC):
         return mask
 
     def sizes(self, g: Any) -> Float[Array, "n"]:
-        """What the entries of a tangent at g are compared with: the length of a part with a unit of length, else 1."""
+        """The sizes to which entries of a tangent at g are compared: the length of a part with a unit of length, else
+        1.
+        """
         most = jnp.ones(self.dimension, g.dtype)
         for part in self.parts:
             if part.sized:

@@ -1,4 +1,4 @@
-"""Building poses from the attitudes people write down, and reading them again."""
+"""Poses from several representations of attitude, and the inverse."""
 
 from __future__ import annotations
 
@@ -82,12 +82,12 @@ def _check_finite(what: str, array: Array) -> None:
 
 
 def quaternion(R: Input) -> Float[Array, "4"]:
-    """As `twistax.lie.quaternion`, of numbers."""
+    """`twistax.lie.quaternion` for numbers."""
     return quaternions.from_rotation(_rotation_of("quaternion", R))
 
 
 def euler(R: Input, sequence: str = ROLL_PITCH_YAW) -> Float[Array, "3"]:
-    """As `twistax.lie.euler`, of numbers."""
+    """`twistax.lie.euler` for numbers."""
     return euler_angles.angles(_rotation_of("euler", R), sequence)
 
 

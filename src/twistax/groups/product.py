@@ -98,7 +98,7 @@ class Product(Group):
             )
 
     def _each(self, function: str, *elements: Any) -> dict[str, Any]:
-        """The function of every factor applied to its parts of the elements."""
+        """A function of every factor, applied to its parts of the elements."""
         for g in elements:
             self._check_names(function, g)
         return {name: getattr(group, function)(*(g[name] for g in elements)) for name, group in self._factors}

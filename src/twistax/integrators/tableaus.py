@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..checks import reals
 from ..errors import ModelError
+from ..expr.moved import earlier_classes
 
 # fmt: off
 __all__ = [
@@ -24,6 +25,7 @@ __all__ = [
 ]
 # fmt: on
 
+__getattr__ = earlier_classes(__name__)
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
 

@@ -1,4 +1,4 @@
-"""Linearisation in the tangent space, with names, modes, and what control engineers go on with."""
+"""Linearisation in the tangent space, with names, modes and exports for control design."""
 
 from __future__ import annotations
 
@@ -209,7 +209,7 @@ def around(
 
 
 def _kept(place: str, present: Sequence[str], wanted: Iterable[str] | None) -> list[int]:
-    """The rows of what is asked for; a row that an earlier `keep` left out is not there."""
+    """The rows of what is asked for; rows that an earlier `keep` left out are missing."""
     if wanted is None:
         return list(range(len(present)))
     shapes: dict[str, tuple[int, ...]] = {}

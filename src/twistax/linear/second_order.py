@@ -45,7 +45,7 @@ def second_order(
         return x
 
     def gap(*arrays: jax.Array) -> list[jax.Array]:
-        """The tangent difference from an end that stays, and the end."""
+        """The tangent difference between the end and a constant base point, and the end."""
         x_end = end(*arrays[:count])
         base = dict(zip(names, arrays[count:], strict=True))
         return [dynamics.group.difference(base, x_end), *(x_end[name] for name in names)]

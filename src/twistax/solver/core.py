@@ -27,7 +27,7 @@ from .stages import Stages
 
 
 class CoreStatus(enum.Enum):
-    """How a solve ended; the values are those of `twx_status` in core.h."""
+    """The status of a solve; the values are those of `twx_status` in core.h."""
 
     SOLVED = 0
     MAX_ITERATIONS = 1
@@ -64,20 +64,20 @@ class StageFunctions:
     owner: Any = None
 
     def check(self) -> None:
-        """Raise what a function raised in the last call."""
+        """Raise the error of a function in the last call."""
         check = getattr(self.owner, "check", None)
         if check is not None:
             check()
 
     @property
     def addresses(self) -> dict[str, int]:
-        """By the names that `twx_problem` has for them."""
+        """The addresses by the names in `twx_problem`."""
         names = ("user", "values", "jacobians", "hessians", "retract", "transport", "stop")
         return {name: getattr(self, name) for name in names}
 
 
 class Units(NamedTuple):
-    """Units in which the core counts: of v, of the rows h and e, and of the cost; 1 where None."""
+    """Units of v, of the rows h and e, and of the cost, in which the core computes; 1 if None."""
 
     size: Array | None = None
     row_size: Array | None = None
@@ -162,7 +162,7 @@ class _Solution(ctypes.Structure):
 
 
 class Described(NamedTuple):
-    """A problem as the core reads it, and the arrays that its addresses are of."""
+    """A problem in the form of the core, with the arrays that own its memory."""
 
     structure: ProblemStructure
     memory: list[Array]
@@ -261,7 +261,7 @@ def solve(
 
 
 class _StopFunction:
-    """The function that the core asks whether to stop. Python sees signals while it runs.
+    """The callback by which the core asks whether to stop. It also lets Python handle signals.
 
     Attributes:
         addresses: by the name that `twx_problem` has for it.
@@ -288,7 +288,7 @@ class _StopFunction:
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:
-        """Raise what it raised."""
+        """Raise the error of the callback."""
         if self._error is not None:
             raise self._error
 

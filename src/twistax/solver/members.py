@@ -1,4 +1,4 @@
-"""Many problems of one form at once: solves, and moves of solutions, as NumPy calls or as calls of XLA programs."""
+"""Many problems of one form at once: solves, and derivatives of solutions, as NumPy calls or in XLA programs."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _CALLED: list[Any] = []
 
 @atexit.register
 def _end_programs() -> None:
-    """End programs that still run where the process ends, of batches that nobody waits for."""
+    """Stop programs that still run at exit, for batches whose results nobody reads."""
     for form in _CALLED:
         form.structure.stop = 1
 
@@ -64,7 +64,7 @@ class _Structure(ctypes.Structure):
 
 
 class _Form:
-    """What all members share.
+    """The data that all members share.
 
     Args:
         transcription: functions and sizes.

@@ -1,4 +1,4 @@
-"""The functions of a system on prepared arguments, each made when it is first asked for, and kept."""
+"""The functions of a system on prepared arguments, each made when it is first needed, and cached."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
 class Kept:
-    """What was made by key, and by the settings of JAX that its numbers depend on.
+    """A cache by key, and by the settings of JAX on which numbers depend.
 
     Beyond `most` entries that which was used longest ago is dropped.
     """
@@ -54,7 +54,7 @@ class Kept:
         self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What was made for the key, or is now."""
+        """The cached value of a key; made by `make` if there is none."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         kept = self._found.get(key, self)
         if kept is self:
@@ -116,7 +116,7 @@ class Functions:
     # ---- the same functions otherwise --------------------------------------------------------------------------------
 
     def run_by(self, backend: Backend) -> Functions:
-        """The same, run by another backend."""
+        """The same functions with another backend."""
         return self._changed(backend=backend)
 
     def beside_loops(self) -> Functions:
@@ -124,7 +124,7 @@ class Functions:
         return self._changed(_beside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
-        """A twin with some of the outputs alone."""
+        """A copy with some of the outputs."""
         known, wanted = self.families["outputs"], set(names)
         outputs = {name: exprs for name, exprs in known.items() if name in wanted}
         twin = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
@@ -137,8 +137,13 @@ class Functions:
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
+<<<<<<< HEAD
         twin.__dict__.update(self.__dict__, _called=set[str](), **changes)
         twin.jitted = _for_calls(twin)
+=======
+        twin.__dict__.update(self.__dict__, **changes)
+        twin.jitted, twin._called = _for_calls(twin), set[str]()
+>>>>>>> main
         return twin
 
     def __reduce__(self) -> Any:
@@ -366,7 +371,6 @@ def _for_calls(functions: Functions) -> Callable[..., Arrays]:
 
 
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
-    """The blocks of a Jacobian that is one program."""
     return dict(zip(kinds, call_program(program, *arrays), strict=True))
 
 

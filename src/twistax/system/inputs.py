@@ -1,4 +1,4 @@
-"""The arguments of every lowered function: one signature (t, x, u, params), checked and brought to one precision."""
+"""The arguments (t, x, u, params) of every lowered function, checked and cast to one precision."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def precision(*groups: Values | None) -> Any:
 
 
 def _shaped(leaf: Any, kind: str) -> str:
-    """How to mend a value of another shape."""
+    """A hint for a value of a wrong shape."""
     made = {"SE3": "tx.pose(position=..., rotation=...) builds a pose", "SO3": "tx.pose(...)[:3, :3] is a rotation"}
     if (group := getattr(getattr(leaf, "group", None), "name", None)) in made:
         return f"{made[group]}; map over batches with jax.vmap"
@@ -94,7 +94,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
 
 
 def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
-    """Raise InputError where a precision cannot hold what is known of an array."""
+    """Raise InputError if known numbers of an array overflow in a precision."""
     wider = array.dtype.itemsize > np.dtype(dtype).itemsize and jnp.issubdtype(array.dtype, jnp.floating)
     if not wider or is_traced(array):
         return

@@ -1,4 +1,4 @@
-"""States brought to the manifold of a system, by its corrections."""
+"""Projection of states to the manifold of a system, by its corrections."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def increments(functions: Functions, corrections: Arrays) -> jax.Array:
 
 
 def project(functions: Functions, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
-    """What `Dynamics.project` does."""
+    """Implements `Dynamics.project`."""
     inputs = functions.prepare(t, x, u, params, reads=("corrections",))
     now, size = dict(inputs.x), np.inf
     least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)

@@ -22,13 +22,13 @@ _FAR = 7e6
 
 
 def _in_steps(group: Group, a: Any, b: Any) -> dict[str, Any]:
-    """What a step of an integrator is made of; its second derivatives enter those of an integration."""
+    """The functions in a step of an integrator; their second derivatives enter those of an integration."""
     applied = group.right_jacobian_inv_apply(a, b)
     return {"exp": group.exp(a), "retract": group.retract(group.exp(b), a), "right_jacobian_inv_apply": applied}
 
 
 def _smooth(group: Group, a: Any, b: Any) -> dict[str, Any]:
-    """What is smooth everywhere, of a tangent a and a second one."""
+    """The functions that are smooth everywhere, of a tangent a and a second one."""
     g, h = group.exp(a), group.exp(b)
     return _in_steps(group, a, b) | {
         "compose": group.compose(h, g),
@@ -67,7 +67,7 @@ def check_derivatives(check: Check, group: Group, samples: Sequence[Sample]) -> 
 
 
 def _along_lines(group: Group, across: np.ndarray, a: Any, b: Any, e: Any) -> dict[str, Any]:
-    """Values and slopes of all that is smooth at a + s e, for s = 0 and the steps; at s = 0 what else is asked."""
+    """Values and slopes of all smooth functions at a + s e, for s = 0 and the steps; at s = 0 the others too."""
     everything = lambda d, b: flat(_smooth(group, d, b))  # noqa: E731
 
     def slope(d: Any, b: Any, e: Any) -> Any:

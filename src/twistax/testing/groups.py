@@ -28,7 +28,7 @@ _DRIFT, _ROUND_OFF = 1e-3, 1e-8
 
 
 def check_group(group: Group, *, seed: int = 0) -> None:
-    """Check that a group keeps the laws which states, integrators and optimisers rely on, in a few seconds.
+    """Check that a group satisfies the laws on which states, integrators and optimisers rely, in a few seconds.
 
     Checked are values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
     $g Exp(d) g^-1 = Exp(Ad_g d)$, $Ad_Exp(d) = exp(ad_d)$; the Jacobians by their series and by $Exp(d + e) =
@@ -84,7 +84,7 @@ def samples(group: Group, seed: int) -> list[Sample]:
 
 
 def _values(group: Group, drawn: list[Sample]) -> list[dict[str, Any]]:
-    """All that the laws speak of, for each sample."""
+    """All values in the laws, for each sample."""
 
     def one(a: jax.Array, b: jax.Array, c: jax.Array) -> dict[str, Any]:
         g, h, k = group.exp(a), group.exp(b), group.exp(c)

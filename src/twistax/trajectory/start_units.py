@@ -124,7 +124,6 @@ class StartUnits:
         return parts
 
     def _by_stage(self, staged: Staged) -> list[Array]:
-        """Of the unknowns of each stage."""
         sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
             sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals

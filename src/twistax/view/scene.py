@@ -48,7 +48,7 @@ class Scene(Animation):
         return file
 
     def live(self, port: int = 8080) -> Any:
-        """Serve the scene to browsers of this machine, with a slider for the time; a port that is free is found.
+        """Serve the scene to browsers of this machine, with a slider for the time, at a free port.
 
         Returns:
             the viser server: `server.sleep_forever()` keeps a script running, `server.stop()` ends it; more can be put

@@ -70,7 +70,7 @@ def _viser() -> Any:
 
 @contextlib.contextmanager
 def _server() -> Iterator[Any]:
-    """A server that nobody looks at: viser writes down what it would send. It says where it is, which is of no use."""
+    """A server without clients: viser records what it would send. Its message with the address is suppressed."""
     viser = _viser()
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", verbose=False)
@@ -81,7 +81,7 @@ def _server() -> Iterator[Any]:
 
 
 class _Stage:
-    """The nodes of a scene on a server, and where they are in picture k."""
+    """The nodes of a scene on a server, and their poses in picture k."""
 
     def __init__(self, server: Any, scene: Animation) -> None:
         low, high = scene.extent()
@@ -175,7 +175,7 @@ def quaternions(R: Array) -> Array:
 
 
 def _upwards(up: Array) -> Array:
-    """A rotation that takes z to a direction; none for z itself."""
+    """A rotation from z to a direction; None for z itself."""
     z = up / np.linalg.norm(up)
     x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
     x /= np.linalg.norm(x)

@@ -35,7 +35,7 @@ def quotient(a: Numbers, b: Numbers) -> Numbers:
 
 
 def _apart(x: jax.Array) -> jax.Array:
-    """x, of which XLA takes no part into products with others."""
+    """x, behind a barrier so that XLA does not combine it with other factors."""
     from ...scalar.primitives.in_range import apart  # not at import, as above
 
     return apart(x)
@@ -277,7 +277,7 @@ class Power(Entrywise):
 
 
 def _leaves_range(factors: Sequence[Expr], exponent: float, dtype: Any) -> bool:
-    """Whether the power of a number among the factors does, and products of it would."""
+    """Whether the power of a number among the factors leaves the range of numbers, but not products with it."""
     info = jnp.finfo(dtype)
     with np.errstate(all="ignore"):
         powers = [np.abs(np.asarray(f.value, float)) ** abs(exponent) for f in factors if isinstance(f, Constant)]

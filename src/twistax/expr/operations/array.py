@@ -19,7 +19,7 @@ from .indices import as_slice, index_text, plain_index, positions, static_index
 
 
 class _Parts(Variadic, init=False):
-    """Base of what puts its operands together, given one by one or in a list."""
+    """Base of nodes that join their operands, given one by one or in a list."""
 
     abstract = True
     listed = True

@@ -248,7 +248,6 @@ def _with_rates(expr: Expr) -> list[Leaf]:
 
 
 def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]]:
-    """The leaves that move, with their rates."""
     for leaf in changing(expr):
         if isinstance(leaf, Time):
             yield leaf, Constant(1.0)

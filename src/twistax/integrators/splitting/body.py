@@ -256,7 +256,6 @@ class FreeBody(FreeMotion):
         return next(leaf for leaf in dynamics.parameters if leaf.name == self.inertia)
 
     def _body_inertia(self, group: Group, value: Any, default: np.ndarray | None) -> BodyInertia:
-        """The inertia from its value, constant or traced, and its default where there is one."""
         place = f"{self!r}: inertia"
         if group.dimension == 3:
             return rotational(place, value, default)

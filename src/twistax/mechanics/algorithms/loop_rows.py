@@ -118,7 +118,7 @@ def characteristic_length(mechanism: KinematicTree) -> float:
         return float(mechanism.loop_metric.length)
     places = [numbers(link.mount[:3, 3]) for link in mechanism.links]
     on_base = [link.parent in (None, mechanism.base) for link in mechanism.links]
-    # Where the mechanism stands is not its size: places on the base are seen from the first of them.
+    # The position of the mechanism is not its size: positions on the base are relative to the first of them.
     origin = places[on_base.index(True)]
     distances = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
     distances = [length for length in distances if length > 0.0]

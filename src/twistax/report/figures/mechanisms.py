@@ -163,7 +163,6 @@ def _rnea(links: int) -> float:
 
 
 def _operations(robot: str) -> float:
-    """Operations of the forward dynamics."""
     mechanism = _mechanism(robot)
     q, qd, tau = (tx.State(name, shape=(mechanism.dofs,)) for name in ("q", "qd", "tau"))
     f = tx.lower(mechanics.forward_dynamics(mechanism, q, qd, tau))

@@ -147,7 +147,6 @@ class JaxTask:
         return self._compiled(jax.vmap, count, evaluations=count)
 
     def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
-        """The compiled function of one point, or of a batch."""
         arguments = [jnp.asarray(a if points else a[0]) for a in self._case.points(points or 1)]
         begin = time.perf_counter()
         function = self._around(use(self._make()))

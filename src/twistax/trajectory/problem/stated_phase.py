@@ -82,7 +82,6 @@ class StatedPhase:
         self._read_parameters()
 
     def _bridge(self, objective: Objective, rows: Mapping[int, Any], within: InPhase) -> None:
-        """Apply the bridges in turn."""
         phase, dynamics = self.phase, self.phase.dynamics
         statement = Statement(dynamics, objective, rows, continuous_controls(phase.controls, dynamics.controls))
         self.node_slacks = NodeSlacks(statement, f"{within.name}: " if within.name else "")

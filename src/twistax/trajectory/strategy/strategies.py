@@ -57,6 +57,10 @@ class Strategy(enum.Enum):
         "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
     )
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """By name, in pickles and copies: sentences change."""
+        return getattr, (type(self), self.name)
+
 
 def solved(
     solver: CoreSolver,

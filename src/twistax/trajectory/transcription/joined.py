@@ -111,10 +111,10 @@ class Joined(Transcribed):
             self.segments.append(PhaseSegment(number, phase, nodes, stages))
             first += phase.nodes
         d, u = np.zeros((self.nodes, self.n), bool), np.zeros((self.intervals, self.m), bool)
-        self.stirred = np.zeros_like(d)
+        self.perturbable = np.zeros_like(d)
         for part in self.segments:
             phase = part.shooting
-            self.stirred[part.nodes, : phase.n] = phase.stirred
+            self.perturbable[part.nodes, : phase.n] = phase.perturbable
             d[part.nodes, : phase.n], u[part.stages, : phase.m] = phase.free.d, phase.free.u
         for part, join in zip(self.segments, joins):
             join.stage = part.stages.stop
@@ -125,11 +125,10 @@ class Joined(Transcribed):
     segments: list[PhaseSegment]
 
     def _gather_rows(self) -> None:
-        """Rows of the phases among all rows."""
         places = self.phase_places
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
-        for field in ("equality", "exists", "decided", "pinned", "at_single_node"):
+        for field in ("equality", "exists", "determined", "redundant", "at_single_node"):
             setattr(self, field, self._rows(lambda p: getattr(p.shooting, field), False))  # noqa: B023
 
     @property
@@ -157,7 +156,7 @@ class Joined(Transcribed):
             end = inner[part.stages.stop, : self._ends[part.number]]
         return np.concatenate([inner[part.stages, : part.shooting.rows_per_interval].reshape(-1), end])
 
-    def whole_rows(self, parts: Sequence[Array]) -> Array:
+    def rows_of_all(self, parts: Sequence[Array]) -> Array:
         return self._rows(lambda part: parts[part.number], 0.0)
 
     def defect(self, stage: int, column: int) -> str:
@@ -169,18 +168,18 @@ class Joined(Transcribed):
         return f"'join before {self._phases[after]}: {self.segments[after].shooting.states[column]}'"
 
     def drop(self, rows: Sequence[Array]) -> None:
-        for part, pinned in zip(self.segments, rows):
-            part.shooting.drop([pinned])
+        for part, redundant in zip(self.segments, rows):
+            part.shooting.drop([redundant])
         self._gather_rows()
 
 
-def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
+def drop_repeated_rows(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
     """Take rows out of the start of a phase that exist, of the same states, at the end of the one before."""
     at_end = {key for key, is_there in zip(_keys(before.path), before.path.at_nodes()) if is_there}
     for place, row in after.start_rows():
         same = after.path.states[row] <= unchanged and _keys(after.path)[row] in at_end
         if same and after.path.at_nodes()[row]:
-            after.exists[place] = after.decided[place] = False
+            after.exists[place] = after.determined[place] = False
 
 
 def _keys(path: PathRows) -> list[Any]:
