@@ -120,11 +120,11 @@ def earlier_classes(module: str) -> Callable[[str], Any]:
     _, _, below = module.partition(".")
 
     def earlier(name: str) -> Any:
-        whole = f"{below}.{name}"
-        if (now := _CLASSES.get(whole)) is not None:
-            home, _, own = now.rpartition(".")
-            return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), own)
-        if whole in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
+        path = f"{below}.{name}"
+        if (now := _CLASSES.get(path)) is not None:
+            home, _, attribute = now.rpartition(".")
+            return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), attribute)
+        if path in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
             raise ModelError(
                 f"this pickle has a {name} of an earlier version of twistax, which this version does not read.\n"
                 "  fix: state the problem again and solve it, with the earlier xs and us as guess; the version that "
