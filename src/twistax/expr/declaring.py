@@ -10,6 +10,7 @@ import itertools
 import numbers
 import pickle
 import weakref
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -79,6 +80,14 @@ def positive(owner: object, name: str, value: object, unit: str = "") -> None:
     if not (number and 0.0 < float(value) < np.inf):  # type: ignore[arg-type]
         unit = f" of {unit}" if unit else ""
         raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number{unit}, got {value!r}")
+
+
+def digest(cls: type, static_key: Any, keys: Iterable[str]) -> str:
+    """The structural key of a node: of its class, its static data and the keys of its children."""
+    hashed = hashlib.blake2b(digest_size=16)
+    for part in (f"{first_module(cls)}.{cls.__qualname__}", repr(static_key), *keys):
+        hashed.update(part.encode())
+    return hashed.hexdigest()
 
 
 def freeze(value: Any) -> Any:

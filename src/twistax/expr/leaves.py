@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import reals, short
 from ..errors import InputError, ModelError, ShapeError
-from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
+from ..groups import SE3, SO3, Euclidean, Group, Order
 from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
@@ -208,7 +208,7 @@ class State(Variable):
     @property
     def order(self) -> Order | None:
         """Order of the twists of a pose; None for other states."""
-        return self.group.order if isinstance(self.group, SpecialEuclidean) else None
+        return self.group.twist_order
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape, repr(self.group))
@@ -318,7 +318,7 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
         )
     if order is None:
         return group
-    if not isinstance(group, SpecialEuclidean):
+    if group.twist_order is None:
         raise ModelError(f"State {name!r}: order= is for poses, got the group {group.name}.\n  fix: leave order out")
     if not isinstance(order, Order):
         raise ModelError(f"State {name!r} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {order!r}")

@@ -8,10 +8,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ShapeError
 from twistax.groups import euler_angles, quaternions, se3, so3
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, element, floats, known, of_shape
 from twistax.groups.euler_angles import ROLL_PITCH_YAW
 from twistax.units import metres, radians, same_unit

@@ -10,9 +10,9 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ModelError, ShapeError
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, of_shape
 from twistax.groups.euclidean import Euclidean
 from twistax.groups.group import Group
@@ -40,7 +40,7 @@ class Product(Group):
         self._factors = tuple(factors.items())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Product) and self._factors == other._factors
+        return isinstance(other, Product) and self._factors == tuple(other.factors.items())
 
     def __hash__(self) -> int:
         return hash(self._factors)

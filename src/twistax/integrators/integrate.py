@@ -21,10 +21,10 @@ from ..progress import watched
 from ..scalar.array_primitive import on_any_mesh
 from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
-from .loop.loop import Steps, ended_well
+from .loop.loop import Steps
 from .loop.outcome import Result
 from .loop.progress_callback import callback_of, calling_back
-from .loop.rollout import RolloutResult, rollout
+from .loop.rollout import RolloutResult, ended_well, rollout
 from .loop.unreached import nan_unless
 from .method import Stepper
 from .options import Options, need_flag, plan_of, with_options

@@ -203,7 +203,7 @@ def _inputs_of(dynamics: Dynamics, x0: Any, options: Options, controls: Signals)
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
     dtype = precision(x0, options.params)
     u = _controls_at_start(dynamics, controls, options.t0, dtype)
-    inputs = dynamics._functions.prepare(options.t0, x0, u, options.params, names=places, on_host=True)
+    inputs = dynamics.functions.prepare(options.t0, x0, u, options.params, names=places, on_host=True)
     _check_start(dynamics, inputs, places)
     if dynamics.system.corrections:
         need_start_on_manifold(dynamics, inputs)
@@ -266,7 +266,7 @@ def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: An
     plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
     if is_tracing() or not plain:
         return controls.sample(jnp.asarray(t0, dtype))
-    loops, key = dynamics._functions.loops, (_controls_at_start, controls.function, np.dtype(dtype))
+    loops, key = dynamics.functions.loops, (_controls_at_start, controls.function, np.dtype(dtype))
     return loops.get(key, lambda: controls.sample(jnp.asarray(t0, dtype)))
 
 

@@ -118,7 +118,7 @@ def discretize(
     """
     need_compiled("discretize", dynamics)
     whole("substeps", substeps, 1, TrajectoryError)
-    inputs = dynamics._functions.prepare(t, x, u, params)
+    inputs = dynamics.functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(number("h", h), inputs.dtype)
     chosen = method if isinstance(method, Method) else method_of(method)

@@ -30,7 +30,7 @@ def second_order(
         inputs: prepared, with every control.
         weights: None leaves the Hessian out.
     """
-    functions = dynamics._functions
+    functions = dynamics.functions
     places, arrays = functions.flat(inputs)
     arrays = [*arrays, h]
     names = [state.name for state in dynamics.states]

@@ -13,10 +13,11 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import TrajectoryError
-from .core import CoreStatus, ProblemStructure, Stages, Units, as_problem
+from .core import CoreStatus, ProblemStructure, Units, as_problem
 from .library import library
 from .options import Options
 from .processors import processors
+from .stages import Stages
 from .transcription import Transcription, TranscriptionStructure
 
 #: What a result has after its arrays, in the order of members.h.

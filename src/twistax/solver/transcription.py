@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from .core import StageFunctions, Stages
+from .core import StageFunctions
 from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels, SmoothStructure
 from .library import library
+from .stages import Stages
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
 _NEWTON, _CLOSE = 60, 1e-9

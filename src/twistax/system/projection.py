@@ -34,7 +34,7 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
     now, size = dict(inputs.x), np.inf
     least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)
     for _ in range(_STEPS):
-        corrections = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
+        corrections = functions.jitted("corrections", inputs.t, now, inputs.u, inputs.params)
         step = increments(functions, corrections)
         now = functions.group.retract(now, step)
         before, size = size, float(jnp.abs(step).max())

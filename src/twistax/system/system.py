@@ -190,9 +190,7 @@ class System:
                 raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
             pairs_of_state = list(pairs) if isinstance(pairs, Iterable) else [pairs]
             if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs_of_state):
-                raise ModelError(
-                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(pairs_of_state)}"
-                )
+                raise ModelError(f"{place} expects pairs (argument, derivative), got {short(pairs_of_state)}")
             checked[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in pairs_of_state)
             for by, slope in checked[name]:
                 if not isinstance(by, State) and by.ndim != 1:

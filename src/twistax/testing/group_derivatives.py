@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,8 @@ import numpy as np
 
 from ..groups import Group
 from ..jax_inside import quick_compile
+from .group_samples import Sample, turned
 from .laws import STENCIL, STEP, Check, difference_quotient, flat
-
-if TYPE_CHECKING:
-    from .groups import Sample
 
 _BY_DIFFERENCES = 2e-9
 #: Round-offs of single precision that a quantity may be off, as a share of its size.
@@ -123,8 +121,6 @@ def _check_one(
 
 def check_single_precision(check: Check, group: Group, seed: int) -> None:
     """The maps in single precision against those in double, near zero and with lengths of an orbit. Raises LawError."""
-    from .groups import turned
-
     rng, n = np.random.default_rng(seed + 1), group.dimension
     draw = lambda: rng.uniform(-1.0, 1.0, n)  # noqa: E731
     drawn = {"zero": 0.0 * draw(), "1e-4": 1e-4 * draw(), "1e-3": 1e-3 * draw(), "1e-2": 1e-2 * draw()}

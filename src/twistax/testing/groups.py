@@ -7,7 +7,6 @@ Jacobians; the series of the Jacobians is in W. Rossmann, Lie Groups (2002), sec
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -20,27 +19,12 @@ from ..errors import InputError
 from ..groups import Group
 from ..jax_inside import quick_compile
 from .group_derivatives import check_derivatives, check_single_precision
+from .group_samples import Sample, turned
 from .laws import STENCIL, STEP, Check, difference_quotient
 
 #: How far a quantity of size one may be off in double precision, and a derivative by differences.
 _EXACT, _BY_DIFFERENCES = 2e-13, 2e-9
 _DRIFT, _ROUND_OFF = 1e-3, 1e-8
-
-
-@dataclasses.dataclass(frozen=True)
-class Sample:
-    """Three tangents, and whether the logarithm must give the first again."""
-
-    label: str
-    d: np.ndarray
-    e: np.ndarray
-    f: np.ndarray
-    in_reach: bool
-
-    @property
-    def at(self) -> dict[str, Any]:
-        """The sample in messages."""
-        return {f"d ({self.label})": self.d, "e": self.e}
 
 
 def check_group(group: Group, *, seed: int = 0) -> None:
@@ -97,13 +81,6 @@ def samples(group: Group, seed: int) -> list[Sample]:
     for label, turn in (("near half a turn", np.pi - 1e-6), ("beyond half a turn", np.pi + 0.3)):
         samples.append(Sample(label, turned(group, draw(), turn), draw(), draw(), False))
     return samples
-
-
-def turned(group: Group, d: np.ndarray, turn: float) -> np.ndarray:
-    """The tangent with its rotation entries scaled to this length together."""
-    natural = ~(group.sized | group.flat)
-    length = np.linalg.norm(d[natural])
-    return np.where(natural, d * (turn / length), d) if length > 0.0 else d
 
 
 def _values(group: Group, drawn: list[Sample]) -> list[dict[str, Any]]:

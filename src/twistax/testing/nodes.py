@@ -241,7 +241,7 @@ def immutability(case: Case) -> None:
     """Nothing can be assigned or deleted, and a node has no truth value."""
     expr, check = case.example.expr, case.check
     fix = "leave __setattr__, __delattr__ and __bool__ as Expr has them"
-    for name in [*([field.name for field in expr._fields] or ["name"]), "anything"]:
+    for name in [*([field.name for field in type(expr)._fields] or ["name"]), "anything"]:
         for change in (lambda name=name: setattr(expr, name, 1.0), lambda name=name: delattr(expr, name)):
             message = f"{name!r} can be changed"
             check.holds("nodes never change", _raises(change, ImmutableError), message, fix)

@@ -143,7 +143,7 @@ def trim(
         conditions = TrimConditions(
             dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
         )
-        inputs = dynamics._functions.prepare(t, x, u, params, reads=conditions.reads)
+        inputs = dynamics.functions.prepare(t, x, u, params, reads=conditions.reads)
         start = _doubled(inputs)
         unknowns = Unknowns(dynamics, start, sought, parameters)
         conditions.hold(start)

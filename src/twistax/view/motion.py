@@ -16,7 +16,8 @@ from ..checks import listed, number, reals, short
 from ..errors import InputError
 from ..groups import SE3, SO3
 from ..plots import group_of
-from .scene import Arrow, Body, Scene, Vector
+from .animation import Arrow, Body, Vector
+from .scene import Scene
 from .shapes import Color, Shape
 
 #: States and what belongs to them: by name, (n, ...) values at the times of a motion.

@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import ModelError
-from .scene import RATE, Body, Scene
+from .animation import RATE, Animation, Body
 from .shapes import Capsule, Ellipsoid, Shape, Sphere
 
 #: The scene is drawn this large, whatever its size: GPUs have single precision, cameras a nearest distance.
@@ -21,7 +21,7 @@ _TRAIL = (31, 95, 153)
 _CAMERA = np.array([0.4, -0.78, 0.33])
 
 
-def page(scene: Scene) -> str:
+def page(scene: Animation) -> str:
     """The animation as one HTML page."""
     with _server() as server:
         frames = scene.frames()
@@ -33,7 +33,7 @@ def page(scene: Scene) -> str:
         return str(recorded.as_html())
 
 
-def served(scene: Scene, port: int) -> Any:
+def served(scene: Animation, port: int) -> Any:
     """A server of the scene, with a slider; the animation goes on in a thread of its own until the server stops."""
     server = _viser().ViserServer(host="127.0.0.1", port=port)
     frames = scene.frames()
@@ -83,7 +83,7 @@ def _server() -> Iterator[Any]:
 class _Stage:
     """The nodes of a scene on a server, and their poses in picture k."""
 
-    def __init__(self, server: Any, scene: Scene) -> None:
+    def __init__(self, server: Any, scene: Animation) -> None:
         low, high = scene.extent()
         self.scene, self.nodes = scene, server.scene
         self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.size

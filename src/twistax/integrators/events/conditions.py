@@ -298,7 +298,7 @@ def event_conditions(
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
         raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")
-    loops, functions, inputs, values = dynamics._functions.loops, [], [], []
+    loops, functions, inputs, values = dynamics.functions.loops, [], [], []
 
     def value_of(number: int, function: Any) -> tuple[jax.Array, Any]:
         t, x, params = jax.tree.map(jnp.asarray, (start.t, dict(start.x), dict(start.params)))

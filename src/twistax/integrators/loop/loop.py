@@ -18,7 +18,7 @@ from ..charts.coordinates import Blocks
 from ..events.search import AcceptedStep, find_crossings, halted_code
 from ..method import Stepper
 from .kernels import Packed
-from .outcome import EventState, Result, Run, Saved, StepPart, Trail
+from .outcome import EventState, Run, Saved, StepPart, Trail
 from .progress_callback import ProgressCalls
 
 
@@ -193,11 +193,6 @@ class Steps(ABC):
 
 def _packed(y: Any) -> Packed:
     return y if isinstance(y, Packed) else Packed.of(y)
-
-
-def ended_well(code: Any) -> Any:
-    """Whether codes of a `Result` are no failures."""
-    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 # ---- tables that the loop fills ------------------------------------------------------------------------------------

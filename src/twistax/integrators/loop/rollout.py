@@ -20,7 +20,7 @@ from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
 from .kernels import Packed, advance_again, opened, shared_kernel
-from .loop import Steps, all_finite, ended_well, first_rows
+from .loop import Steps, all_finite, first_rows
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart
 from .unreached import nan_unless, zero_of
 
@@ -91,6 +91,11 @@ def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
+
+
+def ended_well(code: Any) -> Any:
+    """Whether numbers of a `Result` are no failures."""
+    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:

@@ -212,7 +212,7 @@ class FreeBody(FreeMotion):
                     f"{self!r}: inertia reads parameter {name!r}, which the system does not have; it has: "
                     f"{', '.join(map(repr, known)) or 'none'}.\n  fix: where it is baked, give its value as an array"
                 )
-            if not any(name in dynamics._functions.rate_reads(state.name) for state in dynamics.states):
+            if not any(name in dynamics.functions.rate_reads(state.name) for state in dynamics.states):
                 raise ModelError(f"{self!r}: inertia reads parameter {name!r}, which no rate reads")
         source = self._source(dynamics)
         n = group.dimension

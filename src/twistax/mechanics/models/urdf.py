@@ -125,7 +125,7 @@ class Urdf:
             )
             return Spherical(name), None
         if kind == "planar":
-            from ..inertia_frames import rotation_to
+            from ..algorithms.inertia_frames import rotation_to
 
             normal = unit_vector(f"Planar {name!r}", "axis", axis)
             return Planar(name), None if np.array_equal(normal, [0.0, 0.0, 1.0]) else rotation_to(tuple(normal))

@@ -16,7 +16,7 @@ import twistax as tx
 
 from ... import mechanics
 from ...mechanics import Drive, Mechanism, chain_models
-from ...mechanics.derivatives import inverse_dynamics_derivatives
+from ...mechanics.algorithms.derivatives import inverse_dynamics_derivatives
 from ...scalar.reader import scalarize
 from ..harness.expected import Absent, at_most, needed
 from ..harness.measurement import Measurement, Section, quick, slow

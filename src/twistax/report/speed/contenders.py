@@ -196,7 +196,7 @@ def _twistax(backend: Backend, case: EvaluatedFunction, quantity: DerivativeKind
 
 def _unrolls(dynamics: tx.Dynamics, case: EvaluatedFunction) -> bool:
     """Whether `dynamics.jacobian` is of use: it unrolls all scalars, which takes a compiler long beyond some."""
-    arguments, inside = [points[0] for points in case.points(1)], dynamics._functions
+    arguments, inside = [points[0] for points in case.points(1)], dynamics.functions
     try:
         slopes, _ = inside.rate_jacobian(inside.prepare(0.0, *case.inputs(*arguments)), case.by)
     except TooLarge:

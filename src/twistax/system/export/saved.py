@@ -242,7 +242,6 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
         cls = _class_of(named)
         if cls is None or not issubclass(cls, Expr):
             raise _unknown_class(named)
-        node = object.__new__(cls)
         values = {name: _value(value, arrays, nodes) for name, value in fields.items()}
         declared = {field.name for field in cls._fields}
         if declared != {name for name in values if name not in (_SHAPE, _ORIGIN)}:
@@ -250,16 +249,13 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
                 f"{cls.__name__} has the fields {sorted(declared)}, in the file {sorted(values)}.\n"
                 "  fix: load it with the version that saved it"
             )
-        node.__dict__.update(values)
-        node.validate()
-        node._seal()
-        nodes.append(node)
+        nodes.append(cls.from_fields(values, validated=False))
     return nodes
 
 
 def _fields(node: Expr) -> dict[str, Any]:
     """The named fields from which a node is made."""
-    fields = {field.name: getattr(node, field.name) for field in node._fields}
+    fields = {field.name: getattr(node, field.name) for field in type(node)._fields}
     if isinstance(node, Leaf):
         fields[_SHAPE] = node.shape
     if isinstance(node, Constant) and node.folded_from is not None:

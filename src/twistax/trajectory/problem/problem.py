@@ -327,18 +327,16 @@ class Problem:
             tolerance: of the scaled first-order conditions.
             solver: another solver, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; by default the interior-point
                 method of this package.
-            between: tolerance, in scales of the limits, such as 1e-6, for limits along a dense rollout. Limits that are
-                exceeded there are tightened, and the problem is solved again from a warm start. Left out, limits hold
-                only at the points where they are imposed.
+            between: how far a dense rollout may violate path constraints, in their scales, such as 1e-6. Where it
+                violates them they are tightened, and the problem is solved again with a warm start.
             mesh_tolerance: the largest error of the mesh for status SOLVED; beyond it the status is COARSE. Each
-                interval, integrated accurately from its planned start, must end within it of the planned end, in scales
-                of the states, and the relative error of the objective must not exceed it: see `result.accuracy`. An
-                infinite tolerance accepts any mesh, for example for a controller that solves again at every step.
-            refine: tolerance of mesh refinement, such as 1e-6. The mesh is refined until each interval, integrated
-                accurately from its planned start, ends within it of the planned end, in scales of the states, and the
-                objective changes by no more than it, relative, between two meshes. `result.problem` has the last mesh,
-                `result.meshes` all meshes. Finer meshes do not compile again. If a thousand nodes are not enough the
-                status is COARSE.
+                interval, integrated accurately from its planned start, ends within this of its planned end, in scales
+                of the states, and the relative error of the objective is at most this: see `result.accuracy`. An
+                infinite one accepts any mesh.
+            refine: refine the mesh until each interval, integrated accurately from its planned start, ends within this
+                of its planned end, in scales of the states, and the relative change of the objective from mesh to mesh
+                is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`; `result.meshes`
+                has all of them. The status is COARSE where a thousand nodes are not enough.
             strategies: what may be done besides the interior-point method, members of `Strategy`; an empty tuple uses
                 the method alone. Other solvers have strategies of their own.
 

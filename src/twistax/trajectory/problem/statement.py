@@ -155,7 +155,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
 
     Boxes of states that are linear over each interval hold between its ends.
     """
-    functions = dynamics._functions
+    functions = dynamics.functions
     residuals: list[Expr] = []
     rows: list[_Row] = []
     cones = {name for name, _ in norms.rows}

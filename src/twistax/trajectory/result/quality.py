@@ -129,7 +129,7 @@ class Quality:
         if not self.solved or any(part.hessian is not None for part in problem.parts):
             return []
         with in_double():
-            instance = problem.started().instance._replace(params=warm.params)
+            instance = problem.started().instance.with_params(warm.params)
             staged = problem.core(_LOOKED_AT, warm.point, instance).staged
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 

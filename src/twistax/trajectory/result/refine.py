@@ -23,7 +23,7 @@ from ..strategy.warm import WarmStart
 from ..transcription.mesh import Mesh, Remeshed
 from ..transcription.points import Point
 from ..transcription.row_layout import RowLayout
-from ..transcription.shooting import Segment
+from ..transcription.shooting import PhaseSegment
 from .trajectory import Trajectory, trajectory_at
 
 if TYPE_CHECKING:
@@ -207,7 +207,7 @@ def _costates(dynamics: Array, split: Array) -> Array:
 class _Moved:
     """Maps numbers of the rows of a phase to its next mesh."""
 
-    def __init__(self, old: Segment, new: Segment, split: Array) -> None:
+    def __init__(self, old: PhaseSegment, new: PhaseSegment, split: Array) -> None:
         self._old, self._split = old.shooting, split
         self._parent = np.repeat(np.arange(self._old.intervals), 1 + split)
         layouts = self._old.layout, new.shooting.layout

@@ -38,7 +38,7 @@ def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluate
         points.append(moved(staged.transcription, z, step))
     changed = [jax.tree.map(lambda a, i=i: _stirred(np.random.default_rng(i), a), instance.params) for i in range(2)]
     for params in (instance.params, *changed):
-        staged.set_given(instance._replace(params=params))
+        staged.set_given(instance.with_params(params))
         for point in points:
             at = Evaluated(staged.transcription, point)
             if at.differentiate():

@@ -25,7 +25,7 @@ from ...expr import Expr, Inputs, evaluate_all
 from ...system.dynamics import Arrays
 from ..problem.statement import PathRows
 from .points import Step
-from .shooting import Segment, Shooting, Transcribed
+from .shooting import PhaseSegment, Shooting, Transcribed
 
 
 class Join:
@@ -105,10 +105,10 @@ class Joined(Transcribed):
         self._inner = [phase.intervals * phase.rows_per_interval for phase in shootings]
         self._ends = [len(phase.exists) - inner for phase, inner in zip(shootings, self._inner)]
         self.rows_per_interval = max([phase.rows_per_interval for phase in shootings] + self._ends[:-1])
-        self.segments, first = list[Segment](), 0
+        self.segments, first = list[PhaseSegment](), 0
         for number, phase in enumerate(shootings):
             nodes, stages = slice(first, first + phase.nodes), slice(first, first + phase.intervals)
-            self.segments.append(Segment(number, phase, nodes, stages))
+            self.segments.append(PhaseSegment(number, phase, nodes, stages))
             first += phase.nodes
         d, u = np.zeros((self.nodes, self.n), bool), np.zeros((self.intervals, self.m), bool)
         self.perturbable = np.zeros_like(d)
@@ -122,7 +122,7 @@ class Joined(Transcribed):
         self.free = Step(d, u, self.border.free)
         self._gather_rows()
 
-    segments: list[Segment]
+    segments: list[PhaseSegment]
 
     def _gather_rows(self) -> None:
         places = self.phase_places
@@ -135,11 +135,11 @@ class Joined(Transcribed):
     def phase_places(self) -> list[str]:
         return [f" of {phase!r}" for phase in self._phases]
 
-    def named(self, part: Segment, name: str) -> str:
+    def named(self, part: PhaseSegment, name: str) -> str:
         shared = not name or name in self.border.row_names
         return name if shared else f"{self._phases[part.number]}: {name}"
 
-    def _rows(self, of: Callable[[Segment], Any], fill: Any) -> Array:
+    def _rows(self, of: Callable[[PhaseSegment], Any], fill: Any) -> Array:
         kind = object if fill == "" else type(fill)
         inner, end = np.full((self.intervals, self.rows_per_interval), fill, kind), np.zeros(0)
         for part, split in zip(self.segments, self._inner):
@@ -149,7 +149,7 @@ class Joined(Transcribed):
                 inner[part.stages.stop, : len(end)] = end
         return np.concatenate([inner.ravel(), end])
 
-    def rows_of(self, part: Segment, rows: Any) -> Any:
+    def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
         inner, end = np.split(np.asarray(rows), [self.intervals * self.rows_per_interval])
         inner = inner.reshape(self.intervals, -1)
         if part is not self.segments[-1]:

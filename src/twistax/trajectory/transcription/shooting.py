@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ...expr import Control, Inputs, State
+from ...expr import Control, Expr, Inputs, State
 from ...system import entry_names
 from ...system.dynamics import Arrays, Dynamics
 from ..problem.bridges.path_bounds import PathBounds
@@ -29,15 +29,15 @@ from ..problem.by_node import ByNode
 from ..problem.conditions import Conditions, Ends
 from ..problem.statement import Objective, PathRows
 from .border import Border
-from .local import Expressions, Local
+from .local import Local
 from .mesh import Mesh
 from .methods import Collocation, MultipleShooting
 from .points import Given, Point, Step
 from .row_layout import row_layout
 
 
-class Segment(NamedTuple):
-    """A transcribed phase, and the places of its nodes and intervals in the whole problem."""
+class PhaseSegment(NamedTuple):
+    """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
 
     number: int
     shooting: Shooting
@@ -85,7 +85,7 @@ class Transcribed(ABC):
     at_single_node: Array
     free: Step
     perturbable: Array
-    segments: Sequence[Segment]
+    segments: Sequence[PhaseSegment]
     joins: Sequence[Any]
 
     @abstractmethod
@@ -103,7 +103,7 @@ class Transcribed(ABC):
         """The text that follows the place of an interval in messages, for each phase."""
         return [""]
 
-    def named(self, part: Segment, name: str) -> str:
+    def named(self, part: PhaseSegment, name: str) -> str:
         """The name of a row of a phase among those of all."""
         return name
 
@@ -111,7 +111,7 @@ class Transcribed(ABC):
         """Numbers for the rows of each phase as numbers for all rows."""
         return parts[0]
 
-    def rows_of(self, part: Segment, rows: Any) -> Any:
+    def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
         return rows
 
@@ -186,13 +186,13 @@ class Shooting(Transcribed):
         self.free = Step(free, np.ones((self.intervals, self.m), bool), border.free)
         self.perturbable = free.copy()
         self.perturbable[-1, self.layout.fixed] = False
-        self.segments = [Segment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
+        self.segments = [PhaseSegment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
         self.joins = []
 
-    def made_of(self, expressions: Expressions) -> Shooting:
-        """The functions of other expressions of the same shapes; parameters of nodes come at their share."""
+    def made_of(self, **expressions: tuple[Expr, ...]) -> Shooting:
+        """The functions of other expressions, by name, of the same shapes; parameters of nodes come at their share."""
         other = copy.copy(self)
-        other.local, other._interpolates = self.local.made_of(expressions), False
+        other.local, other._interpolates = self.local.made_of(**expressions), False
         return other
 
     # ---- rows -----------------------------------------------------------------------------------------------------
