@@ -81,6 +81,8 @@ ROWS = [
     ),
     bad("values by node that are text", lambda: weighted(by_node=[price]).solve(params={price: "a"}), "price", "'a'"),
     bad("a soft number", lambda: tx.Soft(3.0, l1=1.0), "Soft", "constraint", "float"),
+    bad("a soft strict constraint", lambda: tx.Soft(position < 1.0, l1=1.0), "Soft", "position < 1", "strict", "<= 1"),
+    bad("a price that is a state", lambda: problem(_priced()), "the weight of position <= 1.", "'h'"),
     bad("a soft constraint without a price", lambda: tx.Soft(position <= 1.0), "Soft", "l1=", "l2="),
     bad("a price below zero", lambda: tx.Soft(position <= 1.0, l1=-1.0), "Soft", "l1", "0 or more"),
     bad("a price of another shape", lambda: tx.Soft(position <= 1.0, l2=[1.0, 2.0]), "Soft", "l2", "(2,)"),
@@ -220,3 +222,8 @@ ROWS = [
 def _bounded() -> tx.Dynamics:
     h = tx.State("h", min=0.0)
     return tx.compile(tx.System({h: -h}))
+
+
+def _priced() -> tx.Dynamics:
+    row = tx.Soft(position <= 1.0, l1=tx.State("h"))
+    return tx.compile(tx.System(rates={position: velocity, velocity: force}, constraints=[row]))
