@@ -15,6 +15,7 @@ from ..expr.transformations.rate import rates_by_name
 from ..system import System
 from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics
+from .labels import labels_of
 from .mechanism import Mechanism
 from .system_slopes import slopes_of_accelerations
 
@@ -72,6 +73,7 @@ def system_of(
         constraints=constraints,
         corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
+        labels=labels_of(mechanism, driven if command is not None else []),
     )
 
 

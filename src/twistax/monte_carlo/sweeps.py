@@ -166,19 +166,19 @@ def sweep(
     instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
     folder = None if directory is None else path_of("sweep", directory)
     chunks = Chunks(folder, plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
-    shown = (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0
-    line = Progress("sweep") if shown else None
+    first = jax.process_index() == 0
+    shown = sys.stderr.isatty() if progress is None else progress
+    line = Progress("sweep", shown=first and shown)
+    line.note("compiling and running the first chunk")
     of_process = range(jax.process_index(), plan.chunks, jax.process_count())
     missing = [k for k in of_process if k not in chunks]
     before = len(of_process) - len(missing)
-    for done, k in enumerate(missing, before + 1):
-        chunks.keep(k, plan.compute(k))
-        if line is not None:
+    with line:
+        for done, k in enumerate(missing, before + 1):
+            chunks.keep(k, plan.compute(k))
             line.done(done / len(of_process), f"{plan.count} members", before / len(of_process))
-    while not all(k in chunks for k in range(plan.chunks)):  # of other processes
-        time.sleep(0.05)
-    if line is not None:
-        line.close()
+        while not all(k in chunks for k in range(plan.chunks)):  # of other processes
+            time.sleep(0.05)
     return Sweep(plan, chunks)
 
 

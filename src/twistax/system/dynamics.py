@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import real_array
 from ..errors import ModelError
+from ..progress import watched
 from ..scalar.backends import Backend, chosen
 from ..scalar.targets.llvm.backend import Auto
 from ..scalar.walk import uncollected
@@ -302,7 +303,7 @@ def compile(
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    with uncollected():
+    with watched("compile"), uncollected():
         return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
 
 

@@ -29,6 +29,7 @@ from ..expr import (
     substitute,
 )
 from ..jax_inside import is_traced
+from ..progress import watched
 from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
@@ -60,7 +61,7 @@ class Kept:
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         kept = self._found.get(key, self)
         if kept is self:
-            with uncollected():
+            with watched("compile"), uncollected():
                 made: Any = make()
         else:
             made = kept
@@ -147,6 +148,7 @@ class Functions:
 
     def _jit(self) -> None:
         self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
+        self._called: set[str] = set()
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
@@ -216,7 +218,9 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        first, self._called = family not in self._called, self._called | {family}
+        with watched("compile") if first else contextlib.nullcontext():
+            return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""

@@ -43,6 +43,7 @@ from ..expr.printing.picture import Picture, svg
 from ..expr.printing.text import name_latex
 from ..expr.transformations.vmap import no_elements
 from ..groups import Product
+from .labels import Labels, checked_labels
 
 L = TypeVar("L", bound=Leaf)
 #: Of a state: pairs of what its rate depends on and the derivative by it.
@@ -56,23 +57,23 @@ class System:
 
     Args:
         rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
-            The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
+            The rate of a group-valued state is its body velocity, (3,) or (6,); of another state, of its shape.
         outputs: named expressions to be computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
         corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
             bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
             step, `Dynamics.project` until they vanish.
         controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
-        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs of what its rate depends
-            on and the derivative by it. The former is a state, whose derivative is by right perturbations, or any
-            vector; what depends on states and controls in no other way is not differentiated again.
+        labels: of states and controls, a pair of name and unit for each entry.
+        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs (argument, derivative).
+            The argument is a state, whose derivative is by right perturbations, or any vector; what depends on states
+            and controls in no other way is not differentiated again.
 
     Attributes:
         states, controls, parameters: tuples of leaves in order.
-        rates: mapping from state name to expression.
-        outputs, constraints, corrections: mappings from name to expression.
+        rates, outputs, constraints, corrections: mappings from name to expression.
         soft: mapping from the names of soft constraints to their `Soft`.
-        slopes: mapping from state name to pairs of expressions.
+        slopes, labels: mappings from the name of a leaf to pairs as above.
         group: the product group the state lives on.
 
     Raises:
@@ -91,6 +92,7 @@ class System:
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
         slopes: Slopes | None = None,
+        labels: Labels | None = None,
     ) -> None:
         if not isinstance(rates, Mapping) or not rates:
             got = short(rates) if isinstance(rates, Mapping) else type(rates).__name__
@@ -130,6 +132,7 @@ class System:
         self._check_shapes()
         self._check_corrections()
         self.slopes = self._known_slopes(slopes or {})
+        self.labels = checked_labels(labels, (*self.states, *self.controls))
         check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
 
     def __repr__(self) -> str:

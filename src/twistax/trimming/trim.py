@@ -16,6 +16,7 @@ from ..errors import InputError, TrajectoryError
 from ..expr import Inputs
 from ..jax_inside import in_double
 from ..linear.linearize import Linearization, linearize
+from ..progress import watched
 from ..system.dynamics import Dynamics, need_compiled
 from ..system.inputs import Values
 from ..units import same_unit, seconds
@@ -138,7 +139,7 @@ def trim(
     sought = _mapping("free", free)
     named = {str(name).partition("[")[0] for name in sought}
     parameters = tuple(leaf.name for leaf in dynamics.parameters if leaf.name in named)
-    with in_double():
+    with watched("trim"), in_double():
         conditions = TrimConditions(
             dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
         )

@@ -149,7 +149,7 @@ class _Flight:
 
     def _one(self, index: int, t: Any, x: Mapping[str, Any], dtype: Any) -> Solution:
         phase, options = self.phases[index], self.options
-        limit, save_at, progress = _limit(phase, t), options.save_at, None
+        limit, save_at, progress = _limit(phase, t), options.save_at, options.progress
         known = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
         names = {leaf.name for leaf in phase.dynamics.controls}
         u = options.u

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,7 +14,7 @@ import numpy as np
 from ...checks import listed
 from ...errors import InputError, in_phase
 from ...jax_inside import is_traced
-from ...plots import chosen, draw, group_of, panels
+from ...plots import Pictured, draw
 from ...system.dynamics import Arrays
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
@@ -110,12 +110,12 @@ class PhasedSolution(AnySolution):
             states = {k: jnp.where(wide(after, v), here[k], v) for k, v in states.items() if _alike(here.get(k), v)}
         return states
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
 
         Args:
-            names: of the states to draw; all that phases have in common unless given.
-            units: labels of values by name, such as {"v": "m/s"}.
+            names: of the states and joints to draw; all states that phases have in common if left out.
+            units: of values by name, as of `Solution.plot`.
         Raises:
             InputError: a name that not all phases have; no saved times; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
@@ -126,11 +126,12 @@ class PhasedSolution(AnySolution):
                 "plot expects saved times, got only the ends of the phases.\n"
                 "  fix: tx.integrate_phases(..., save_at=times)"
             )
-        drawn = []
-        for name in chosen(names, list(self.xs), units):
-            pieces = [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
-            drawn += panels(name, group_of(pieces[0][1]), pieces, (units or {}).get(name, ""))
-        return draw(drawn)
+        system = None if self.phases[0].stepper is None else self.phases[0].stepper.dynamics.system
+
+        def pieces(name: str) -> list[tuple[Any, Any]]:
+            return [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
+
+        return draw(Pictured(list(self.xs), [], pieces, {} if system is None else system.labels, units).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """An animation of all phases in three dimensions, with the states that all have; see `Solution.show`.

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ from ...checks import listed, real_array
 from ...errors import InputError
 from ...groups.columns import Column
 from ...jax_inside import is_traced
-from ...plots import chosen, draw, group_of, panels
+from ...plots import Pictured, draw
 from ...system.dynamics import Arrays
 from ...units import same_unit, seconds
 from ..charts.coordinates import Blocks
@@ -277,12 +277,15 @@ class Solution(AnySolution):
         states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
 
+        Entries of a mechanism are named by joint, with a panel for each unit.
+
         Args:
-            names: of the states to draw; all unless given.
-            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+            names: of states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states if left out.
+            units: of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given. Of a mechanism
+                {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and m/s.
         Raises:
             InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
@@ -290,11 +293,13 @@ class Solution(AnySolution):
         need_one("plot", self)
         if len(self.ts) < 2:
             raise InputError("plot expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
-        ts, drawn = np.asarray(self.ts), []
-        for name in chosen(names, list(self.xs), units):
-            x = np.asarray(self.xs[name])
-            drawn += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
-        return draw(drawn)
+        ts, system = np.asarray(self.ts), None if self.stepper is None else self.stepper.dynamics.system
+        outputs, labels = ([], {}) if system is None else (list(system.outputs), system.labels)
+
+        def pieces(name: str) -> list[tuple[Any, Any]]:
+            return [(ts, np.asarray(self.xs[name] if name in self.xs else self.outputs[name]))]
+
+        return draw(Pictured(list(self.xs), outputs, pieces, labels, units).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.

@@ -176,6 +176,7 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
         **{kind: [places[id(leaf)] for leaf in members] for kind, members in leaves.items()},
         **{kind: [[name, places[id(e)]] for name, e in members.items()] for kind, members in named.items()},
         "slopes": [[name, [[places[id(e)] for e in pair] for pair in pairs]] for name, pairs in system.slopes.items()],
+        "labels": system.labels,
         "compiled": compiled,
         "keys": _keys(system),
         "arrays": len(arrays),
@@ -195,6 +196,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
         controls=[nodes[place] for place in content["controls"]],
         parameters=[nodes[place] for place in content["parameters"]],
         slopes={name: [(nodes[by], nodes[slope]) for by, slope in pairs] for name, pairs in content.get("slopes", [])},
+        labels=content.get("labels"),
     )
     compiled = content["compiled"]
     bake = {name: _value(value, arrays, nodes) for name, value in compiled["bake"]}

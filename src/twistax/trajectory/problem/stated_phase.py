@@ -71,7 +71,11 @@ class StatedPhase:
         for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
-        self.ends = ends_of(dynamics.states, first, last, (within.first, within.last))
+        # What users' states declare are the ends of the whole path; those of states from bridges are of the phase.
+        inner_ends = {s.name for s in dynamics.states} - {s.name for s in phase.dynamics.states}
+        all_states = {s.name for s in dynamics.states}
+        declared = (all_states if within.first else inner_ends, all_states if within.last else inner_ends)
+        self.ends = ends_of(dynamics.states, first, last, declared)
         self._leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self._leaves |= {leaf.name: leaf for leaf in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}

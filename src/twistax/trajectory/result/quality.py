@@ -277,7 +277,8 @@ class Attempts:
             if best.accuracy is None
             else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
-            "message": _message(problem.shooting, best, violations, shown, self.tolerance)
+            # The violation of a soft constraint is none of its row, which has a slack.
+            "message": _message(problem.shooting, best, violations, set(shown) - problem.soft, self.tolerance)
             + _singular(problem, best, params),
             "iterations": best.iterations,
             "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -102,7 +102,7 @@ class TrajectoryResult(Quality):
         self._need_finite()
         return self._trajectory.replay(method, steps, rtol=rtol, atol=atol)
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """As `Trajectory.plot`, all phases in one figure, with the multipliers of what is active."""
         return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
 

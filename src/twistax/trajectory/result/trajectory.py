@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,14 +85,14 @@ class Trajectory:
         """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
         return self.replay(steps=10 * self.problem.transcription.substeps).misses
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """States and controls over time, a matplotlib figure: dots at nodes, lines of a dense rollout, limits dashed.
 
         Poses are drawn as positions and Euler angles in deg. Of a result the largest multipliers are shown, too.
 
         Args:
-            names: of the states and controls to draw; all unless given.
-            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+            names: of the states and controls to draw; all if left out.
+            units: of values by name, as of `Solution.plot`.
         Raises:
             InputError: a name that is not there.
             ModelError: matplotlib is not installed.

@@ -247,7 +247,7 @@ class _IterationCheck:
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
         is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
-        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.extra(iteration, z)
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation, z)) or self.extra(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

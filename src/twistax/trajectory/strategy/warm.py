@@ -113,9 +113,18 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> Warm
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
     if shapes != expected:
         raise other_problem()
-    start = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
+    start = Point(_at_ends(problem, point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
     same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in instance.params.items())
     return dataclasses.replace(warm, point=start, units=warm.units if same else None)
+
+
+def _at_ends(problem: Any, xs: Any, ends: Any) -> Any:
+    """States at the nodes with what ends fix in place."""
+    if problem.alone:
+        return problem.parts[0].at_ends(xs, ends[0])
+    if not isinstance(xs, tuple) or len(xs) != len(problem.parts):
+        raise other_problem()
+    return tuple(part.at_ends(states, side) for part, states, side in zip(problem.parts, xs, ends))
 
 
 def other_problem() -> TrajectoryError:

@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ....errors import ModelError
+from ....progress import watched
 
 #: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
 #: is one instruction: SSE2, and AVX2.
@@ -120,7 +121,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
     """
     import llvmlite.binding as llvm
 
-    with _LOCK, _in_order() if long else contextlib.nullcontext():
+    with watched("compile"), _LOCK, _in_order() if long else contextlib.nullcontext():
         machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
         try:
             # A context of its own: what it keeps, each number of a text, goes with it.
