@@ -24,7 +24,7 @@ def body() -> tx.Dynamics:
 @pytest.mark.slow
 def test_forward_reverse_and_finite_differences_agree(body: tx.Dynamics) -> None:
     """All inputs at once: start (in tangent coordinates), controls, parameters, start and end time, saved times."""
-    x0 = body._functions.prepare(0.0, start(), reads=()).x
+    x0 = body.functions.prepare(0.0, start(), reads=()).x
     M = jnp.asarray(body.system.parameters[0].value)
     ts = np.array([0.0, 0.33, 1.0])
 

@@ -23,7 +23,7 @@ def rollout(dynamics: tx.Dynamics, method: tx.RKMK, substeps: int) -> Callable[.
     def end(x: dict, u: dict, z: jax.Array) -> dict:
         control = {"F": u["F"] + z[N : N + 3], "q": u["q"] + z[N + 3]}
         h, t = (H + z[N + M]) / substeps, T + z[N + M + 1]
-        inputs = dynamics._functions.prepare(t, dynamics.retract(x, z[:N]), control)
+        inputs = dynamics.functions.prepare(t, dynamics.retract(x, z[:N]), control)
         control, params = dict(inputs.u), dict(inputs.params)
 
         def step(i: jax.Array, state: dict) -> dict:

@@ -81,7 +81,7 @@ def test_outputs_and_constraints() -> None:
     limits = DYNAMICS.constraints(0.0, POINT, CONTROLS)
     np.testing.assert_allclose(limits["inequality"], [-10.0, -9.0, -3.0])
     np.testing.assert_allclose(limits["equality"], [1.0, 2.0])
-    assert DYNAMICS._functions.constraint_names == {
+    assert DYNAMICS.functions.constraint_names == {
         "inequality": ["thrust[0]", "thrust[1]", "dry"],
         "equality": ["still[0]", "still[1]"],
     }
@@ -120,7 +120,7 @@ def test_outputs_are_narrowed() -> None:
 def test_outputs_cost_nothing_where_rates_are_asked_for() -> None:
     costly = tx.System(rates={mass: -mass}, outputs={"y": tx.Sin(tx.Cos(tx.Exp(mass)))})
     dynamics = tx.compile(costly)
-    jaxpr = jax.make_jaxpr(lambda x: dynamics._functions.vector_field(jnp.zeros(()), {"mass": x}, {}, {}))(1.0)
+    jaxpr = jax.make_jaxpr(lambda x: dynamics.functions.vector_field(jnp.zeros(()), {"mass": x}, {}, {}))(1.0)
     assert [e.primitive.name for e in jaxpr.jaxpr.eqns] == ["neg"]
 
 
@@ -158,13 +158,13 @@ def test_explain_counts_what_simplification_saves() -> None:
 def traces_of(dynamics: tx.Dynamics) -> list[str]:
     """Every family traced from now on."""
     seen: list[str] = []
-    evaluate = dynamics._functions.evaluate
+    evaluate = dynamics.functions.evaluate
 
     def counted(family: str, *arguments: Any) -> Any:
         seen.append(family)
         return evaluate(family, *arguments)
 
-    dynamics._functions._jitted = jax.jit(counted, static_argnums=0)
+    dynamics.functions.jitted = jax.jit(counted, static_argnums=0)
     return seen
 
 
@@ -305,9 +305,9 @@ def test_calls_are_pure() -> None:
 
 def test_the_same_tree_compiles_to_the_same_program() -> None:
     def text(dynamics: tx.Dynamics) -> str:
-        inputs = dynamics._functions.prepare(0.0, POINT, CONTROLS)
+        inputs = dynamics.functions.prepare(0.0, POINT, CONTROLS)
         return str(
-            jax.make_jaxpr(dynamics._functions.vector_field)(
+            jax.make_jaxpr(dynamics.functions.vector_field)(
                 inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params)
             )
         )
