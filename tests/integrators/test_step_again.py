@@ -122,7 +122,7 @@ def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
     cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    assert [made for made in dynamics._functions.steps.values() if made is not None] == programs_of_steps(dynamics)
+    assert [made for made in dynamics.functions.steps.values() if made is not None] == programs_of_steps(dynamics)
     assert all(found.runner is None for found in programs_of_steps(dynamics))
 
 

@@ -1,4 +1,4 @@
-"""Modules that have moved, by their earlier names, which files and pickles of earlier versions hold."""
+"""Modules that have moved, by the earlier names in files and pickles of earlier versions."""
 
 from __future__ import annotations
 
@@ -72,18 +72,22 @@ _CLASSES = {
 _UNREAD = ("trajectory.cases", "trajectory.phased_result", "trajectory.phases", "trajectory.warm")
 _UNREAD_CLASSES = ("trajectory.problem.Problem", "trajectory.result.TrajectoryResult")
 _EARLIER = {now: earlier for earlier, now in MOVED.items()}
+#: Modules all of whose classes come from another one, which has them still for pickles.
+_EARLIER |= {"expr.operations.comparisons": "expr.arithmetic", "expr.lie.jacobians": "expr.lie.elements"}
 #: Packages that are gone; of their modules those above are left.
 _GONE = ("lowering", "lowering.native")
 
 
 def module_now(module: str) -> str:
-    """The module that an earlier name means."""
+    """The present module of an earlier name."""
     package, _, below = module.partition(".")
     return f"{package}.{MOVED[below]}" if package == _PACKAGE and below in MOVED else module
 
 
 def first_module(cls: type) -> str:
-    """Where a class was first defined: what files and keys name, so that they stay the same when it moves."""
+    """The module in which a class was first defined: files and keys name it, so that they stay the same if the class
+    moves.
+    """
     package, _, below = cls.__module__.partition(".")
     return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
 
@@ -120,11 +124,11 @@ def earlier_classes(module: str) -> Callable[[str], Any]:
     _, _, below = module.partition(".")
 
     def earlier(name: str) -> Any:
-        path = f"{below}.{name}"
-        if (now := _CLASSES.get(path)) is not None:
-            home, _, attribute = now.rpartition(".")
-            return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), attribute)
-        if path in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
+        qualified = f"{below}.{name}"
+        if (now := _CLASSES.get(qualified)) is not None:
+            home, _, class_name = now.rpartition(".")
+            return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), class_name)
+        if qualified in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
             raise ModelError(
                 f"this pickle has a {name} of an earlier version of twistax, which this version does not read.\n"
                 "  fix: state the problem again and solve it, with the earlier xs and us as guess; the version that "

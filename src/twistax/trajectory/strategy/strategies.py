@@ -140,7 +140,7 @@ class _Search:
         durations = units.fitted_durations(self._solver.staged, start, instance.limits)
         if (durations == np.asarray(start.border)).all():
             return result
-        other = self._near(start._replace(border=durations), instance)
+        other = self._near(start.with_border(durations), instance)
         return other if other.status in AT_OPTIMUM else result
 
 

@@ -33,7 +33,7 @@ _ALL = 2**31
 #: How many places for kernels are made together.
 _SLOTS_AT_ONCE = 64
 
-#: Seconds for which code stays after its last kernel: XLA may be in the middle of a call that nobody waits for.
+#: Seconds for which code stays after its last kernel is gone: an asynchronous call of XLA may still run it.
 _RETIREMENT = 30.0
 
 
@@ -72,7 +72,7 @@ _SLOTS: dict[str, int] = {}
 _FREE: list[tuple[int, int]] = []
 _HANDLERS: list[MachineCode] = []
 
-#: XLA takes a name once: threads that make the same kernel wait for the first.
+#: XLA registers a name once: threads that make the same kernel wait for the first.
 _LOCK = threading.Lock()
 
 
@@ -88,7 +88,7 @@ class Kernel:
         self.body = body
         self._read = [body.arguments[k] for k in body.read]
         self._written = [body.results[k] for k in body.written]
-        #: Of what is read what results stand in the place of.
+        #: The operands that results overwrite.
         self._in_place = {body.read.index(k): body.written.index(result) for result, k in body.in_place.items()}
         module = Module(processor)
         body.write(module)
@@ -309,7 +309,7 @@ def _write_slots(module: Module, count: int) -> list[str]:
     return [f"place.{k}" for k in range(count)]
 
 
-# ---- asked once, before anything relies on it ------------------------------------------------------------------------
+# ---- the self-test, once for each kernel -----------------------------------------------------------------------------
 
 #: Relative to the largest entry of a result: what is wrong differs by far more than rounding.
 _TOLERANCE = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-3}
