@@ -138,11 +138,11 @@ def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
 
 
 class OffPole(Entrywise):
-    """0 at latitudes that have a north direction, NaN at the poles, entry by entry. Added to quantities that do not
-    exist at the poles.
+    """0 at latitudes that have a north direction, NaN at the poles, entry by entry.
 
-    A latitude counts as a pole if its cosine is at most four units of round-off: 1e-15 in double precision (6 nm on the
-    Earth), 5e-7 in single precision (3 m). The cosine of the latitude is noise there, and so is every quotient by it.
+    It is added to quantities that do not exist at the poles. A latitude counts as a pole if its cosine is at most four
+    units of round-off: 1e-15 in double precision (6 nm on the Earth), 5e-7 in single precision (3 m). The cosine of the
+    latitude is noise there, and so is every quotient by it.
 
     Shapes: s -> s.
 

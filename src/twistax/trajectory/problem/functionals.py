@@ -97,8 +97,9 @@ class Maximum(Extreme):
 
 
 class Minimum(Extreme):
-    """The smallest value of an expression along the path; see `Maximum`. It must be pushed up: maximise it, or bound it
-    from below. Shape ().
+    """The smallest value of an expression along the path; see `Maximum`. Shape ().
+
+    It must be pushed up: maximise it, or bound it from below.
 
     Raises: ModelError if the operand is a condition.
     """
