@@ -2,24 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from typing import TYPE_CHECKING
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from ..expr import Constant, State
-
-if TYPE_CHECKING:
-    from .mechanism import Mechanism
-    from .tree import Segment
+from ..expr import Constant, Expr, State
+from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
 
 
-def labels_of(mechanism: Mechanism, driven: Sequence[int]) -> Labels:
+def labels_of(segments: Sequence[Segment], q: Expr | Mapping[str, Expr], dofs: int, driven: Sequence[int]) -> Labels:
     """The labels of q, qd and tau: joints, with an axis where one has several freedoms; m and rad, and their rates."""
-    freedoms, places = [("", "")] * mechanism.dofs, list[tuple[str, str]]()
-    for segment in mechanism.segments:
+    freedoms, places = [("", "")] * dofs, list[tuple[str, str]]()
+    for segment in segments:
         if segment.link.mimic is not None or not segment.freedoms:
             continue
         pairs = _of_joint(segment)
@@ -31,8 +27,8 @@ def labels_of(mechanism: Mechanism, driven: Sequence[int]) -> Labels:
         "qd": [(name, f"{unit}/s" if unit != "SI" else unit) for name, unit in freedoms],
         "tau": [(freedoms[i][0], force[freedoms[i][1]]) for i in driven],
     }
-    q = mechanism.q if isinstance(mechanism.q, State) else mechanism.q.get("q")
-    if isinstance(q, State) and q.shape == (len(places),):
+    vector = q.get("q") if isinstance(q, Mapping) else q
+    if isinstance(vector, State) and vector.shape == (len(places),):
         labels["q"] = places
     return {name: pairs for name, pairs in labels.items() if pairs}
 
