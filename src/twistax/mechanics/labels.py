@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
-from ..expr import Constant, Expr, State
+from ..expr import Constant, State
+from .kinematic_tree import KinematicTree
 from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
 
 
-def labels_of(segments: Sequence[Segment], q: Expr | Mapping[str, Expr], dofs: int, driven: Sequence[int]) -> Labels:
+def labels_of(mechanism: KinematicTree, driven: Sequence[int]) -> Labels:
     """The labels of q, qd and tau: joints, with an axis where one has several freedoms; m and rad, and their rates."""
-    freedoms, places = [("", "")] * dofs, list[tuple[str, str]]()
-    for segment in segments:
+    freedoms, places = [("", "")] * mechanism.dofs, list[tuple[str, str]]()
+    for segment in mechanism.segments:
         if segment.link.mimic is not None or not segment.freedoms:
             continue
         pairs = _of_joint(segment)
@@ -27,8 +28,8 @@ def labels_of(segments: Sequence[Segment], q: Expr | Mapping[str, Expr], dofs: i
         "qd": [(name, f"{unit}/s" if unit != "SI" else unit) for name, unit in freedoms],
         "tau": [(freedoms[i][0], force[freedoms[i][1]]) for i in driven],
     }
-    vector = q.get("q") if isinstance(q, Mapping) else q
-    if isinstance(vector, State) and vector.shape == (len(places),):
+    q = mechanism.q if isinstance(mechanism.q, State) else mechanism.q.get("q")
+    if isinstance(q, State) and q.shape == (len(places),):
         labels["q"] = places
     return {name: pairs for name, pairs in labels.items() if pairs}
 

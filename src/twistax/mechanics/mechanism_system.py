@@ -72,7 +72,7 @@ def system_of(
         constraints=constraints,
         corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
-        labels=labels_of(mechanism.segments, mechanism.q, mechanism.dofs, driven if command is not None else []),
+        labels=labels_of(mechanism, driven if command is not None else []),
     )
 
 
