@@ -32,7 +32,7 @@ _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
-_MOST = 300
+_MOST = 500
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
