@@ -3,15 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..expr import Constant, State
-
-if TYPE_CHECKING:
-    from .kinematic_tree import KinematicTree
-    from .tree import Segment
+from .kinematic_tree import KinematicTree
+from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
 
