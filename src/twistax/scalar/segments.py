@@ -73,10 +73,10 @@ class Whole(Written):
 
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-        """What runs on the CPU, and how it came about."""
+        """What runs where there are kernels, and how it came about."""
         return emit_whole(self.program, self.backend)
 
-    def on_cpu(self, arguments: Sequence[Any], bodies: Bodies, inside: bool) -> list[jax.Array]:
+    def by_xla(self, arguments: Sequence[Any], bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
         return bodies.each(self.parts[0], arguments)
 
     def made(self, program: ClosedJaxpr) -> Whole:

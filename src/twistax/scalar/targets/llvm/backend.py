@@ -1,4 +1,4 @@
-"""The backends whose functions run as machine code of their own on the CPU."""
+"""The backends whose functions run as machine code of their own, on processors and on CUDA devices."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from ....jax_inside import ClosedJaxpr, say_once
 from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ...graph import TooLarge
 from ...jax_primitive import Derived, Rows, call_program
-from ...loops import Repeated, Ring
+from ...loops import MakeKernel, Repeated, Ring
 from ...program import ScalarProgram
 from ...walk import uncollected
 from .code import NotNative
 from .iterations import Iterations
-from .kernel import Kernel, check_kernel
+from .kernel import Kernel
 from .kernel_body import NATIVE_LIMITS, Straight, Tile, native_form
 from .loop import Loop
-from .machine_code import BuildError, Processor
+from .machine_code import BuildError
+from .self_test import check_kernel
+from .targets import TARGETS
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
 #: read it from the cache.
@@ -50,9 +52,10 @@ def installed() -> bool:
 class Native(Backend):
     """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
 
-    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU, and for
-    steps of explicit methods, all between two saved times in one kernel, and their derivatives. Other loops of
-    integrators, other devices, and what has no native form run as `scalars` does.
+    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU and on
+    CUDA devices, and for steps of explicit methods, all between two saved times in one kernel, and their derivatives.
+    On a CUDA device each body has a thread. Other loops of integrators, other devices, and what has no native form run
+    as `scalars` does.
 
     Attributes:
         scalars: how functions become scalars, and what runs them where no kernel does.
@@ -105,7 +108,7 @@ class Native(Backend):
             if row_program is None:
                 return None
             row_form = native_form(row_program)
-        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state, row_form), row_form)
+        return Repeated(form, state, functools.partial(self._built, Iterations, form, (state, row_form)), row_form)
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(step, shapes)
@@ -118,7 +121,7 @@ class Native(Backend):
         program = self._whole_step(function, shapes)
         return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
 
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
         if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
             return None
         program = self._whole_step(step, shapes)
@@ -126,15 +129,15 @@ class Native(Backend):
             return None
         form = native_form(program)
 
-        def kernel(single: bool) -> Rows | None:
-            found = self._built(Loop, form, single, ring)
+        def kernel(single: bool, platform: str) -> Rows | None:
+            found = self._built(Loop, form, (ring,), single, platform)
             return None if found is None else functools.partial(found, length=ring.length or 0)
 
         return kernel
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        if not installed() or jax.default_backend() != "cpu":
+        if not installed():
             return None
         closed = pure(step, shapes)
         if closed is None:
@@ -178,23 +181,26 @@ class Native(Backend):
 
     alone = False
 
-    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
+    def prepare(
+        self, program: ScalarProgram, single: bool, platform: str = "cpu"
+    ) -> Callable[..., list[jax.Array]] | None:
         """The kernel of a program, for one body or for batches; None where it has no native form."""
         known = _FORMS.pop(program, program)
         try:
-            return self._built(Straight, native_form(program) if known is program else known, single)
+            form = native_form(program) if known is program else known
         except NotNative:
             return None
+        return self._built(Straight, form, (), single, platform)
 
-    def _built(self, kind: type[Tile], form: ScalarProgram, single: bool, *more: Any) -> Kernel | None:
+    def _built(
+        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+    ) -> Kernel | None:
         """A kernel that was seen to be right; None, with a message, where none can be had."""
-        started, processor = time.perf_counter(), Processor.host()
-        lanes = 1 if single else processor.lanes(form.graph.dtype)
+        started = time.perf_counter()
         try:
             with uncollected():
-                tile = kind(form, lanes, *more)
-                kernel = Kernel(tile, processor, self.threads)
-                check_kernel(kernel, tile)
+                kernel = TARGETS[platform].kernel(kind, form, more, single, self.threads)
+                check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -29,6 +29,12 @@ class Processor:
     bits: int  # of a vector
     fma: bool  # whether a b + c is one instruction with one rounding
     masks: bool  # whether parts of vectors are read and written at no cost
+    triple: str = ""  # of the target as LLVM names it; empty: this process
+
+    @property
+    def narrow(self) -> bool:
+        """Whether it is to compute functions of single precision in single precision: in double they take far longer."""
+        return bool(self.triple)
 
     def lanes(self, dtype: np.dtype[Any]) -> int:
         """How many numbers of a floating-point type go into a vector."""

@@ -1,0 +1,91 @@
+"""A tile as a kernel of CUDA devices that JAX can call."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Sequence
+from typing import Any
+
+from numpy.typing import NDArray
+
+from ....jax_inside import jax_versions
+from ... import kernel_cache as cache
+from ...kernel_cache import version
+from .code import Module
+from .cuda import DeviceCode, driver
+from .handler import write_device_handler
+from .kernel import HostLease, Kernel, Lease, digest, named
+from .kernel_body import Tile
+from .machine_code import Processor
+from .ptx import ENTRY, assembled, device, write_kernel
+
+#: Threads that start together.
+BLOCK = 64
+
+
+class _Code:
+    """The kernel on the devices, and the handler that starts it."""
+
+    def __init__(self, handler: HostLease, ptx: bytes) -> None:
+        self.device, self._handler = DeviceCode(ptx, ENTRY), handler.code
+        self.addresses = self._handler.addresses
+        for name, value in (("kernel", self.device.handle), ("launch", driver().address("cuLaunchKernel"))):
+            ctypes.c_void_p.from_address(self.addresses[name]).value = value
+
+
+class _DeviceLease:
+    """Of a kernel of CUDA devices. What comes from the cache was seen to be right, by the same driver."""
+
+    def __init__(self, target: str, module: Module, text: str, tile: Tile) -> None:
+        own = driver()
+        self._key = digest(target, version(), *jax_versions(), str(own.version), str(own.capability))
+        ptx = cache.kept(self._key)
+        self._unchecked = None
+        if ptx is None:
+            ptx = self._unchecked = assembled(module, text).encode()
+        processor = Processor.host()
+        around = Module(processor)
+        write_device_handler(around, tile, BLOCK)
+        written = around.text()
+        handler = HostLease(named(written, processor), written, around, ("handler", "kernel", "launch"))
+        handler.keep()
+        self.code = _Code(handler, ptx)
+
+    @property
+    def checked(self) -> bool:
+        return self._unchecked is None
+
+    def keep(self) -> None:
+        if self._unchecked is not None:
+            cache.keep(self._key, self._unchecked)
+            self._unchecked = None
+
+
+class CudaKernel(Kernel):
+    """A kernel for the devices of this process.
+
+    Raises:
+        ImportError: llvmlite is not installed.
+        BuildError: no code came of it, or CUDA's driver is not there.
+    """
+
+    platform = "cuda"
+    checked_rows = BLOCK + 1
+
+    def __init__(self, tile: Tile) -> None:
+        module = Module(device(driver().capability))
+        write_kernel(module, tile)
+        text = module.text()
+        self._parts = module, text, tile
+        super().__init__(tile, named(text, module.processor))
+        del self._parts
+
+    def _leased(self) -> Lease:
+        return _DeviceLease(self.target, *self._parts)
+
+    def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
+        rows, arrays = self._arrays(arguments, length)
+        strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
+        if rows:
+            self.lease.code.device.run(arrays, strides, rows, BLOCK)
+        return arrays[len(arguments) :]

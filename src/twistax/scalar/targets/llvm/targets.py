@@ -1,0 +1,55 @@
+"""Where kernels run: what makes them of tiles on each platform of JAX."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from typing import Any
+
+from ...program import ScalarProgram
+from .cuda_kernel import CudaKernel
+from .kernel import HostKernel, Kernel
+from .kernel_body import Tile
+from .machine_code import Processor
+
+
+class Target(ABC):
+    """A platform."""
+
+    @abstractmethod
+    def kernel(
+        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        """The kernel of a tile.
+
+        Args:
+            kind: the tile, made of a program in its native form, the lanes, and more.
+            single: whether it is for one body.
+            threads: of the processor, at most; None: all.
+        Raises:
+            ImportError: llvmlite is not installed.
+            BuildError: no code came of it.
+        """
+
+
+class Host(Target):
+    """This processor: as many bodies side by side as a vector has lanes."""
+
+    def kernel(
+        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        processor = Processor.host()
+        return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
+
+
+class Cuda(Target):
+    """Devices of CUDA: a thread for each body."""
+
+    def kernel(
+        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        return CudaKernel(kind(form, 1, *more))
+
+
+#: By the names that JAX has for platforms.
+TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
