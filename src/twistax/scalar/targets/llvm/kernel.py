@@ -128,7 +128,7 @@ class Kernel(ABC):
         """The results that are not empty, for arguments that the kernel reads, (rows, entries) each; without JAX."""
 
     def _arrays(self, arguments: Sequence[NDArray[Any]], length: int) -> tuple[int, list[NDArray[Any]]]:
-        """The number of rows; the arguments that are read, and zeros for the results, or what they stand in place of."""
+        """The number of rows; the arguments, and the results: zeros, or what they stand in place of."""
         rows = max(map(len, arguments), default=1)
         given = [np.ascontiguousarray(a, t.dtype) for a, t in zip(arguments, self._read, strict=True)]
         results = [np.zeros((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]

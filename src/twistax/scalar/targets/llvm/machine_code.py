@@ -33,7 +33,7 @@ class Processor:
 
     @property
     def narrow(self) -> bool:
-        """Whether it is to compute functions of single precision in single precision: in double they take far longer."""
+        """Whether functions of single precision are computed in it: in double they would take far longer."""
         return bool(self.triple)
 
     def lanes(self, dtype: np.dtype[Any]) -> int:

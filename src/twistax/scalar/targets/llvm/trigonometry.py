@@ -2,8 +2,8 @@
 
 x = k pi/2 + r with |r| <= pi/4 (W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980): products
 of k with pieces of pi/2 are subtracted one after the other, so that what cancels is exact. Polynomials in r as in
-FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c). Those of single precision as in Cephes (S. L. Moshier, 1989; sinf.c). Below
-2 units in the last place up to the largest angle; beyond, and for what is not finite, the C library is called.
+FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c), of single precision as in Cephes (S. L. Moshier, 1989; sinf.c).
+Below 2 units in the last place up to the largest angle; beyond, and for what is not finite, the C library is called.
 """
 
 from __future__ import annotations
