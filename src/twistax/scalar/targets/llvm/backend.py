@@ -196,10 +196,12 @@ class Native(Backend):
         self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
     ) -> Kernel | None:
         """A kernel that was seen to be right; None, with a message, where none can be had."""
-        started = time.perf_counter()
+        started, target = time.perf_counter(), TARGETS[platform]
+        if not target.present:
+            return None
         try:
             with uncollected():
-                kernel = TARGETS[platform].kernel(kind, form, more, single, self.threads)
+                kernel = target.kernel(kind, form, more, single, self.threads)
                 check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")

@@ -70,14 +70,14 @@ class CudaKernel(Kernel):
     """
 
     platform = "cuda"
-    checked_rows = BLOCK + 1
 
     def __init__(self, tile: Tile) -> None:
+        self.checked_rows = BLOCK + 1
         module = Module(device(driver().capability))
         write_kernel(module, tile)
         text = module.text()
         self._parts = module, text, tile
-        super().__init__(tile, named(text, module.processor))
+        super().__init__(tile, named(f"{text}; {BLOCK}", module.processor))
         del self._parts
 
     def _leased(self) -> Lease:

@@ -6,6 +6,7 @@ from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from typing import Any
 
+from ....jax_inside import backends
 from ...program import ScalarProgram
 from .cuda_kernel import CudaKernel
 from .kernel import HostKernel, Kernel
@@ -15,6 +16,11 @@ from .machine_code import Processor
 
 class Target(ABC):
     """A platform."""
+
+    @property
+    @abstractmethod
+    def present(self) -> bool:
+        """Whether this process has devices of it. Programs may be lowered for others: those run as XLA has them."""
 
     @abstractmethod
     def kernel(
@@ -35,6 +41,8 @@ class Target(ABC):
 class Host(Target):
     """This processor: as many bodies side by side as a vector has lanes."""
 
+    present = True
+
     def kernel(
         self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
@@ -44,6 +52,10 @@ class Host(Target):
 
 class Cuda(Target):
     """Devices of CUDA: a thread for each body."""
+
+    @property
+    def present(self) -> bool:
+        return "cuda" in backends()
 
     def kernel(
         self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
