@@ -162,19 +162,19 @@ class DeviceCode:
     """
 
     def __init__(self, ptx: bytes, entry: str) -> None:
-        own, library, kernel = driver(), ctypes.c_void_p(), ctypes.c_void_p()
+        own, ordinals, library, kernel = driver(), _ordinals(), ctypes.c_void_p(), ctypes.c_void_p()
         text = ctypes.create_string_buffer(ptx)
         own("cuLibraryLoadData", ctypes.byref(library), text, None, None, 0, None, None, 0)
-        weakref.finalize(self, _unload, library).atexit = False
+        weakref.finalize(self, _unload, own, ordinals, library).atexit = False
         own("cuLibraryGetKernel", ctypes.byref(kernel), library, entry.encode())
         assert kernel.value is not None
         self.handle = kernel.value
         function = ctypes.c_void_p()
-        for ordinal in _ordinals():
+        for ordinal in ordinals:
             # Loaded now: not while XLA records a graph.
             with own.current(ordinal):
                 own("cuKernelGetFunction", ctypes.byref(function), kernel)
-        device = own.device(_ordinals()[0])
+        device = own.device(ordinals[0])
         self.registers = own.attribute("cuKernelGetAttribute", _REGISTERS, kernel, device)
         self.local = own.attribute("cuKernelGetAttribute", _LOCAL_BYTES, kernel, device)
 
@@ -200,11 +200,10 @@ class DeviceCode:
                     own("cuMemcpyDtoH_v2", array.ctypes.data, place, array.nbytes)
 
 
-def _unload(library: ctypes.c_void_p) -> None:
+def _unload(own: Driver, ordinals: Sequence[int], library: ctypes.c_void_p) -> None:
     """Once nothing runs that may use it."""
-    own = driver()
     with contextlib.suppress(BuildError):
-        for ordinal in _ordinals():
+        for ordinal in ordinals:
             with own.current(ordinal):
                 own("cuCtxSynchronize")
         own("cuLibraryUnload", library)
