@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import functools
 import time
 import traceback
@@ -78,41 +79,28 @@ def _difference(found: Any, expected: Any) -> float:
 
 def machine() -> Rows:
     """The card, and whether a kernel runs there at all."""
-    own = driver()
-    name = jax.devices("cuda")[0].device_kind
-    print(
-        f"card {name}, capability {own.capability}, CUDA {own.version}, JAX {jax_versions()}, {libdevice()}", flush=True
-    )
-    q, qd, tau = cases.joints(100, np.float32)
-    function = jax.jit(cases.accelerations(KERNELS))
-    text = function.lower(*_placed((q, qd, tau), "cuda")).as_text()
-    yield Row("calls of kernels in the program", "", float(text.count("@twistax_")), "")
-    kernels: list[Any] = []
+    own, name = driver(), jax.devices("cuda")[0].device_kind
+    print(f"card {name}, {own.capability}, CUDA {own.version}, JAX {jax_versions()}, {libdevice()}", flush=True)
+    arguments = _placed(cases.joints(100, np.float32), "cuda")
+    text = jax.jit(cases.accelerations(KERNELS)).lower(*arguments).as_text()
+    yield Row("calls of kernels in a program", "", float(text.count("@twistax_")), "")
+
+
+@contextlib.contextmanager
+def _watched() -> Iterator[list[Any]]:
+    """The kernels of devices that are made inside."""
+    found: list[Any] = []
     made = cuda_kernel.CudaKernel.__init__
 
     def watched(self: Any, tile: Any) -> None:
         made(self, tile)
-        kernels.append(self)
+        found.append(self)
 
     cuda_kernel.CudaKernel.__init__ = watched  # type: ignore[method-assign]
-    for what, batch, inputs in _functions():
-        for dtype in _TYPES:
-            kernels.clear()
-            yield from _tried(
-                functools.partial(_registers, f"{what}, {np.dtype(dtype).name}", batch, inputs, dtype, kernels)
-            )
-
-
-def _registers(what: str, batch: Any, inputs: Any, dtype: Any, kernels: list[Any]) -> Rows:
-    arguments = _placed(inputs(64, dtype), "cuda")
-    begin = time.perf_counter()
-    lowered = jax.jit(batch(tx.Native(threads=7))).lower(*arguments)
-    yield Row(f"lowering {what}", f"{len(kernels)} kernels", time.perf_counter() - begin, "s")
-    for each in kernels:
-        code, kind = each.lease.code.device, type(each.tile).__name__
-        yield Row(f"registers, {what}", f"{kind} of {each.tile.program.operations}", float(code.registers), "")
-        yield Row(f"local memory, {what}", f"{kind} of {each.tile.program.operations}", float(code.local), "bytes")
-    del lowered
+    try:
+        yield found
+    finally:
+        cuda_kernel.CudaKernel.__init__ = made  # type: ignore[method-assign]
 
 
 def _functions() -> list[tuple[str, Any, Any]]:
@@ -140,12 +128,17 @@ def values() -> Rows:
 def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
     function, arguments = jax.jit(batch(KERNELS)), inputs(1000, dtype)
     expected = function(*_placed(arguments, "cpu"))
-    begin = time.perf_counter()
-    found = jax.block_until_ready(function(*_placed(arguments, "cuda")))
+    given, begin = _placed(arguments, "cuda"), time.perf_counter()
+    with _watched() as kernels:
+        found = jax.block_until_ready(function(*given))
     took = time.perf_counter() - begin
     assert {own.platform for leaf in jax.tree.leaves(found) for own in leaf.devices()} == {"gpu"}
     yield Row(f"values, {what}", "kernels against the CPU", _difference(found, expected), "relative")
-    yield Row(f"first call, {what}", "kernels", took, "s")
+    yield Row(f"first call, {what}", f"{len(kernels)} kernels", took, "s")
+    for each in kernels:
+        code, kind = each.lease.code.device, f"{type(each.tile).__name__} of {each.tile.program.operations}"
+        yield Row(f"registers, {what}", kind, float(code.registers), "")
+        yield Row(f"local memory, {what}", kind, float(code.local), "bytes")
 
 
 # ---- times -----------------------------------------------------------------------------------------------------------
@@ -245,7 +238,7 @@ def _solved(what: str, make: Callable[[], Any], by: str) -> Rows:
 
 #: By name, each with the most seconds that it may take.
 SECTIONS: Mapping[str, tuple[Callable[[], Rows], float]] = {
-    "machine": (machine, 90.0),
+    "machine": (machine, 60.0),
     "values": (values, 120.0),
     "rollouts": (rollouts, 90.0),
     "arms": (arms, 100.0),
