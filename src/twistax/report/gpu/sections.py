@@ -147,9 +147,12 @@ def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
 def _timed(what: str, batch: Any, inputs: Any, by: Any, count: int, dtype: Any, steps: int = 1) -> Rows:
     """Nanoseconds for a body and step, and the seconds of the first call."""
     found: list[float] = []
-    jax.monitoring.register_event_duration_secs_listener(
-        lambda event, seconds, **_: found.append(seconds) if event == KERNEL_EVENT else None
-    )
+
+    def heard(event: str, duration_secs: float, **_: Any) -> None:
+        if event == KERNEL_EVENT:
+            found.append(duration_secs)
+
+    jax.monitoring.register_event_duration_secs_listener(heard)
     arguments = _placed(inputs(count, dtype), "cuda")
     first, best = _seconds(jax.jit(batch(by)), *arguments)
     name = f"{what}, {count:,}, {np.dtype(dtype).name}"

@@ -22,7 +22,7 @@ from ... import kernel_cache as cache
 from ...kernel_cache import version
 from .code import Module
 from .handler import API, write_host_handler, write_places
-from .kernel_body import RowFunction
+from .kernel_body import Tile
 from .machine_code import MachineCode, Processor, compiled, load, written_by
 
 #: "As many threads as there are".
@@ -105,7 +105,7 @@ class Kernel(ABC):
     platform: str
     checked_rows: int
 
-    def __init__(self, tile: RowFunction, target: str) -> None:
+    def __init__(self, tile: Tile, target: str) -> None:
         self.tile, self.target = tile, target
         self._read = [tile.arguments[k] for k in tile.read]
         self._written = [tile.results[k] for k in tile.written]
@@ -165,7 +165,7 @@ class HostKernel(Kernel):
 
     platform = "cpu"
 
-    def __init__(self, tile: RowFunction, processor: Processor, threads: int | None = None) -> None:
+    def __init__(self, tile: Tile, processor: Processor, threads: int | None = None) -> None:
         self.checked_rows = tile.lanes + 1
         self._module = Module(processor)
         tile.write(self._module)
