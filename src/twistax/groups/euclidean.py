@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 from math import prod
 from typing import Any, ClassVar
 
@@ -42,7 +43,7 @@ class Euclidean(Group):
     def name(self) -> str:
         return f"R{self.dimension}" if len(self.shape) == 1 else f"R{self.shape}"
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         return prod(self.shape)
 

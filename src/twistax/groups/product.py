@@ -70,7 +70,7 @@ class Product(Group):
     def shape(self) -> dict[str, Any]:
         return {name: group.shape for name, group in self._factors}
 
-    @property
+    @cached_property
     def dimension(self) -> int:
         return sum(group.dimension for _, group in self._factors)
 

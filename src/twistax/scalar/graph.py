@@ -101,6 +101,8 @@ class ScalarGraph:
         self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
         self._called: dict[Any, Call] = {}
+        #: Whether an operation is a power: products with one may take other factors.
+        self._has_powers = False
         self.zero: int = self.constant(0.0)
         self.one: int = self.constant(1.0)
 
@@ -156,6 +158,7 @@ class ScalarGraph:
             return inner if operation.parity > 0 else self.neg(inner)
         if operation.symmetric and arguments[0] > arguments[1]:
             arguments = arguments[::-1]
+        self._has_powers = self._has_powers or operation.is_power
         return self._intern((operation, *arguments), dtype)
 
     # ---- arithmetic ----------------------------------------------------------------------------------------------
@@ -207,7 +210,7 @@ class ScalarGraph:
             if factor < 0.0:
                 # One sign for a number and its opposite, so that both products are one node.
                 return self.neg(self.mul(a, self.constant(-factor)))
-        for x, y in ((a, b), (b, a)):
+        for x, y in ((a, b), (b, a)) if self._has_powers else ():
             if self.numbers[x] is None and (parts := factors_in_range(self, x, y)) is not None:
                 return self.mul(*parts)
         return self._signed(self.mul, _MUL, a, b)

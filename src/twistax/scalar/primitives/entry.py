@@ -160,6 +160,7 @@ class Operation(Entry):
         result: the type of the result, None: that of the arguments.
         symmetric: whether arguments may be swapped.
         parity: -1 for odd functions, 1 for even ones, 0 for others.
+        is_power: whether it is x^n; `factors_in_range` says how the graph multiplies by it.
         maker: graph -> what makes its node, with what is known left out, as sums do of zeros; None: as of all others.
         written: graph -> what makes the node that emitters write for it; None: they write the operation.
         llvm, c, casadi: how it is written in these languages.
@@ -172,6 +173,7 @@ class Operation(Entry):
     result: np.dtype[Any] | None = None
     symmetric: bool = False
     parity: int = 0
+    is_power: bool = False
     maker: Callable[[Graph], Callable[..., int]] | None = None
     written: Callable[[Graph], Callable[..., int]] | None = None
     inside: Callable[[Any], bool] = SMALL

@@ -330,6 +330,7 @@ _ROWS = [
         np.power,
         2,
         partials=_power,
+        is_power=True,
         maker=_made(_power_node),
         casadi=_python(operator.pow),
     ),

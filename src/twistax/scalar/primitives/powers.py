@@ -65,6 +65,7 @@ def whole_power(n: int) -> WholePower:
         number=computed,
         array=computed,
         parity=-1 if n % 2 else 1,
+        is_power=True,
         partials=slopes,
         maker=lambda g: lambda x: power(g, x, n),
         written=lambda g: functools.partial(written, g),
