@@ -132,8 +132,12 @@ def _made(factor: float, dtype: Any = float) -> CudaKernel:
     return CudaKernel(Straight(form, 1))
 
 
+@pytest.mark.parametrize("by_columns", [False, True])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_kernel_runs_row_by_row(dtype: Any, device: _Device) -> None:
+def test_a_kernel_runs_row_by_row(
+    dtype: Any, by_columns: bool, device: _Device, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(cuda_kernel, "BY_COLUMNS", by_columns)
     own = _made(0.25, dtype)
     self_test.check_kernel(own)
     rows = 130

@@ -51,6 +51,22 @@ class _Step(NamedTuple):
     y_end: jax.Array
 
 
+class _Taken(NamedTuple):
+    """What the tries so far came to, for the starts of parts of steps."""
+
+    t: jax.Array
+    accepted: jax.Array  # as a floating-point number
+    y: jax.Array
+    last: Any  # time and state at the start of the last step taken
+
+    def before(self, stop: jax.Array) -> tuple[Any, jax.Array]:
+        """Time and state from which a stop that was reached now is one step away, or none; and the steps up to it."""
+        # A saved time that is the end of a step needs no other one.
+        there = self.t <= stop
+        start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (self.t, self.y), self.last)
+        return start, self.accepted - (~there).astype(self.accepted.dtype)
+
+
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _State:
@@ -74,7 +90,7 @@ class _State:
     every: Any = None
     slopes: Any = None  # those of the last step tried, where there are events and the method has any
     watched: Any = None
-    rows: Any = None  # those on polynomials
+    rows: Any = None  # those on polynomials; of kernels also the starts of parts of steps
 
     def bare(self, **changes: Any) -> _State:
         """Without events and rows."""
@@ -151,6 +167,10 @@ class AdaptiveSteps(Steps):
             ts = jnp.asarray(stops.ts)
             table = Filling(ts, jnp.broadcast_to(y.flat, (ts.size, y.flat.size)), zero)
             return dataclasses.replace(state, rows=table), end
+        if self.watch is None and self.kernel(stepper, state, end, None) is not None:
+            ts, start = jnp.asarray(stops.ts), _row_of_start((t, y.flat), number)
+            table = Filling(ts, jnp.broadcast_to(start, (ts.size, start.size)), zero)
+            return dataclasses.replace(state, rows=table), end
         like = state.last, zero, jnp.asarray(False)
         return state, Visits(jnp.append(stops.ts, end), stops.count, like)
 
@@ -168,10 +188,8 @@ class AdaptiveSteps(Steps):
         return self.t0, state.h
 
     def row_at(self, state: _State, stop: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-        # A saved time that is the end of a step needs no other one.
-        there = state.t <= stop
-        start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (state.t, state.y.flat), state.last)
-        return start, state.accepted - (~there).astype(int), state.t >= stop
+        start, steps = _Taken(state.t, state.accepted, state.y.flat, state.last).before(stop)
+        return start, steps, state.t >= stop
 
     def parts_of_progress(self, stepper: Stepper, stop: jax.Array) -> tuple[Any, Any, Callable[[_State], Any]]:
         def reached(state: _State) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -195,8 +213,11 @@ class AdaptiveSteps(Steps):
             requested = jnp.arange(stops.ts.size) < stops.count
             if state.rows is not None:
                 # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
-                ts, ys = jnp.asarray(stops.ts), jax.vmap(read)(state.rows.table)
-                rows_saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= state.t) & requested, requested)
+                ts, table = jnp.asarray(stops.ts), state.rows.table
+                steps, begins = (ts > self.t0).astype(int), ts
+                if not self.finds_rows:
+                    begins, steps, table = table[:, 0], table[:, 1].astype(int), table[:, 2:]
+                rows_saved = Saved(steps, begins, jax.vmap(read)(table), (ts <= state.t) & requested, requested)
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], saved)
                 rows_saved = Saved(index, times, jax.vmap(read)(starts), reached & requested, requested)
@@ -237,10 +258,13 @@ class AdaptiveSteps(Steps):
             limits = jax.lax.dynamic_slice_in_dim(limits, jnp.searchsorted(limits, state.t), _SEEN)
             stop = jnp.minimum(stop, limits[-1])
 
-        def one_try(inputs: Any, stepper: Stepper, state: _State) -> tuple[_State, jax.Array, _Step | None]:
+        def one_try(inputs: Any, stepper: Stepper, state: _State) -> tuple[_State, jax.Array, _Step | _Taken | None]:
             steps, stop = inputs
             after, step = steps.one_try(stepper, state)
-            return after, _before(after, stop), step if steps.finds_rows else None
+            if not steps.finds_rows:
+                taken = _Taken(after.t, after.accepted.astype(after.t.dtype), after.y.flat, after.last)
+                return after, _before(after, stop), taken
+            return after, _before(after, stop), step
 
         row, narrow = functools.partial(self.row, stepper, state.y.read), _without_slopes
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
@@ -249,11 +273,15 @@ class AdaptiveSteps(Steps):
         """These steps without saved times and events, with these limits: all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
-    def row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
-        """The packed state at a time up to the end of a step.
+    def row(
+        self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step | _Taken, t: jax.Array
+    ) -> jax.Array:
+        """The packed state at a time up to the end of a step; or the start of the part of a step that ends there.
 
         It reads no arrays of the stepper: they may be traced, and rows are made of what a step left alone.
         """
+        if isinstance(step, _Taken):
+            return _row_of_start(*step.before(t))
         share = (t - step.begin) / step.h
         moved = stepper.method.between(stepper.dynamics, read(step.y), step.in_s, step.slopes, share)
         at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
@@ -373,6 +401,11 @@ class AdaptiveSteps(Steps):
         start, length = self.stops.leg(self.t0, path.leg[k])
         before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
         return StepPart(before, ts - before)
+
+
+def _row_of_start(start: tuple[jax.Array, jax.Array], steps: jax.Array) -> jax.Array:
+    """Time and state of a start, and how many steps come before it, in one row."""
+    return jnp.concatenate([jnp.stack([start[0], steps]), start[1]])
 
 
 def _halted(_: None, __: Stepper, before: _State, after: _State, halt: Halt, h: jax.Array) -> _State:

@@ -65,6 +65,11 @@ def adaptive(backend: Any, rows: int = 0) -> Batch:
     return rollout(backend, rtol=1e-5, **saved)
 
 
+def up_to_event(backend: Any) -> Batch:
+    """Adaptive steps until a velocity changes its sign."""
+    return rollout(backend, rtol=1e-5, event=tx.Event(tx.State("V", shape=(6,))[0]))
+
+
 def accelerations(backend: Any) -> Batch:
     """Of the joints of the Panda."""
 
@@ -72,6 +77,18 @@ def accelerations(backend: Any) -> Batch:
         return _arm(backend)(0.0, {"qd": qd}, {"q": q}, {"third": tau})["qd"]
 
     return jax.vmap(one)
+
+
+def calls(backend: Any, count: int = 100) -> Batch:
+    """The accelerations, put in for the torques again and again in one program."""
+    function = accelerations(backend)
+
+    def run(q: Any, qd: Any, tau: Any) -> Any:
+        for _ in range(count):
+            tau = function(q, qd, tau)
+        return tau
+
+    return run
 
 
 def slopes(backend: Any) -> Batch:

@@ -25,6 +25,7 @@ from . import cases
 KERNELS, BY_XLA = tx.Native(), tx.XLA()
 BATCH, LARGE = 65_536, 1_048_576
 _TYPES = (np.float32, np.float64)
+_LOOPS = ("fixed steps, 11 rows saved", "adaptive, up to an event")
 
 
 class Row(NamedTuple):
@@ -113,6 +114,12 @@ def _functions() -> list[tuple[str, Any, Any]]:
         ("RKMK4, 1,000 steps", cases.rollout, states),
         ("adaptive, rtol 1e-5", cases.adaptive, states),
         ("adaptive, 11 rows saved", functools.partial(cases.adaptive, rows=11), states),
+        (
+            "fixed steps, 11 rows saved",
+            functools.partial(cases.rollout, dt=0.001, save_at=np.linspace(0, 1, 11)),
+            states,
+        ),
+        ("adaptive, up to an event", cases.up_to_event, states),
         ("a scan in one kernel", cases.walked, cases.joints),
         ("200 steps in a scan of XLA", cases.steps_in_scan, cases.joints),
     ]
@@ -121,20 +128,20 @@ def _functions() -> list[tuple[str, Any, Any]]:
 def values() -> Rows:
     """Against the CPU."""
     for what, batch, inputs in _functions():
-        for dtype in _TYPES:
+        # Those of several loops compile for long.
+        for dtype in _TYPES[what in _LOOPS :]:
             yield from _tried(functools.partial(_values, f"{what}, {np.dtype(dtype).name}", batch, inputs, dtype))
 
 
-def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
-    function, arguments = jax.jit(batch(KERNELS)), inputs(1000, dtype)
+def _values(what: str, batch: Any, inputs: Any, dtype: Any, by: Any = KERNELS) -> Rows:
+    function, arguments = jax.jit(batch(by)), inputs(1000, dtype)
     expected = function(*_placed(arguments, "cpu"))
-    given, begin = _placed(arguments, "cuda"), time.perf_counter()
+    given = _placed(arguments, "cuda")
     with _watched() as kernels:
-        found = jax.block_until_ready(function(*given))
-    took = time.perf_counter() - begin
+        _, found, first = _compiled(function, given)
     assert {own.platform for leaf in jax.tree.leaves(found) for own in leaf.devices()} == {"gpu"}
     yield Row(f"values, {what}", "kernels against the CPU", _difference(found, expected), "relative")
-    yield Row(f"first call, {what}", f"{len(kernels)} kernels", took, "s")
+    yield from first.rows(what, f"{len(kernels)} kernels compiled")
     for each in kernels:
         code, kind = each.lease.code.device, f"{type(each.tile).__name__} of {each.tile.program.operations}"
         yield Row(f"registers, {what}", kind, float(code.registers), "")
@@ -144,8 +151,27 @@ def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
 # ---- times -----------------------------------------------------------------------------------------------------------
 
 
-def _timed(what: str, batch: Any, inputs: Any, by: Any, count: int, dtype: Any, steps: int = 1) -> Rows:
-    """Nanoseconds for a body and step, and the seconds of the first call."""
+class _First(NamedTuple):
+    """Seconds of the parts of a first call."""
+
+    tracing: float  # by JAX
+    lowering: float  # by JAX, kernels included
+    kernels: float  # of these: written, compiled, checked, or read from the cache
+    compiling: float  # by XLA
+    running: float
+
+    @property
+    def all(self) -> float:
+        return self.tracing + self.lowering + self.compiling + self.running
+
+    def rows(self, what: str, by: str) -> Rows:
+        yield Row(f"first call, {what}", by, self.all, "s")
+        for name in ("tracing", "lowering", "kernels", "compiling"):
+            yield Row(f"of it {name}, {what}", by, getattr(self, name), "s")
+
+
+def _compiled(function: Any, arguments: Any) -> tuple[Any, Any, _First]:
+    """What runs a function that is jitted, the first result, and what that took."""
     found: list[float] = []
 
     def heard(event: str, duration_secs: float, **_: Any) -> None:
@@ -153,14 +179,28 @@ def _timed(what: str, batch: Any, inputs: Any, by: Any, count: int, dtype: Any, 
             found.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(heard)
+    laps = [time.perf_counter()]
+
+    def lap(value: Any) -> Any:
+        laps.append(time.perf_counter())
+        return value
+
+    lowered = lap(lap(function.trace(*arguments)).lower())
+    compiled = lap(lowered.compile())
+    result = lap(jax.block_until_ready(compiled(*arguments)))
+    tracing, lowering, compiling, running = np.diff(laps)
+    return compiled, result, _First(tracing, lowering, sum(found), compiling, running)
+
+
+def _timed(what: str, batch: Any, inputs: Any, by: Any, count: int, dtype: Any, steps: int = 1) -> Rows:
+    """Nanoseconds for a body and step, and the seconds of the first call."""
     arguments = _placed(inputs(count, dtype), "cuda")
-    first, best = _seconds(jax.jit(batch(by)), *arguments)
+    compiled, _, first = _compiled(jax.jit(batch(by)), arguments)
+    _, best = _seconds(compiled, *arguments)
     name = f"{what}, {count:,}, {np.dtype(dtype).name}"
     how = "kernels" if isinstance(by, tx.Native) else "XLA"
     yield Row(name, how, best / count / steps * 1e9, "ns a body and step" if steps > 1 else "ns a body")
-    yield Row(f"first call, {name}", how, first, "s")
-    if found:
-        yield Row(f"of it kernels, {name}", how, sum(found), "s")
+    yield from first.rows(name, how)
 
 
 def _states(count: int, dtype: Any) -> Any:
@@ -177,43 +217,60 @@ def rollouts() -> Rows:
 
 def arms() -> Rows:
     """The Panda."""
+    functions = {
+        "ABA of the Panda": (cases.accelerations, 1),
+        "100 calls in a jit": (cases.calls, 100),
+        "Jacobian of it": (cases.slopes, 1),
+        "200 steps in a scan": (cases.steps_in_scan, 200),
+    }
+    runs = [("ABA of the Panda", KERNELS, BATCH), ("ABA of the Panda", KERNELS, LARGE)]
+    runs += [("100 calls in a jit", KERNELS, BATCH), ("100 calls in a jit", KERNELS, LARGE)]
+    runs += [("Jacobian of it", KERNELS, BATCH), ("200 steps in a scan", KERNELS, BATCH)]
+    runs += [("ABA of the Panda", BY_XLA, BATCH), ("ABA of the Panda", BY_XLA, LARGE)]
+    runs += [("200 steps in a scan", BY_XLA, BATCH)]
     for dtype in _TYPES:
-        for by, count in ((KERNELS, BATCH), (KERNELS, LARGE), (BY_XLA, BATCH), (BY_XLA, LARGE)):
-            yield from _tried(
-                functools.partial(_timed, "ABA of the Panda", cases.accelerations, cases.joints, by, count, dtype)
-            )
-        yield from _tried(
-            functools.partial(_timed, "Jacobian of it", cases.slopes, cases.joints, KERNELS, BATCH, dtype)
-        )
-        run = functools.partial(
-            _timed, "200 steps in a scan", cases.steps_in_scan, cases.joints, KERNELS, BATCH, dtype, 200
-        )
-        yield from _tried(run)
+        for what, by, count in runs:
+            function, steps = functions[what]
+            yield from _tried(functools.partial(_timed, what, function, cases.joints, by, count, dtype, steps))
 
 
 def adaptive() -> Rows:
     """Rollouts to a tolerance."""
-    for dtype in _TYPES:
-        for by in (KERNELS, BY_XLA):
-            yield from _tried(
-                functools.partial(_timed, "adaptive, rtol 1e-5", cases.adaptive, _states, by, BATCH, dtype)
-            )
     rows = functools.partial(cases.adaptive, rows=11)
-    yield from _tried(functools.partial(_timed, "adaptive, 11 rows saved", rows, _states, KERNELS, BATCH, np.float32))
+    for dtype in _TYPES:
+        for by, what, batch in (
+            (KERNELS, "adaptive, rtol 1e-5", cases.adaptive),
+            (KERNELS, "adaptive, 11 rows saved", rows),
+            (BY_XLA, "adaptive, rtol 1e-5", cases.adaptive),
+            (BY_XLA, "adaptive, 11 rows saved", rows),
+        ):
+            if by is BY_XLA and batch is rows and dtype is np.float64:
+                continue
+            yield from _tried(functools.partial(_timed, what, batch, _states, by, BATCH, dtype))
 
 
-def blocks() -> Rows:
-    """How many threads start together."""
-    for block in (32, 64, 128, 256):
-        cuda_kernel.BLOCK = block
-        own = tx.Native(threads=block)  # another value: kernels of another size
+def layouts() -> Rows:
+    """Arrays row by row, as they are, and entry by entry, for the same kernels; and how many threads start together."""
+    for by_columns, block in ((False, 64), (True, 64), (True, 128), (False, 32), (False, 128), (False, 256)):
+        cuda_kernel.BY_COLUMNS, cuda_kernel.BLOCK = by_columns, block
+        # Another value: other kernels.
+        own = tx.Native(threads=block + by_columns)
+        for what, batch, inputs in _functions()[::5] if block == 64 else ():
+            run = functools.partial(_values, f"{what}, columns: {by_columns}", batch, inputs, np.float32, own)
+            yield from (row for row in _tried(run) if not row.what.startswith("of it"))
         for dtype in _TYPES:
-            for what, batch, inputs, steps in (
-                ("ABA of the Panda", cases.accelerations, cases.joints, 1),
-                ("RKMK4", cases.rollout, _states, cases.STEPS),
+            for what, batch, inputs, count, steps in (
+                ("100 calls in a jit", cases.calls, cases.joints, BATCH, 100),
+                ("100 calls in a jit", cases.calls, cases.joints, LARGE, 100),
+                ("Jacobian of it", cases.slopes, cases.joints, BATCH, 1),
+                ("RKMK4", cases.rollout, _states, BATCH, cases.STEPS),
+                ("adaptive, 11 rows saved", functools.partial(cases.adaptive, rows=11), _states, BATCH, 1),
             ):
-                run = functools.partial(_timed, what, batch, inputs, own, BATCH, dtype, steps)
-                yield from (row._replace(by=f"blocks of {block}") for row in _tried(run) if row.unit.startswith("ns"))
+                if block != 64 and (what != "100 calls in a jit" or dtype is np.float64):
+                    continue
+                run = functools.partial(_timed, what, batch, inputs, own, count, dtype, steps)
+                by = f"{'columns' if by_columns else 'rows'}, {block} threads"
+                yield from (row._replace(by=by) for row in _tried(run) if row.unit.startswith("ns"))
 
 
 # ---- beside a device -------------------------------------------------------------------------------------------------
@@ -234,7 +291,7 @@ def on_cpu() -> Rows:
 
 def _solved(what: str, make: Callable[[], Any], by: str) -> Rows:
     problem = make()
-    first, best = _seconds(lambda: problem.solve().cost, repeats=5)
+    first, best = _seconds(lambda: problem.solve().cost, repeats=20)
     yield Row(f"solve, {what}", by, best * 1e3, "ms")
     yield Row(f"first solve, {what}", by, first, "s")
 
@@ -243,10 +300,13 @@ def _solved(what: str, make: Callable[[], Any], by: str) -> Rows:
 SECTIONS: Mapping[str, tuple[Callable[[], Rows], float]] = {
     "machine": (machine, 60.0),
     "values": (values, 120.0),
-    "rollouts": (rollouts, 90.0),
     "arms": (arms, 100.0),
-    "with": (on_cpu, 60.0),
-    "without": (on_cpu, 60.0),
     "adaptive": (adaptive, 100.0),
-    "blocks": (blocks, 60.0),
+    # Twice each in turns: the first time nothing is cached.
+    "with": (on_cpu, 40.0),
+    "without": (on_cpu, 40.0),
+    "with, again": (on_cpu, 40.0),
+    "without, again": (on_cpu, 40.0),
+    "layouts": (layouts, 90.0),
+    "rollouts": (rollouts, 60.0),
 }

@@ -6,6 +6,7 @@ import ctypes
 from collections.abc import Sequence
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from ....jax_inside import jax_versions
@@ -21,6 +22,8 @@ from .ptx import ENTRY, assembled, device, write_kernel
 
 #: Threads that start together.
 BLOCK = 64
+#: Whether arrays lie entry by entry, not row by row.
+BY_COLUMNS = False
 
 
 class _Code:
@@ -73,6 +76,7 @@ class CudaKernel(Kernel):
 
     def __init__(self, tile: Tile) -> None:
         self.checked_rows = BLOCK + 1
+        tile.by_columns = BY_COLUMNS
         module = Module(device(driver().capability))
         write_kernel(module, tile)
         text = module.text()
@@ -86,6 +90,8 @@ class CudaKernel(Kernel):
     def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         rows, arrays = self._arrays(arguments, length)
         strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
+        if self.tile.by_columns:
+            arrays, strides = [np.asfortranarray(a) for a in arrays], [len(a) for a in arrays]
         if rows:
             self.lease.code.device.run(arrays, strides, rows, BLOCK)
         return arrays[len(arguments) :]

@@ -47,7 +47,7 @@ keep:
 %data = load ptr, ptr %buffer + 24
 %entry.at = getelementptr ptr, ptr %table, i64 %number
 store ptr %data, ptr %entry.at
-%stride = select i1 %rows.same, i64 %size, i64 0
+$stride
 %later = add i64 %number, $count
 %stride.at = getelementptr ptr, ptr %table, i64 %later
 store i64 %stride, ptr %stride.at

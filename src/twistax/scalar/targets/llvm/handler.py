@@ -39,6 +39,10 @@ _LONG = """%count.at.{k} = load ptr, ptr %table
 %length.{k} = sext i32 %count.{k} to i64
 %size.{k} = mul i64 %length.{k}, {size}"""
 
+#: Entries from one row to the next; of arrays by columns from one entry of a row to the next.
+_BY_ROWS = "%stride = select i1 %rows.same, i64 %size, i64 0"
+_BY_COLUMNS = "%stride = select i1 %rows.same, i64 %rows, i64 1"
+
 _ERROR = """{label}:
 %error.{label} = call ptr @failed(ptr %api, ptr @message.{label})
 ret ptr %error.{label}"""
@@ -153,6 +157,7 @@ def _write_handler(module: Module, tile: RowFunction, messages: dict[str, str], 
         count=len(arrays),
         entries=2 * len(arrays),
         buffers="\n".join(buffers),
+        stride=_BY_COLUMNS if tile.by_columns else _BY_ROWS,
         errors="\n".join(_ERROR.format(label=label) for label in checks),
     )
     module.functions["handler"] = addressed(text)

@@ -146,7 +146,14 @@ class Kernel(ABC):
         types = [jax.ShapeDtypeStruct((rows, math.prod(a.of_length(length))), a.dtype) for a in self._written]
         for k, own in self._in_place.items():
             given[k] = jnp.broadcast_to(given[k], types[own].shape)
-        call = jax.ffi.ffi_call(self.target, types, input_output_aliases=self._in_place)
+        major_first = (1, 0) if self.tile.by_columns else (0, 1)
+        call = jax.ffi.ffi_call(
+            self.target,
+            types,
+            input_output_aliases=self._in_place,
+            input_layouts=[major_first] * len(given),
+            output_layouts=[major_first] * len(types),
+        )
         found = dict(zip(self.tile.written, call(*given), strict=True))
         shapes = [(rows, *a.of_length(length)) for a in self.tile.results]
         return [

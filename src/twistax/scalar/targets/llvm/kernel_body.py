@@ -144,9 +144,11 @@ class RowFunction(ABC):
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
         in_place: results that stand where an argument stood, and that argument: what is not written stays.
+        by_columns: of one lane, whether the first entries of all rows stand side by side, then the second ones.
     """
 
     in_place: Mapping[int, int] = {}
+    by_columns = False
 
     def __init__(self, lanes: int, arguments: list[Array], results: list[Array], needed: Collection[int]) -> None:
         self.lanes = lanes
@@ -197,7 +199,11 @@ class Tile(RowFunction):
         places = ["0"]  # the row of a lane: its own, or the last one
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        return {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
+        return {
+            name: Rows(code, array, f"%{name}", stride, places, stride if self.by_columns else "1")
+            for name, array in self.arrays.items()
+            for stride in (f"%{name}.stride",)
+        }
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:

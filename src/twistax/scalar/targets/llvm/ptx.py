@@ -46,9 +46,15 @@ done:
 ret void
 }}"""
 
+#: Where the row of a thread begins: rows one after the other; or entry by entry, where one row that all share has the
+#: distance one.
+_BY_ROWS = "%{name}.place = mul i64 %row, %{name}.stride"
+_BY_COLUMNS = """%{name}.all = icmp eq i64 %{name}.stride, %rows
+%{name}.place = select i1 %{name}.all, i64 %row, i64 0"""
+
 #: The row of a thread, as a pointer of which LLVM knows that it is one to global memory.
 _ROW = """%{name}.global = addrspacecast ptr %{name} to ptr addrspace(1)
-%{name}.place = mul i64 %row, %{name}.stride
+{place}
 %{name}.there = getelementptr {stored}, ptr addrspace(1) %{name}.global, i64 %{name}.place
 %{name}.row = addrspacecast ptr addrspace(1) %{name}.there to ptr"""
 
@@ -65,11 +71,14 @@ def write_kernel(module: Module, tile: RowFunction) -> None:
     # The tile becomes part of the kernel, where LLVM sees to what memory its pointers point.
     module.functions["tile"] = module.functions["tile"].replace(" #0 {", " alwaysinline nounwind {")
     module.declarations |= {f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x()" for name in _INDICES}
-    names = list(tile.arrays)
+    names, place = list(tile.arrays), _BY_COLUMNS if tile.by_columns else _BY_ROWS
     module.functions[ENTRY] = _ENTRY.format(
         name=ENTRY,
         heads=", ".join([f"ptr noalias %{name}" for name in names] + [f"i64 %{name}.stride" for name in names]),
-        rows="\n".join(_ROW.format(name=name, stored=array.stored) for name, array in tile.arrays.items()),
+        rows="\n".join(
+            _ROW.format(name=name, stored=array.stored, place=place.format(name=name))
+            for name, array in tile.arrays.items()
+        ),
         passed="".join(f", ptr %{name}.row, i64 %{name}.stride" for name in names),
     )
 
