@@ -24,6 +24,7 @@ from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import Halt, LoopOutcome, Result, Run, Saved, StepPart, Watched
 from .progress_callback import Meter
+from .rows_between import StepPolynomial, StepStart, row_of_start, rows_from, starts_in
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
 _PROGRESS = 256
@@ -37,34 +38,6 @@ class _Path(NamedTuple):
     leg: jax.Array
     begin: jax.Array
     end: jax.Array
-
-
-class _Step(NamedTuple):
-    """A step that was tried, for polynomials. Of one that was taken back the end is its start."""
-
-    end: jax.Array
-    begin: jax.Array
-    y: jax.Array
-    h: jax.Array
-    in_s: jax.Array  # the same by time: negative where an integration goes backward
-    slopes: Any
-    y_end: jax.Array
-
-
-class _Taken(NamedTuple):
-    """What the tries so far came to, for the starts of parts of steps."""
-
-    t: jax.Array
-    accepted: jax.Array  # as a floating-point number
-    y: jax.Array
-    last: Any  # time and state at the start of the last step taken
-
-    def before(self, stop: jax.Array) -> tuple[Any, jax.Array]:
-        """Time and state from which a stop that was reached now is one step away, or none; and the steps up to it."""
-        # A saved time that is the end of a step needs no other one.
-        there = self.t <= stop
-        start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (self.t, self.y), self.last)
-        return start, self.accepted - (~there).astype(self.accepted.dtype)
 
 
 @jax.tree_util.register_dataclass
@@ -168,7 +141,7 @@ class AdaptiveSteps(Steps):
             table = Filling(ts, jnp.broadcast_to(y.flat, (ts.size, y.flat.size)), zero)
             return dataclasses.replace(state, rows=table), end
         if self.watch is None and self.kernel(stepper, state, end, None) is not None:
-            ts, start = jnp.asarray(stops.ts), _row_of_start((t, y.flat), number)
+            ts, start = jnp.asarray(stops.ts), row_of_start((t, y.flat), number)
             table = Filling(ts, jnp.broadcast_to(start, (ts.size, start.size)), zero)
             return dataclasses.replace(state, rows=table), end
         like = state.last, zero, jnp.asarray(False)
@@ -188,7 +161,7 @@ class AdaptiveSteps(Steps):
         return self.t0, state.h
 
     def row_at(self, state: _State, stop: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-        start, steps = _Taken(state.t, state.accepted, state.y.flat, state.last).before(stop)
+        start, steps = StepStart(state.t, state.accepted, state.y.flat, state.last).before(stop)
         return start, steps, state.t >= stop
 
     def parts_of_progress(self, stepper: Stepper, stop: jax.Array) -> tuple[Any, Any, Callable[[_State], Any]]:
@@ -216,7 +189,7 @@ class AdaptiveSteps(Steps):
                 ts, table = jnp.asarray(stops.ts), state.rows.table
                 steps, begins = (ts > self.t0).astype(int), ts
                 if not self.finds_rows:
-                    begins, steps, table = table[:, 0], table[:, 1].astype(int), table[:, 2:]
+                    begins, steps, table = starts_in(table)
                 rows_saved = Saved(steps, begins, jax.vmap(read)(table), (ts <= state.t) & requested, requested)
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], saved)
@@ -229,7 +202,7 @@ class AdaptiveSteps(Steps):
     def one_step(self, stepper: Stepper, state: _State) -> _State:
         after, step = self.one_try(stepper, dataclasses.replace(state, watched=None))
         if state.rows is not None and step is not None:
-            row = functools.partial(self.row, stepper, state.y.read)
+            row = rows_from(stepper, state.y.read)
             after = dataclasses.replace(after, rows=state.rows.up_to(after.t, row, held(step)))
         return after
 
@@ -258,36 +231,24 @@ class AdaptiveSteps(Steps):
             limits = jax.lax.dynamic_slice_in_dim(limits, jnp.searchsorted(limits, state.t), _SEEN)
             stop = jnp.minimum(stop, limits[-1])
 
-        def one_try(inputs: Any, stepper: Stepper, state: _State) -> tuple[_State, jax.Array, _Step | _Taken | None]:
+        def one_try(
+            inputs: Any, stepper: Stepper, state: _State
+        ) -> tuple[_State, jax.Array, StepPolynomial | StepStart | None]:
             steps, stop = inputs
             after, step = steps.one_try(stepper, state)
             if not steps.finds_rows:
-                taken = _Taken(after.t, after.accepted.astype(after.t.dtype), after.y.flat, after.last)
+                taken = StepStart(after.t, after.accepted.astype(after.t.dtype), after.y.flat, after.last)
                 return after, _before(after, stop), taken
             return after, _before(after, stop), step
 
-        row, narrow = functools.partial(self.row, stepper, state.y.read), _without_slopes
+        row, narrow = rows_from(stepper, state.y.read), _without_slopes
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
         """These steps without saved times and events, with these limits: all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
-    def row(
-        self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step | _Taken, t: jax.Array
-    ) -> jax.Array:
-        """The packed state at a time up to the end of a step; or the start of the part of a step that ends there.
-
-        It reads no arrays of the stepper: they may be traced, and rows are made of what a step left alone.
-        """
-        if isinstance(step, _Taken):
-            return _row_of_start(*step.before(t))
-        share = (t - step.begin) / step.h
-        moved = stepper.method.between(stepper.dynamics, read(step.y), step.in_s, step.slopes, share)
-        at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
-        return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
-
-    def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, _Step | None]:
+    def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, StepPolynomial | None]:
         """One try of a step, accepted or rejected, and the data of its polynomial, where the method has one."""
         control, order, t, before = self.control, stepper.method.error_order, state.t, state.y.open()
         end, h, planned, least = control.length(t, state.h, self.stops.next_limit(t))
@@ -334,7 +295,7 @@ class AdaptiveSteps(Steps):
         )
         if attempt.slopes is None:
             return after, None
-        return after, _Step(after.t, t, state.y.flat, h, stepper.clock(h), attempt.slopes, after.y.flat)
+        return after, StepPolynomial(after.t, t, state.y.flat, h, stepper.clock(h), attempt.slopes, after.y.flat)
 
     def _resumed(self, stepper: Stepper, state: _State, y: Blocks, h: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The packed carry that the step begins with, and the evaluations so far."""
@@ -401,11 +362,6 @@ class AdaptiveSteps(Steps):
         start, length = self.stops.leg(self.t0, path.leg[k])
         before = jnp.where(saved.steps == 0, self.t0, start + path.end[k] * length)
         return StepPart(before, ts - before)
-
-
-def _row_of_start(start: tuple[jax.Array, jax.Array], steps: jax.Array) -> jax.Array:
-    """Time and state of a start, and how many steps come before it, in one row."""
-    return jnp.concatenate([jnp.stack([start[0], steps]), start[1]])
 
 
 def _halted(_: None, __: Stepper, before: _State, after: _State, halt: Halt, h: jax.Array) -> _State:

@@ -62,9 +62,13 @@ def measure(folder: str, name: str) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
+    from ...scalar.targets.llvm.targets import TARGETS
     from .sections import SECTIONS
 
     rows, _ = SECTIONS[name]
+    if "without" not in name and not TARGETS["cuda"].present:
+        print("  not measured: JAX has no CUDA device here", flush=True)
+        return
     with (Path(folder) / _ROWS).open("a") as file:
         for row in rows():
             file.write(json.dumps({"section": name, **row._asdict()}) + "\n")
