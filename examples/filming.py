@@ -1,9 +1,10 @@
-"""A quadrotor films a runner who turns around it: the runner stays in the camera's cone, near enough and not too near.
+"""Camera constraint: a quadrotor keeps a runner in the cone of its camera, near enough and not too near.
 
 After the cinematic view planning of OpenSCvx's gallery. The camera looks along the body's x axis, rotors push along z.
 """
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -61,3 +62,12 @@ if (
     or distance.max() > FAR + 1e-3
 ):
     raise SystemExit("the runner leaves the picture")
+
+figure, axes = plt.subplots(figsize=(6.0, 3.0), layout="constrained")
+axes.plot(times, angle, label="angle off the axis, deg")
+axes.plot(times, 10.0 * distance, label="distance, dm")
+for limit in (np.rad2deg(HALF), 10.0 * NEAR, 10.0 * FAR):
+    axes.axhline(limit, color="0.6", linestyle="--", linewidth=0.9)
+axes.set(xlabel="time, s")
+axes.legend(frameon=False)
+figure.savefig("filming.png", dpi=100)

@@ -1,7 +1,8 @@
-"""A free rigid body with an offset centre of mass: it tumbles, and its momentum in the world frame stays put."""
+"""Free rigid body: its centre of mass is off its origin, and its momentum in the world frame is conserved."""
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -24,14 +25,23 @@ dynamics = tx.compile(body)
 print(dynamics.explain())
 
 start = {"g": tx.pose(), "V": np.array([1.0, 0.5, -0.3, 0.4, 2.0, -0.7])}
-solution = tx.integrate(dynamics, start, t1=5.0, dt=1e-3, save_at=np.linspace(0.0, 5.0, 6))
+solution = tx.integrate(dynamics, start, t1=5.0, dt=1e-3, save_at=np.linspace(0.0, 5.0, 101))
 outputs = jax.vmap(lambda t, x: dynamics.outputs(t, x))(solution.ts, solution.xs)
 
 print("\n  t     position (m)              momentum in the world frame (N s, N m s)            energy (J)")
-for t, pose, mu, energy in zip(solution.ts, solution.xs["g"], outputs["momentum"], outputs["energy"]):
+rows = zip(solution.ts, solution.xs["g"], outputs["momentum"], outputs["energy"])
+for t, pose, mu, energy in list(rows)[::20]:
     print(f"{t:4.1f}   {np.round(pose[:3, 3], 4)}   {np.round(mu, 6)}   {energy:.9f}")
 
 drift = np.abs(outputs["momentum"] - outputs["momentum"][0]).max()
 print(f"\nlargest change of the world momentum in 5 s: {drift:.1e}")
 if drift > 1e-9:
     raise SystemExit("momentum is not conserved")
+
+figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
+left.plot(solution.ts, solution.xs["g"][:, :3, 3], label=["x", "y", "z"])
+left.set(xlabel="time, s", ylabel="position of the origin, m")
+left.legend(frameon=False)
+right.plot(solution.ts, solution.xs["V"][:, 3:], label=["x", "y", "z"])
+right.set(xlabel="time, s", ylabel="body rate, rad/s")
+figure.savefig("free_body.png", dpi=100)

@@ -1,9 +1,10 @@
-"""A race of a point mass through ten gates and back in least time, after the drone races of OpenSCvx's gallery.
+"""Race through gates: a point mass flies through ten gates and back in least time, after OpenSCvx's drone races.
 
 Gates are conditions at named nodes. The lengths of intervals are free, so nodes lie where gates are passed.
 """
 
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -54,3 +55,13 @@ for node, gate in zip(through, GATES):
 print(f"limits are exceeded between nodes by {max(result.between_nodes.values()):.1e}")
 if not result.solved:
     raise SystemExit("the race has an optimum")
+
+path = np.asarray(result.dense.xs["p"])
+figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
+speed = np.linalg.norm(result.dense.xs["v"], axis=1)
+colored = axes.scatter(path[:, 0], path[:, 1], c=speed, s=3)
+axes.plot(GATES[:, 0], GATES[:, 1], "kx", label="gates")
+axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+axes.legend(frameon=False)
+figure.colorbar(colored, label="speed, m/s")
+figure.savefig("gates.png", dpi=100)

@@ -1,4 +1,4 @@
-"""Land a rocket stage: compile a system, find the controls, replay them with two integrators.
+"""Powered descent: the landing of a rocket stage with most propellant left, replayed with two integrators.
 
 The system, twenty lines of expressions, is `twistax.scenes.powered_descent.system`. The full case with a figure is
 `python -m twistax demo`.
@@ -38,3 +38,6 @@ for method in (tx.RKMK(tx.tableaus.RK4), diffrax.Dopri8()):
     print(f"at {np.linalg.norm(end['V'][:3]):.4f} m/s; largest violation of a limit on the way:", end=" ")
     worst = max(replay.violations, key=replay.violations.__getitem__)
     print(f"{worst}, by {replay.violations[worst]:.2g}")
+
+figure = result.plot(["g", "T", "m"], units={"T": "N", "m": "kg"})
+figure.savefig("landing.png", dpi=90)

@@ -1,4 +1,4 @@
-"""Where a spinning ball lands: a Monte Carlo over launch, drag and wind, resumable with `--directory`.
+"""Monte Carlo: where a spinning ball lands, over launch, drag and wind; a sweep that can be resumed.
 
 python examples/monte_carlo.py                                              # 2,000 throws
 python examples/monte_carlo.py --count 1000000 --directory out/throws       # stop it and call it again
@@ -12,6 +12,7 @@ import argparse
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -66,6 +67,12 @@ def main() -> None:
         numbers = (low[name], middle[name], high[name])
         shown = "".join(f"{number:9.2f}" for number in numbers)
         print(f"{name:8}{found.statistics.mean[name]:9.2f}{found.statistics.std[name]:8.2f}{shown} {unit}")
+
+    landings = found.values
+    figure, axes = plt.subplots(figsize=(6.0, 3.0), layout="constrained")
+    axes.plot(landings["range"], landings["aside"], ".", markersize=2)
+    axes.set(xlabel="range, m", ylabel="to the side, m", aspect="equal")
+    figure.savefig("monte_carlo.png", dpi=100)
 
 
 if __name__ == "__main__":

@@ -1,18 +1,15 @@
-"""A Panda from its URDF in five lines, let fall with its motors off: where its flange goes, and its energy stays."""
+"""Panda from URDF: the arm falls with its motors off; five lines load and simulate it, and its energy is conserved."""
 
-import argparse
 from pathlib import Path
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import load
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the fall here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 arm = load(Path(__file__).with_name("panda.urdf"))
 dynamics = tx.compile(arm.system(outputs={"energy": arm.energy(), "flange": arm.pose("flange")[:3, 3]}))
@@ -29,14 +26,12 @@ drift = np.abs(energy - energy[0]).max()
 print(f"drift of the energy: {drift:.1e} J of {energy[0]:.1f} J")
 if not drift < 1e-5:
     raise SystemExit("a falling arm without friction keeps its energy")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    left.plot(times, flange, label=["x", "y", "z"])
-    left.set(xlabel="t (s)", ylabel="place of the flange (m)")
-    left.legend()
-    right.plot(times, sol.xs["q"], label=arm.joints)
-    right.set(xlabel="t (s)", ylabel="angles of the joints (rad)")
-    right.legend(fontsize="small")
-    figure.savefig(plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+left.plot(times, flange, label=["x", "y", "z"])
+left.set(xlabel="t (s)", ylabel="place of the flange (m)")
+left.legend()
+right.plot(times, sol.xs["q"], label=arm.joints)
+right.set(xlabel="t (s)", ylabel="angles of the joints (rad)")
+right.legend(fontsize="small")
+figure.savefig("panda.png", dpi=100)

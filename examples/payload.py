@@ -1,19 +1,16 @@
-"""How heavy is what the arm holds? The mass found from a motion that was seen, by the gradient of a rollout."""
+"""Mass estimation: the mass that an arm holds, from a measured motion, by the derivative of a rollout."""
 
-import argparse
 from pathlib import Path
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import load
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the misfit here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 arm = load(Path(__file__).with_name("arm.urdf"), parameters=["tool_mass"])  # 0.2 kg, says the file
 dynamics = tx.compile(arm.system())
@@ -40,12 +37,10 @@ print("mass after each step (kg):", *(f"{m:.5f}" for m in path))
 print(f"found {path[-1]:.5f} kg +- {spread:.5f}, true {true} kg; nothing was compiled anew")
 if abs(path[-1] - true) > 4.0 * spread:
     raise SystemExit("the mass is found to within its spread")
-if plot:
-    from matplotlib import pyplot as plt
 
-    masses = np.linspace(0.1, 1.4, 60)
-    figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
-    axes.semilogy(masses, [float(jnp.linalg.norm(motion(jnp.asarray(m)) - seen)) for m in masses])
-    axes.plot(path, [float(jnp.linalg.norm(motion(jnp.asarray(m)) - seen)) for m in path], "o")
-    axes.set(xlabel="mass (kg)", ylabel="misfit (rad, m)")
-    figure.savefig(plot, dpi=100)
+masses = np.linspace(0.1, 1.4, 60)
+figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
+axes.semilogy(masses, [float(jnp.linalg.norm(motion(jnp.asarray(m)) - seen)) for m in masses])
+axes.plot(path, [float(jnp.linalg.norm(motion(jnp.asarray(m)) - seen)) for m in path], "o")
+axes.set(xlabel="mass (kg)", ylabel="misfit (rad, m)")
+figure.savefig("payload.png", dpi=100)

@@ -1,8 +1,9 @@
-"""A quadrotor flown from a table of rotor thrusts, and the gradient of where it ends with respect to that table."""
+"""Quadrotor: flown from a table of rotor thrusts, with the gradient of where it ends with respect to that table."""
 
 import jax
 import jax.numpy as jnp
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -39,3 +40,15 @@ print("position after 2 s (m):", np.round(fly(jnp.asarray(thrusts)), 4))
 sideways = jax.grad(lambda table: fly(table)[1])(jnp.asarray(thrusts))
 print("d(sideways)/d(thrust), rows are table times, columns rotors (m/N):")
 print(np.round(sideways, 4))
+
+saved = np.linspace(0.0, 2.0, 101)
+table = tx.FirstOrderHold(times, thrusts)
+flight = tx.integrate(dynamics, start, t1=2.0, dt=5e-3, u={"rotors": table}, save_at=saved)
+figure, (left, right) = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
+left.plot(times, thrusts, ".-", label=["rotor 1", "rotor 2", "rotor 3", "rotor 4"])
+left.set(xlabel="time, s", ylabel="thrust, N")
+left.legend(frameon=False)
+right.plot(saved, flight.xs["g"][:, :3, 3], label=["x", "y", "z"])
+right.set(xlabel="time, s", ylabel="position, m")
+right.legend(frameon=False)
+figure.savefig("quadrotor.png", dpi=100)

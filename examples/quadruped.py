@@ -1,17 +1,13 @@
-"""A quadruped that stands on soft ground, and is pushed from the side."""
-
-import argparse
+"""Quadruped on soft ground: four legs with compliant contact and friction, pushed from the side."""
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import Drive, Ground, Link, Mechanism, SpatialInertia, joints
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the trunk's motion here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 trunk = SpatialInertia(mass=8.0, inertia=np.diag([0.06, 0.16, 0.19]))
 leg = SpatialInertia(mass=0.8, center_of_mass=(0.0, 0.0, -0.15), inertia=np.diag([6e-3, 6e-3, 4e-4]))
@@ -49,13 +45,11 @@ print(
 )
 if abs(carried[39] - weight) > 0.05 * weight or abs(np.degrees(found["roll"][-1])) > 10.0:
     raise SystemExit("it carries its weight, and does not fall")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    left.plot(times, found["trunk"][:, 1] * 1e3)
-    left.set(xlabel="t (s)", ylabel="trunk to the side (mm)")
-    right.plot(times, found["normal"], label=feet)
-    right.set(xlabel="t (s)", ylabel="force under a foot (N)")
-    right.legend()
-    figure.savefig(plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+left.plot(times, found["trunk"][:, 1] * 1e3)
+left.set(xlabel="t (s)", ylabel="trunk to the side (mm)")
+right.plot(times, found["normal"], label=feet)
+right.set(xlabel="t (s)", ylabel="force under a foot (N)")
+right.legend()
+figure.savefig("quadruped.png", dpi=100)

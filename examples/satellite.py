@@ -1,17 +1,13 @@
-"""A satellite that turns by its reaction wheels, with an antenna on a ball joint: its momentum stays zero."""
-
-import argparse
+"""Reaction wheels: a satellite turns to its target with an antenna on a ball joint, at zero total momentum."""
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, centroidal_momentum, joints
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the turn and the momenta here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 hub = SpatialInertia(mass=40.0, inertia=np.diag([4.0, 5.0, 3.0]))
 dish = SpatialInertia(mass=3.0, center_of_mass=(0.0, 0.0, 0.4), inertia=np.diag([0.3, 0.3, 0.2]))
@@ -54,15 +50,13 @@ print(
 print(f"the dish leans by at most {np.degrees(np.linalg.norm(found['dish'], axis=1).max()):.1f} deg")
 if off[-1] > 1.0 or momenta.max() > 1e-8:
     raise SystemExit("the satellite turns to its goal, and its momentum stays zero")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    left.plot(times, off, label="hub off its goal")
-    left.plot(times, np.degrees(np.linalg.norm(found["dish"], axis=1)), label="dish off its rest")
-    left.set(xlabel="t (s)", ylabel="angle (deg)")
-    left.legend()
-    right.plot(times, sol.xs["qd"][:, 6:9], label=["x", "y", "z"])
-    right.set(xlabel="t (s)", ylabel="rate of the wheels (rad/s)")
-    right.legend()
-    figure.savefig(plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+left.plot(times, off, label="hub off its goal")
+left.plot(times, np.degrees(np.linalg.norm(found["dish"], axis=1)), label="dish off its rest")
+left.set(xlabel="t (s)", ylabel="angle (deg)")
+left.legend()
+right.plot(times, sol.xs["qd"][:, 6:9], label=["x", "y", "z"])
+right.set(xlabel="t (s)", ylabel="rate of the wheels (rad/s)")
+right.legend()
+figure.savefig("satellite.png", dpi=100)

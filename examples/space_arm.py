@@ -1,17 +1,13 @@
-"""An arm on a satellite that nothing holds: its motors turn the satellite, and the momentum of all stays zero."""
-
-import argparse
+"""Free-flying arm: motors of an arm turn the satellite it stands on, and the total momentum stays zero."""
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import Link, Mechanism, SpatialInertia, joints, spatial_momentum
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the satellite's turn here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 hull = SpatialInertia(mass=120.0, inertia=np.diag([20.0, 18.0, 15.0]))
 rod = SpatialInertia(mass=6.0, center_of_mass=(0.4, 0.0, 0.0), inertia=np.diag([0.02, 0.35, 0.35]))
@@ -40,10 +36,8 @@ print(f"the satellite has turned by {turn[-1]:.2f} degrees")
 print(f"largest momentum on the way: {np.max(np.abs(momentum)):.1e} N s and N m s")
 if not np.max(np.abs(momentum)) < 1e-10:
     raise SystemExit("motors between its own bodies cannot change the momentum of the whole")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
-    axes.plot(sol.ts, turn)
-    axes.set(xlabel="t (s)", ylabel="turn of the satellite (degrees)")
-    figure.savefig(plot, dpi=100)
+figure, axes = plt.subplots(figsize=(5.0, 3.0), layout="constrained")
+axes.plot(sol.ts, turn)
+axes.set(xlabel="t (s)", ylabel="turn of the satellite (degrees)")
+figure.savefig("space_arm.png", dpi=100)

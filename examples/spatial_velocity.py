@@ -1,10 +1,11 @@
-"""Two ways to turn: a velocity given in the body frame and the same numbers given in the world frame.
+"""Body and spatial velocity: the same six numbers as a twist in the body frame and in the world frame.
 
 A state's rate is its body velocity. A spatial (world) velocity xi_s is written with the adjoint of the inverse pose.
 """
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 
@@ -31,3 +32,12 @@ for name, end in (("body", body_end), ("world", world_end)):
     )
     if error > 1e-4:
         raise SystemExit("the integration is off")
+
+times = np.linspace(0.0, 2.0, 41)
+figure, axes = plt.subplots(figsize=(4.2, 3.4), layout="constrained")
+for name, dynamics in (("body", in_body), ("world", in_world)):
+    path = tx.integrate(dynamics, start, t1=2.0, dt=0.05, u=u, save_at=times).xs["g"][:, :2, 3]
+    axes.plot(path[:, 0], path[:, 1], ".-", markersize=3, label=f"twist in the {name} frame")
+axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
+axes.legend(frameon=False)
+figure.savefig("spatial_velocity.png", dpi=100)

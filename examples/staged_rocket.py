@@ -4,10 +4,9 @@ One system with parameters is compiled once for all phases. The origin of body a
 that dropping a stage leaves pose and twist as they are; the mass, its centre, the inertia and the engine change.
 """
 
-import argparse
-
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import SpatialInertia, flight
@@ -15,9 +14,6 @@ from twistax.units import degrees
 
 jax.config.update("jax_enable_x64", True)
 
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the flight here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 # ---- a stage, by parameters: what is above it is part of its dry mass ------------------------------------------------
 craft, fuel = flight.Vehicle(flight.ROUND_EARTH), tx.State("fuel")
@@ -86,14 +82,12 @@ for name, phase in zip(sol.names, sol.phases):
 
 if [phase.event for phase in sol.phases] != [0, None, 0, 1, 2]:
     raise SystemExit("the stages burn out, the rocket reaches its apogee, and falls")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
-    for name, phase in zip(sol.names, sol.phases):
-        left.plot(phase.ts, phase.outputs["altitude"] / 1e3, label=name)
-        right.plot(phase.ts, np.linalg.norm(phase.outputs["ned_velocity"], axis=1))
-    left.set(xlabel="t (s)", ylabel="altitude (km)")
-    left.legend()
-    right.set(xlabel="t (s)", ylabel="speed over the ground (m/s)")
-    figure.savefig(plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.2), layout="constrained")
+for name, phase in zip(sol.names, sol.phases):
+    left.plot(phase.ts, phase.outputs["altitude"] / 1e3, label=name)
+    right.plot(phase.ts, np.linalg.norm(phase.outputs["ned_velocity"], axis=1))
+left.set(xlabel="t (s)", ylabel="altitude (km)")
+left.legend()
+right.set(xlabel="t (s)", ylabel="speed over the ground (m/s)")
+figure.savefig("staged_rocket.png", dpi=100)

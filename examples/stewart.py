@@ -1,9 +1,8 @@
 """A Stewart platform on six sprung legs, set in motion: its loops stay closed, and what one of its legs carries."""
 
-import argparse
-
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import (
@@ -19,10 +18,6 @@ from twistax.mechanics import (
 )
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the motion and the load here; needs matplotlib")
-arguments.add_argument("--seconds", type=float, default=2.0, help="how long the motion is")
-arguments = arguments.parse_args()
 
 # ---- six legs from the ground to a plate: a universal joint, a slide on a spring, a ball -----------------------------
 height, tube_length, stiffness, preload = 0.8, 0.5, 4e3, 0.02
@@ -74,7 +69,7 @@ shaken = np.concatenate([[0.3, 0.0, 0.5, 0.0, 0.4, 1.0], np.zeros(18)])  # the p
 guess = {"q": np.array(angles), "plate_position": tx.pose(position=[0.0, 0.0, height]), "qd": shaken}
 start = dynamics.project(0.0, guess)  # the legs' rates follow from the plate's twist
 
-times = np.linspace(0.0, arguments.seconds, 201)
+times = np.linspace(0.0, 2.0, 201)
 sol = tx.integrate(dynamics, start, t1=times[-1], rtol=1e-10, atol=1e-10, save_at=times)
 found = jax.vmap(dynamics.outputs)(sol.ts, sol.xs)
 open_by, energy = np.abs(found["gap"]).max(), np.asarray(found["energy"])
@@ -88,14 +83,12 @@ print(f"and holds it with up to {np.linalg.norm(torque, axis=1).max():.1f} N m")
 off = np.abs(force[:, 2] - found["pushed"]).max()
 if open_by > 1e-10 or drift > 1e-8 or off > 1e-9 * np.abs(force).max():
     raise SystemExit("closed loops stay closed and keep their energy, and the leg carries its spring's force")
-if arguments.plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    left.plot(times, (np.asarray(found["plate"]) - [0.0, 0.0, height]) * 1e3, label=["x", "y", "z"])
-    left.set(xlabel="t (s)", ylabel="plate off its start (mm)")
-    left.legend()
-    right.plot(times, force, label=["x", "y", "along the leg"])
-    right.set(xlabel="t (s)", ylabel="force carried in the leg (N)")
-    right.legend()
-    figure.savefig(arguments.plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+left.plot(times, (np.asarray(found["plate"]) - [0.0, 0.0, height]) * 1e3, label=["x", "y", "z"])
+left.set(xlabel="t (s)", ylabel="plate off its start (mm)")
+left.legend()
+right.plot(times, force, label=["x", "y", "along the leg"])
+right.set(xlabel="t (s)", ylabel="force carried in the leg (N)")
+right.legend()
+figure.savefig("stewart.png", dpi=100)

@@ -1,4 +1,4 @@
-"""A crane: the fastest move that leaves no swing, its switching times found exactly, flown by an integrator.
+"""Crane without swing: the fastest move of a load, with the switching times of its bang-bang force found exactly.
 
 The force is at its limits and jumps between them. With free node times the nodes move to the jumps, so four intervals
 are enough. Such long ones are best integrated by a method of high order.
@@ -43,3 +43,6 @@ flown = tx.integrate(
 )
 for name, values in flown.xs.items():
     print(f"  {name} {float(values[-1]): .6f}, planned {float(result.xs[name][-1]): .6f}")
+
+figure = result.plot(units={"x": "m", "v": "m/s", "a": "rad", "w": "rad/s", "force": "N/kg"})
+figure.savefig("switching_times.png", dpi=90)

@@ -1,18 +1,15 @@
-"""An arm from a URDF file, let go: five lines from the file to its motion, and the wrench that its slide carries."""
+"""Arm from URDF: five lines from the file to the motion, and the joint wrench that its slide carries."""
 
-import argparse
 from pathlib import Path
 
 import jax
 import numpy as np
+from matplotlib import pyplot as plt
 
 import twistax as tx
 from twistax.mechanics import joint_wrench, load
 
 jax.config.update("jax_enable_x64", True)
-arguments = argparse.ArgumentParser(description=__doc__)
-arguments.add_argument("--plot", metavar="FILE", help="draw the energy and the load here; needs matplotlib")
-plot = arguments.parse_args().plot
 
 arm = load(Path(__file__).with_name("arm.urdf"))
 
@@ -27,7 +24,7 @@ start, off = {"q": np.array([0.3, -0.4, 0.1]), "qd": np.array([2.0, 0.0, 0.0])},
 sol = tx.integrate(dynamics, start, t1=0.5, dt=1e-3, u=off, save_at=np.linspace(0.0, 0.5, 101))
 
 print("joints:", *arm.joints)
-print("the file has and nobody uses:", *arm.notes)
+print("not used of the file:", *arm.notes)
 found = jax.vmap(lambda t, x: dynamics.outputs(t, x, off))(sol.ts, sol.xs)
 print("tool at the end (m):", np.round(found["tool"][-1], 4))
 print("the slide carries at the end (N):", np.round(found["carried"][-1, :3], 2))
@@ -35,13 +32,11 @@ energy = np.asarray(found["energy"])
 print(f"energy at the start and after 0.5 s: {energy[0]:.4f} J, {energy[-1]:.4f} J; friction took the difference")
 if not np.all(np.diff(energy) < 1e-9):
     raise SystemExit("friction takes energy and never gives any")
-if plot:
-    from matplotlib import pyplot as plt
 
-    figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
-    left.plot(sol.ts, energy)
-    left.set(xlabel="t (s)", ylabel="energy (J)")
-    right.plot(sol.ts, found["carried"][:, :3], label=["x", "y", "z"])
-    right.set(xlabel="t (s)", ylabel="force carried by the slide, in the tool's axes (N)")
-    right.legend()
-    figure.savefig(plot, dpi=100)
+figure, (left, right) = plt.subplots(1, 2, figsize=(9.0, 3.0), layout="constrained")
+left.plot(sol.ts, energy)
+left.set(xlabel="t (s)", ylabel="energy (J)")
+right.plot(sol.ts, found["carried"][:, :3], label=["x", "y", "z"])
+right.set(xlabel="t (s)", ylabel="force carried by the slide, in the tool's axes (N)")
+right.legend()
+figure.savefig("urdf_arm.png", dpi=100)

@@ -9,8 +9,6 @@ tree, where the tests of its folder run in a process. It is killed if one fails 
 survives.
 """
 
-from __future__ import annotations
-
 import argparse
 import ast
 import collections

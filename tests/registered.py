@@ -1,7 +1,5 @@
 """What the package has of a kind, found by itself: no list of names can forget one."""
 
-from __future__ import annotations
-
 import importlib
 import inspect
 import pkgutil

@@ -1,9 +1,11 @@
 """The house: each layer imports only the layers below it; importing changes nothing and stays light."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
+from collections.abc import Iterator
 from pathlib import Path
 
 import jax.numpy as jnp
@@ -147,6 +149,32 @@ def test_what_is_loaded_later_is_what_type_checkers_see() -> None:
         if isinstance(node, ast.ImportFrom)
     }
     assert seen == {module: set(names) for module, names in twistax._LATER.items()}
+
+
+#: Names that say nothing: the first column of the last table of the glossary.
+_TABLE = (Path(__file__).parents[1] / "docs" / "glossary.md").read_text().rpartition("## Names")[2]
+SAY_NOTHING = {name for row in re.findall(r"^\|(.*?)\|", _TABLE, re.MULTILINE) for name in re.findall(r"`(\w+)`", row)}
+#: Fields that keep such a name: two are public or stand in saved files.
+KEPT = {
+    ("expr/transformations/rate.py", "along"),
+    ("mechanics/models/daveml/static_checks.py", "found"),
+    ("scalar/primitives/entry.py", "moves"),
+}
+
+
+def names_of_values(path: Path) -> Iterator[str]:
+    """The variables, fields and parameters of a file."""
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.arg):
+            yield node.arg
+        elif isinstance(node, ast.Name) and isinstance(node.ctx, ast.Store):
+            yield node.id
+
+
+def test_values_are_named_after_what_they_are() -> None:
+    assert len(SAY_NOTHING) > 30
+    names = ((path.relative_to(SOURCE).as_posix(), names_of_values(path)) for path in SOURCE.rglob("*.py"))
+    assert {(path, name) for path, of_file in names for name in of_file if name in SAY_NOTHING} == KEPT
 
 
 def test_every_public_name_is_there() -> None:

@@ -1,6 +1,7 @@
 """The code in README and docs runs as it is printed."""
 
 import importlib.util
+import json
 import pickle
 import re
 import sys
@@ -21,9 +22,6 @@ ROOT = Path(__file__).parent.parent
 DOCS = ROOT / "docs"
 #: All but the kept pages of reports, which programs wrote.
 PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted(set(DOCS.rglob("*.md")) - set(DOCS.glob("report/*.md")))]
-#: Pages that are one program: each goes on where the one before ends.
-TUTORIAL = [DOCS / "tutorial" / f"{name}.md" for name in ("body", "rollout", "optimal", "c_code")]
-PROGRAMS = [[page] for page in PAGES if page not in TUTORIAL] + [TUTORIAL]
 
 
 def module_of_site(name: str) -> ModuleType:
@@ -36,19 +34,23 @@ def module_of_site(name: str) -> ModuleType:
     return module
 
 
-def blocks(pages: list[Path]) -> str:
-    """The Python blocks of pages, one after another, as one program."""
-    return "\n".join(code for page in pages for code in re.findall(r"```python\n(.*?)```", page.read_text(), re.DOTALL))
+execution = module_of_site("execution")
+TUTORIAL = execution.TUTORIAL
+PROGRAMS = [[page] for page in PAGES if page not in TUTORIAL] + [TUTORIAL]
+#: Those with code.
+RUN = [pages for pages in PROGRAMS if execution.page_program(*pages).blocks]
 
 
-@pytest.mark.parametrize("pages", [p for p in PROGRAMS if blocks(p)], ids=lambda p: str(p[0].relative_to(ROOT)))
+@pytest.mark.parametrize("pages", RUN, ids=lambda pages: str(pages[0].relative_to(ROOT)))
 def test_code_blocks_run(pages: list[Path]) -> None:
-    exec(compile(blocks(pages), str(pages[0]), "exec"), {"__name__": "docs"})
+    """As a user runs them; the site shows what they print and draw."""
+    program = execution.page_program(*pages)
+    assert len(execution.executed(program)) == len(program.blocks)
 
 
 def test_the_smoke_tier_has_the_readme() -> None:
     """By the name that its test has, which must not depend on where the checkout is."""
-    names = [str(pages[0].relative_to(ROOT)) for pages in PROGRAMS if blocks(pages)]
+    names = [str(pages[0].relative_to(ROOT)) for pages in RUN]
     smoke = tomllib.loads((ROOT / "tests/tiers.toml").read_text())["smoke"]["tests"]
     assert "test_docs.py::test_code_blocks_run[README.md]" in smoke
     assert names[0] == "README.md"
@@ -58,18 +60,42 @@ def test_the_tutorial_is_all_there() -> None:
     assert {*TUTORIAL, DOCS / "tutorial" / "index.md"} == set((DOCS / "tutorial").glob("*.md"))
 
 
-def test_pages_with_animations_write_them_when_the_site_is_built() -> None:
-    """Each by code of the page that names its file; `python docs/site` runs it."""
-    animations = module_of_site("animations")
-    shown = {page.stem: animations.FENCE.findall(page.read_text()) for page in DOCS.rglob("*.md")}
-    assert {page: [file for file, _ in found] for page, found in shown.items() if found} == {
-        "landing": ["landing.html"],
-        "mechanism_from_a_file": ["pendulum.html"],
-        "show": ["flight.html"],
-    }
-    for page in DOCS.rglob("*.md"):
-        compile(animations.program(page.read_text()), str(page), "exec")
-    assert all(f'"{file}"' in code for found in shown.values() for file, code in found)
+def test_blocks_are_executed_once_with_what_they_print_and_draw(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(execution, "KEPT", tmp_path / "kept")
+    count = tmp_path / "count"
+    blocks = (
+        f"with open({str(count)!r}, 'a') as file:\n    print('x', file=file)\nx = 2",
+        "print('printed')\nx + 1",
+        "from matplotlib.figure import Figure\nfigure = Figure()\nfigure.add_subplot().plot([1, 2])\nfigure",
+        "from pathlib import Path\nPath('page.html').write_text('<p>')",
+        "import twistax as tx\ntx.State('v') + 1.0",
+    )
+    for _ in range(2):
+        outputs = execution.executed(execution.Program("a page", blocks))
+    assert count.read_text() == "x\n"
+    assert [output.text for output in outputs] == ["", "printed\n3\n", "", "", ""]
+    assert [len(output.files) for output in outputs] == [0, 0, 1, 1, 0]
+    assert outputs[2].files[0].endswith(".png")
+    assert "v" in outputs[4].latex
+    with pytest.raises(RuntimeError, match=r"(?s)a page failed.*ZeroDivisionError"):
+        execution.executed(execution.Program("a page", ("x = 0", "1 / x")))
+    with pytest.raises(RuntimeError, match="RuntimeWarning"):
+        execution.executed(execution.Program("a page", ("import numpy as np\nnp.float64(1.0) / 0.0",)))
+
+
+def test_pages_download_as_notebooks(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A later page of the tutorial begins with the code of those before it."""
+    monkeypatch.setitem(sys.modules, "execution", execution)
+    notebooks = module_of_site("notebooks")
+    notebooks.write(tmp_path, [TUTORIAL[1]])
+    cells = json.loads((tmp_path / "tutorial" / "rollout.ipynb").read_text())["cells"]
+    code = [cell["source"] for cell in cells if cell["cell_type"] == "code"]
+    assert code == [block.rstrip() for block in execution.page_program(*TUTORIAL[:2]).blocks]
+    texts = [cell["source"] for cell in cells if cell["cell_type"] == "markdown"]
+    assert texts[0].startswith("# 2.")
+    assert not any("```python" in text for text in texts)
 
 
 def test_links_lead_somewhere() -> None:

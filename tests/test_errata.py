@@ -4,8 +4,6 @@ Each law is stated without either formula: point forces and point masses, 4x4 ma
 Putting a published formula in place of ours makes its row fail: the same law must also refuse the published one.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import re
 from collections.abc import Callable

@@ -1,51 +1,51 @@
-"""Every example is a script that runs as a user would run it, without a warning."""
+"""Every example is a script that runs as a user would run it, without a warning; those of the gallery draw."""
 
-import json
-import os
-import subprocess
+import ast
+import importlib
 import sys
 from pathlib import Path
 
 import pytest
 
-EXAMPLES = sorted((Path(__file__).parent.parent / "examples").glob("*.py"))
+ROOT = Path(__file__).parent.parent
+sys.path.insert(0, str(ROOT / "docs" / "site"))
+execution, results = importlib.import_module("execution"), importlib.import_module("results")
 
-#: Arguments of a script under which it says the same in less time: its programs are timed once.
-BRIEF = {"small_matrices.py": ["--repeat", "1"]}
-
+EXAMPLES = sorted(path.stem for path in (ROOT / "examples").glob("*.py"))
+PAGES = " ".join(path.stem for path in sorted((ROOT / "docs" / "gallery").glob("*.md")) if path.stem != "index")
+GALLERY = [name for names in results.gallery_pages(PAGES).values() for name in names]
 #: Processes that share the examples: JAX is imported once in each, and workers take them side by side.
 SHARES = 4
 
-#: Runs one script with its arguments after the other, each with JAX's own precision at its start.
-RUN = """
-import contextlib, io, json, runpy, sys
-import jax
-
-for words in json.loads(sys.argv[1]):
-    script, *_ = sys.argv = words
-    jax.config.update("jax_enable_x64", False)
-    said = io.StringIO()
-    try:
-        with contextlib.redirect_stdout(said):
-            runpy.run_path(script, run_name="__main__")
-    except SystemExit as end:
-        assert not end.code, f"{script} ends with {end.code}"
-    assert said.getvalue().strip(), f"{script} says nothing"
-    print(script)
-"""
-
 
 @pytest.mark.parametrize("share", range(SHARES))
-def test_examples_run(share: int, tmp_path: Path) -> None:
-    runs = [[str(path), *BRIEF.get(path.name, [])] for path in EXAMPLES[share::SHARES]]
-    environment = {**os.environ, "JAX_PLATFORMS": "cpu", "MPLBACKEND": "agg"}
-    command = [sys.executable, "-W", "error", "-c", RUN, json.dumps(runs)]
-    ended = subprocess.run(command, capture_output=True, text=True, cwd=tmp_path, env=environment)
-    assert ended.returncode == 0, ended.stdout + ended.stderr
-    assert ended.stdout.splitlines() == [script for script, *_ in runs]
+def test_examples_run(share: int) -> None:
+    names = EXAMPLES[share::SHARES]
+    programs = [execution.example_program(name) for name in names]
+    execution.execute(programs)
+    for name, program in zip(names, programs):
+        (output,) = execution.executed(program)
+        assert output.text.strip(), f"{name} prints nothing"
+        assert name not in GALLERY or f"{name}.png" in output.files, f"{name} draws nothing"
+
+
+def test_the_gallery_has_short_examples_with_titles() -> None:
+    assert len(GALLERY) >= 24
+    assert len(set(GALLERY)) == len(GALLERY)
+    assert set(GALLERY) <= set(EXAMPLES)
+    for name in GALLERY:
+        title, doc, code = results.example(name)
+        assert len((ROOT / "examples" / f"{name}.py").read_text().splitlines()) < 80, name
+        assert 3 < len(title) < 50, (name, title)
+        assert len(doc) > len(title) + 20, name
+        ast.parse(code)
+
+
+def test_the_index_of_the_gallery_has_all_pages() -> None:
+    text = (ROOT / "docs" / "gallery" / "index.md").read_text()
+    assert sorted(results.GALLERY.findall(text)[0].split()) == sorted(PAGES.split())
 
 
 def test_there_are_examples() -> None:
-    names = {path.name for path in EXAMPLES}
-    assert len(names) >= 2 * SHARES
-    assert set(BRIEF) <= names
+    assert len(EXAMPLES) >= 2 * SHARES
+    assert set(execution.BRIEF) <= set(EXAMPLES)

@@ -1,7 +1,5 @@
 """No failing integration or solve ends the process; `failing_runs.py` runs a thousand of them."""
 
-from __future__ import annotations
-
 import pytest
 
 from failing_runs import SETS, STRUCTURES, worker

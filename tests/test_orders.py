@@ -1,7 +1,5 @@
 """Two orders of six-vectors in one system: an error that names both places, and no error where there is no mistake."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

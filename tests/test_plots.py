@@ -4,6 +4,7 @@ import functools
 import itertools
 import sys
 from html import escape
+from pathlib import Path
 from xml.etree import ElementTree
 
 import jax
@@ -50,9 +51,10 @@ def test_a_solution_in_one_line() -> None:
 
 def test_a_solution_chooses_and_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     assert list(panels(solution().plot(["m"]))) == ["m"]
-    for wrong in ({"names": ["n"]}, {"units": {"n": "m"}}):
+    assert list(panels(solution().plot("m", "v"))) == ["m", "v"]
+    for names, units in ((["n"], {}), ([], {"n": "m"})):
         with pytest.raises(tx.InputError, match=r"'n'.*'g', 'v', 'A', 'm'"):
-            solution().plot(**wrong)
+            solution().plot(*names, units=units)
     with pytest.raises(tx.InputError, match="save_at"):
         solution(ts=TIMES[:1]).plot()
     with pytest.raises(tx.InputError, match="batch"):
@@ -62,6 +64,61 @@ def test_a_solution_chooses_and_refuses(monkeypatch: pytest.MonkeyPatch) -> None
     monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
     with pytest.raises(tx.ModelError, match=r"twistax\[plot\]"):
         solution().plot()
+
+
+@functools.cache
+def satellite() -> tx.Solution:
+    """A panel on a hinge and a boom on a slide of a hull that flies: entries of several units, and an output."""
+    from twistax.mechanics import Link, Mechanism, SpatialInertia, joints
+
+    body = SpatialInertia(mass=2.0, inertia=np.diag([1.0, 2.0, 3.0]))
+    robot = Mechanism(
+        [
+            Link(joints.Free("hull"), body, np.eye(4)),
+            Link(joints.Revolute("panel", (0.0, 1.0, 0.0)), body, np.eye(4), parent="hull"),
+            Link(joints.Prismatic("boom", (1.0, 0.0, 0.0)), body, np.eye(4), parent="hull"),
+        ],
+        gravity=np.zeros(3),
+    )
+    dynamics = tx.compile(robot.system(controls=["panel", "boom"], outputs={"rpm": robot.qd[6] * 30.0 / np.pi}))
+    assert dynamics.system.labels["tau"] == (("panel", "N m"), ("boom", "N"))
+    start = {"q": np.array([0.1, 0.2]), "hull_position": np.eye(4), "qd": np.arange(8.0)}
+    times = np.linspace(0.0, 0.1, 5)
+    return tx.integrate(dynamics, start, t1=0.1, dt=0.01, u={"tau": np.zeros(2)}, save_at=times)
+
+
+def test_entries_of_a_mechanism_are_named_by_joint_with_a_panel_for_each_unit() -> None:
+    found = panels(satellite().plot())
+    poses = ["position of hull_position", "attitude of hull_position"]
+    assert sorted(found) == sorted([*poses, "q, rad", "q, m", "qd, m/s", "qd, rad/s"])
+    assert [line.get_label() for line in found["qd, rad/s"].get_lines()] == ["hull x", "hull y", "hull z", "panel"]
+    np.testing.assert_array_equal(found["qd, m/s"].get_lines()[3].get_ydata(), satellite().xs["qd"][:, 7])
+    assert [line.get_label() for line in found["qd, m/s"].get_lines()][3] == "boom"
+    assert found["qd, rad/s"].get_legend().get_bbox_to_anchor()._bbox.x0 == 1.0
+
+
+def test_joints_and_outputs_are_drawn_by_name_in_units_that_are_asked_for() -> None:
+    found = panels(satellite().plot("rpm", "panel", "hull", units={"panel": "deg"}))
+    assert list(found) == ["rpm", "q of panel", "qd of panel", "qd of hull, m/s", "qd of hull, rad/s"]
+    (line,) = found["q of panel"].get_lines()
+    np.testing.assert_allclose(line.get_ydata(), np.rad2deg(satellite().xs["q"][:, 0]), rtol=1e-14)
+    assert found["q of panel"].get_ylabel() == "deg"
+    rpm = panels(satellite().plot("qd", units={"qd": "rpm"}))["qd, rpm"].get_lines()[3]
+    np.testing.assert_allclose(rpm.get_ydata(), satellite().outputs["rpm"], rtol=1e-14)
+    with pytest.raises(tx.InputError, match=r"'wheel'.*'panel'"):
+        satellite().plot("wheel")
+
+
+def test_labels_of_a_system_are_checked_and_saved(tmp_path: Path) -> None:
+    x, u = tx.State("x", shape=(2,)), tx.Control("u", min=-1.0, max=1.0)
+    labels = {x: [("cart", "m"), ("pole", "rad")], "u": [("motor", "N")]}
+    system = tx.System(rates={x: tx.Concat(x[1], u)}, labels=labels)
+    assert system.labels == {"x": (("cart", "m"), ("pole", "rad")), "u": (("motor", "N"),)}
+    tx.compile(system).save(tmp_path / "cart.twistax")
+    assert tx.load(tmp_path / "cart.twistax").system.labels == system.labels
+    for wrong in ({"y": [("a", "m")]}, {"x": [("a", "m")]}, {"x": [("a", 1), ("b", 2)]}):
+        with pytest.raises(tx.ModelError, match="labels"):
+            tx.System(rates={x: tx.Concat(x[1], u)}, labels=wrong)
 
 
 def trajectory(t0: float = 0.0) -> Trajectory:
@@ -78,6 +135,7 @@ def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
     found = panels(trajectory().plot(units={"u": "N"}))
     assert list(found) == ["p", "v", "u"]
     rollout, nodes, limit = found["p"].get_lines()
+    assert limit.get_label() == "limit"
     np.testing.assert_array_equal(nodes.get_xdata(), [0.0, 1.0, 2.0])
     np.testing.assert_allclose(rollout.get_ydata(), 0.5 * np.asarray(rollout.get_xdata()) ** 2, atol=1e-9)
     assert limit.get_ydata()[0] == 5.0

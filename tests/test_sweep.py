@@ -1,7 +1,5 @@
 """Sweeps: every member as by itself, on any number of devices, resumable, failures by number."""
 
-from __future__ import annotations
-
 import os
 import socket
 import subprocess

@@ -1,7 +1,5 @@
 """What a System refuses, one mistake at a time: the message names the thing, its place and the way out."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Units: exact factors, what is done with them, and what a door refuses."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import math

@@ -1,7 +1,5 @@
 """A function under every transformation of JAX."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Groups as users write them: turns of the plane, its rigid motions, and these with a scale."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

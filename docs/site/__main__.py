@@ -1,6 +1,6 @@
 """`python docs/site`: the documentation site into out/site, warnings as errors, every link inside it followed.
 
-Animations are written meanwhile, by the code that pages show.
+The code of pages and examples is executed first, where its results are not kept from an earlier build or a test.
 """
 
 from __future__ import annotations
@@ -9,11 +9,14 @@ import argparse
 import shutil
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
 from pathlib import Path
 from urllib.parse import unquote, urlsplit
 
-import animations
+import execution
+import notebooks
+import results
 from sphinx.cmd.build import build_main
 
 SITE = Path(__file__).parent
@@ -39,8 +42,8 @@ class _Page(HTMLParser):
 def dead_links(folder: Path) -> list[str]:
     """Links between the pages of a built site that lead nowhere."""
     folder = folder.resolve()
-    drawn = folder / animations.FOLDER
-    files = [path for path in sorted(folder.rglob("*.html")) if path.parent != drawn]
+    drawn = folder / results.FOLDER
+    files = [path for path in sorted(folder.rglob("*.html")) if drawn not in path.parents]
     pages = {path.resolve(): _Page(path) for path in files}
     dead = []
     for path, page in pages.items():
@@ -55,6 +58,13 @@ def dead_links(folder: Path) -> list[str]:
     return sorted(set(dead))
 
 
+def _execute(processes: int) -> None:
+    """Execute all programs that have no results, shared between processes."""
+    programs = results.programs()
+    with ThreadPoolExecutor(processes) as pool:
+        list(pool.map(execution.execute, [programs[k::processes] for k in range(processes)]))
+
+
 def main() -> int:
     parser = argparse.ArgumentParser(prog="python docs/site", description="Builds the documentation site.")
     parser.add_argument("--out", type=Path, default=Path("out/site"), help="folder for the pages (./out/site)")
@@ -66,12 +76,13 @@ def main() -> int:
     options = ["-q", "-W", "-n", "-j", "auto", "-b", builder, "-c", str(SITE), "-d", str(given.out / ".trees")]
     if (given.out / ".trees").exists():
         shutil.rmtree(given.out)  # of an earlier build: pages and entries may be gone
-    written = [] if given.external else animations.begin(SITE.parent, given.out)
+    if not given.external:
+        _execute(2)
     failed = build_main([*options, str(SITE.parent), str(given.out)])
-    wrong = animations.end(written)
-    print(*wrong, sep="\n", end="\n" if wrong else "", file=sys.stderr)
-    if failed or wrong or given.external:
-        return failed or len(wrong)
+    if failed or given.external:
+        return failed
+    results.copy_files(given.out)
+    notebooks.write(given.out / results.NOTEBOOKS, results.pages())
     dead = dead_links(given.out)
     for link in dead:
         print(f"leads nowhere: {link}", file=sys.stderr)

@@ -22,9 +22,9 @@ extensions = [
     "sphinx.ext.intersphinx",
     "sphinx.ext.viewcode",
     "sphinx_copybutton",
-    "animations",
     "mathml",
     "reference",
+    "results",
 ]
 exclude_patterns = ["site", "README.md"]
 nitpicky = True

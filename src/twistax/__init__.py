@@ -137,11 +137,11 @@ def _where_else(name: str) -> str:
         return ""
     if importlib.util.find_spec(f"{__name__}.{name}"):
         return f".\n  fix: import {__name__}.{name}"
-    known = {own.lower(): own for own in __all__}
+    known = {public.lower(): public for public in __all__}
     faces = ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics", "testing")
     for home in faces:
-        for own in importlib.import_module(f"{__name__}.{home}").__all__:
-            known.setdefault(own.lower(), f"{home}.{own}")
+        for public in importlib.import_module(f"{__name__}.{home}").__all__:
+            known.setdefault(public.lower(), f"{home}.{public}")
     if expr.operators.takes_expressions(name.lower()):
         return f".\n  fix: np.{name.lower()}(...) takes expressions"
     near = difflib.get_close_matches(name.lower(), known, 1)

@@ -1,13 +1,15 @@
-"""The command line: `python -m twistax demo`, `python -m twistax report`, and what is installed, `--version`."""
+"""The command line: `python -m twistax demo`, `report`, `examples`, and what is installed, `--version`."""
 
 from __future__ import annotations
 
 import argparse
 import importlib
 import platform
+import shutil
 import sys
 from collections.abc import Sequence
 from importlib import metadata
+from pathlib import Path
 from typing import NoReturn
 
 from .demo import options as demo_options
@@ -58,10 +60,18 @@ def main(arguments: Sequence[str] | None = None) -> int:
     )
     report_options.add_options(report)
     report.set_defaults(module=".report.command", rerun="; the same command goes on where it stopped")
+    examples = commands.add_parser(
+        "examples",
+        help="copy the examples of the gallery to a folder",
+        description="Copies the examples of the documentation, scripts that run by themselves, to a folder.",
+    )
+    examples.add_argument("--out", type=Path, metavar="DIR", default=Path("examples"), help="the folder (./examples)")
     options = parser.parse_args(arguments)
     if options.version:
         print(versions())
         return 0
+    if options.command == "examples":
+        return copy_examples(options.out)
     if options.command is None:
         parser.print_help()
         return 0
@@ -75,6 +85,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         print(f"\ntwistax {options.command}: interrupted{options.rerun}", file=sys.stderr)
         return 130
+
+
+def copy_examples(folder: Path) -> int:
+    """Copy the scripts and their data; files that are there stay. Returns the exit status."""
+    package = Path(__file__).parent
+    source = next(path for path in (package / "examples", package.parents[1] / "examples") if path.is_dir())
+    files = sorted(path for path in source.iterdir() if path.is_file())
+    there = [path.name for path in files if (folder / path.name).exists()]
+    if there:
+        print(f"twistax examples: {folder / there[0]} is there; name another folder with --out", file=sys.stderr)
+        return 2
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path in files:
+            shutil.copy(path, folder)
+    except OSError as error:
+        print(f"twistax examples: cannot write to {folder}: {error.strerror}", file=sys.stderr)
+        return 2
+    first = folder / "free_body.py"
+    print(f"{len(files)} files in {folder}; they draw their figures into the working directory: python {first}")
+    return 0
 
 
 def versions() -> str:

@@ -64,10 +64,10 @@ def reals(place: str, value: Any, error: type[Exception], free: bool = False) ->
     if array.dtype.itemsize <= 8:  # float64 holds all of them; to look takes 4 us
         return array.astype(np.float64)
     with np.errstate(over="ignore"):
-        found = array.astype(np.float64)
-    if np.any(np.isinf(found) & ~np.isinf(array)):
+        floats = array.astype(np.float64)
+    if np.any(np.isinf(floats) & ~np.isinf(array)):
         raise error(f"{place} expects numbers that float64 can hold, got {short(value)}")
-    return found
+    return floats
 
 
 def _real(dtype: Any) -> bool:
@@ -100,12 +100,12 @@ def real_array(place: str, value: Any, error: type[Exception] = InputError) -> j
     if not (isinstance(value, jax.Array) or is_traced(value)):
         return reals(place, value, error)
     try:
-        found = jnp.asarray(value)
+        numbers = jnp.asarray(value)
     except (TypeError, ValueError, OverflowError):
         raise error(f"{place} expects real numbers, got {short(value)}") from None
-    if found.dtype != bool and not _real(found.dtype):
-        raise error(f"{place} expects real numbers, got {found.dtype}")
-    return found
+    if numbers.dtype != bool and not _real(numbers.dtype):
+        raise error(f"{place} expects real numbers, got {numbers.dtype}")
+    return numbers
 
 
 def number(

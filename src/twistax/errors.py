@@ -139,6 +139,6 @@ def in_phase(name: str) -> Iterator[None]:
     try:
         yield
     except TwistaxError as error:
-        told = type(error)(f"{name}: {error}")
-        told.__notes__ = list(error.__notes__)
-        raise told from None
+        with_phase = type(error)(f"{name}: {error}")
+        with_phase.__notes__ = list(error.__notes__)
+        raise with_phase from None

@@ -92,9 +92,9 @@ def closed(jaxpr: Jaxpr | ClosedJaxpr) -> ClosedJaxpr:
 
 def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
     """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions."""
-    found = [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+    inner = [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
     inside = expansion(eqn)
-    return found if inside is None else [*found, inside]
+    return inner if inside is None else [*inner, inside]
 
 
 def expansion(eqn: Any, own_derivatives: bool = True) -> ClosedJaxpr | None:
@@ -135,10 +135,10 @@ def part(
         constants: variables whose values are known.
     """
     debug = jaxpr.debug_info.with_unknown_names()
-    own = jaxpr.replace(
+    piece = jaxpr.replace(
         constvars=list(constants), invars=list(inputs), outvars=list(outputs), eqns=list(eqns), debug_info=debug
     )
-    return ClosedJaxpr(own, list(constants.values()))
+    return ClosedJaxpr(piece, list(constants.values()))
 
 
 def is_key(variable: Any) -> bool:
@@ -158,8 +158,8 @@ def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
             jax.random.wrap_key_data(value, impl=v.aval.dtype._impl) if is_key(v) else value
             for v, value in zip(arguments, values, strict=True)
         ]
-        found = zip(results, jaxpr_as_fun(program)(*wrapped), strict=True)
-        return [jax.random.key_data(value) if is_key(v) else value for v, value in found]
+        pairs = zip(results, jaxpr_as_fun(program)(*wrapped), strict=True)
+        return [jax.random.key_data(value) if is_key(v) else value for v, value in pairs]
 
     structs = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in arguments]
     data = [jax.eval_shape(jax.random.key_data, s) if is_key(v) else s for v, s in zip(arguments, structs, strict=True)]
@@ -171,17 +171,17 @@ def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
 
     Transformations must see them.
     """
-    held = [i for i, value in enumerate(program.consts) if is_traced(value)]
-    if not held:
+    traced = [i for i, value in enumerate(program.consts) if is_traced(value)]
+    if not traced:
         return jaxpr_as_fun(program), []
 
     def function(*values: Any) -> list[Any]:
         consts = list(program.consts)
-        for i, value in zip(held, values[: len(held)], strict=True):
+        for i, value in zip(traced, values[: len(traced)], strict=True):
             consts[i] = value
-        return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, consts))(*values[len(held) :])
+        return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, consts))(*values[len(traced) :])
 
-    return function, [program.consts[i] for i in held]
+    return function, [program.consts[i] for i in traced]
 
 
 def source_of(jaxpr: ClosedJaxpr) -> str | None:
@@ -251,8 +251,8 @@ def varying_alike(arguments: Sequence[Any]) -> list[Any]:
     axes = [jax.typeof(a).mat.varying for a in arguments]
     every = frozenset().union(*axes)
     return [
-        a if own == every else jax.lax.pcast(a, tuple(every - own), to="varying")
-        for a, own in zip(arguments, axes, strict=True)
+        a if varying == every else jax.lax.pcast(a, tuple(every - varying), to="varying")
+        for a, varying in zip(arguments, axes, strict=True)
     ]
 
 
@@ -265,8 +265,8 @@ def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequenc
     like = next((a for a in arguments if a.mat.varying or _explicit(a.sharding.mesh)), None)
     if like is None:
         return aval
-    given = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
-    batch = [next((axis for axis in own if axis is not None), None) for own in zip(*given, strict=True)]
+    specs = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
+    batch = [next((axis for axis in axes if axis is not None), None) for axes in zip(*specs, strict=True)]
     spec = jax.sharding.PartitionSpec(*batch, *(None for _ in aval.shape[len(batch) :]))
     return like.update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
 
@@ -280,7 +280,7 @@ def by_one_device(context: Any) -> Any:
     return context.replace(avals_in=plain(context.avals_in), avals_out=plain(context.avals_out))
 
 
-def on_axes(function: Callable[..., list[Any]], depth: int, whole: Collection[int], context: Any) -> Any:
+def on_axes(function: Callable[..., list[Any]], depth: int, unbatched: Collection[int], context: Any) -> Any:
     """A function of batches that lie on explicit axes of a mesh, for the lowering of it: each device has its members.
 
     None where they do not.
@@ -288,23 +288,23 @@ def on_axes(function: Callable[..., list[Any]], depth: int, whole: Collection[in
     Args:
         function: the first `depth` axes of its results are those of the batch.
         depth: how many axes are of the batch.
-        whole: the arguments that do not begin with these axes.
+        unbatched: the arguments that do not begin with these axes.
     """
     mesh, spec = context.avals_out[0].sharding.mesh, jax.sharding.PartitionSpec
     batch = spec(*context.avals_out[0].sharding.spec[:depth])
     if not _explicit(mesh) or all(axis is None for axis in batch):
         return None
-    ins = [spec() if k in whole else batch for k in range(len(context.avals_in))]
+    ins = [spec() if k in unbatched else batch for k in range(len(context.avals_in))]
     outs = [batch for _ in context.avals_out]
     mapped = jax.shard_map(function, mesh=mesh, in_specs=tuple(ins), out_specs=outs, check_vma=False)
 
     def run(*arguments: Any) -> list[Any]:
         places = [
-            jax.sharding.NamedSharding(mesh, spec(*own, *(None for _ in a.shape[len(own) :])))
-            for a, own in zip(arguments, ins, strict=True)
+            jax.sharding.NamedSharding(mesh, spec(*axes, *(None for _ in a.shape[len(axes) :])))
+            for a, axes in zip(arguments, ins, strict=True)
         ]
-        found: list[Any] = mapped(*(jax.sharding.reshard(a, place) for a, place in zip(arguments, places, strict=True)))
-        return found
+        placed = [jax.sharding.reshard(a, place) for a, place in zip(arguments, places, strict=True)]
+        return list(mapped(*placed))
 
     return run
 
@@ -326,22 +326,22 @@ def needs_devices(primitive: Primitive) -> None:
     _need_devices.add(primitive)
 
 
-def shared_out(function: Callable[..., list[Any]], depth: int, whole: Collection[int]) -> Callable[..., list[Any]]:
+def shared_out(function: Callable[..., list[Any]], depth: int, unbatched: Collection[int]) -> Callable[..., list[Any]]:
     """A function of batches, where XLA shares it between devices: each computes its members.
 
     Args:
         function: the first `depth` axes of its results are those of the batch.
         depth: how many axes are of the batch.
-        whole: the arguments that do not begin with these axes.
+        unbatched: the arguments that do not begin with these axes.
     """
     from jax.experimental.custom_partitioning import ArrayMapping, SdyShardingRule, custom_partitioning
 
     def run(*arguments: Any) -> list[Any]:
         program = jax.make_jaxpr(function)(*arguments)
-        consts, own = program.consts, jaxpr_as_fun(_constants_first(program))
-        alone = {*range(len(consts)), *(len(consts) + k for k in whole)}
+        consts, call_with_constants = program.consts, jaxpr_as_fun(_constants_first(program))
+        alone = {*range(len(consts)), *(len(consts) + k for k in unbatched)}
 
-        def rule(mesh: Any, given: Sequence[Any], results: Sequence[Any]) -> SdyShardingRule:
+        def rule(mesh: Any, arguments: Sequence[Any], results: Sequence[Any]) -> SdyShardingRule:
             batch = [f"batch{k}" for k in range(depth)]
             inner: list[str] = []
 
@@ -350,21 +350,21 @@ def shared_out(function: Callable[..., list[Any]], depth: int, whole: Collection
                 inner.extend(more)
                 return ArrayMapping(*first, *more)
 
-            ins = tuple(names(len(a.shape), [] if k in alone else batch) for k, a in enumerate(given))
+            ins = tuple(names(len(a.shape), [] if k in alone else batch) for k, a in enumerate(arguments))
             outs = tuple(names(len(a.shape), batch) for a in results)
             return SdyShardingRule(ins, outs, need_replication_factors=tuple(inner))
 
-        def partition(mesh: Any, given: Sequence[Any], results: Sequence[Any]) -> Any:
+        def partition(mesh: Any, arguments: Sequence[Any], results: Sequence[Any]) -> Any:
             # Members that XLA would make up, where they are not as many on all devices, might never end.
             spec = [
                 _dividing(mesh, axis, n) for axis, n in zip(results[0].sharding.spec, results[0].shape, strict=True)
             ]
             batch = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec(*spec[:depth]))
             every = jax.sharding.NamedSharding(mesh, jax.sharding.PartitionSpec())
-            ins = tuple(every if k in alone else batch for k in range(len(given)))
+            ins = tuple(every if k in alone else batch for k in range(len(arguments)))
             return mesh, lambda *values: function(*values[len(consts) :]), [batch for _ in results], ins
 
-        call = custom_partitioning(lambda *values: own(*values))
+        call = custom_partitioning(lambda *values: call_with_constants(*values))
         call.def_partition(partition, sharding_rule=rule)
         return list(call(*consts, *arguments))
 
@@ -425,8 +425,8 @@ def quick_compile(level: int = 1) -> dict[str, bool | str]:
     options: dict[str, bool | str] = {"xla_backend_optimization_level": str(level)}
     if jax.__version_info__ < (0, 11):
         options["xla_cpu_use_fusion_emitters"] = False
-    own = os.environ.get("XLA_FLAGS", "")
-    return {name: value for name, value in options.items() if name not in own}
+    flags = os.environ.get("XLA_FLAGS", "")
+    return {name: value for name, value in options.items() if name not in flags}
 
 
 def any_of_batch(condition: jax.Array) -> jax.Array:

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from typing import Any, NamedTuple
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple, TypeAlias
 
 import jax
 import numpy as np
@@ -14,8 +14,21 @@ from .errors import InputError, ModelError
 from .groups import SE3, SO3, ElementPart, Group, euler
 
 #: A panel with more curves than this has no legend.
-_NAMED = 9
+_NAMED = 12
+#: From a unit to one that a user may ask for.
+_FACTORS = {
+    ("rad", "deg"): 180.0 / np.pi,
+    ("rad/s", "deg/s"): 180.0 / np.pi,
+    ("rad/s", "rpm"): 30.0 / np.pi,
+    ("m", "mm"): 1e3,
+    ("m", "km"): 1e-3,
+    ("m/s", "km/h"): 3.6,
+}
 _LIMIT, _BAR = "#c0392b", "#1f5f99"
+
+
+#: By name of a leaf, pairs of name and unit of its entries.
+Labels: TypeAlias = Mapping[str, Sequence[tuple[str, str]]]
 
 
 class Panel(NamedTuple):
@@ -28,6 +41,7 @@ class Panel(NamedTuple):
         marks: times and values drawn as dots.
         steps: the values hold until the next time.
         limits: bounds of the values.
+        columns, factor: which entries of a leaf these are, and what they were multiplied by; None for all.
     """
 
     title: str
@@ -37,17 +51,44 @@ class Panel(NamedTuple):
     marks: tuple[Array, Array] | None = None
     steps: bool = False
     limits: Sequence[float] = ()
+    columns: Sequence[int] | None = None
+    factor: float = 1.0
 
 
-def panels(name: str, group: Group | None, pieces: Sequence[tuple[Array, Array]], unit: str = "") -> list[Panel]:
+def panels(
+    name: str,
+    group: Group | None,
+    pieces: Sequence[tuple[Array, Array]],
+    unit: str = "",
+    labels: Sequence[tuple[str, str]] = (),
+) -> list[Panel]:
     """The panels of a leaf, from pieces of times (n,) and values (n, *shape) that follow each other.
 
-    A pose becomes its position and its Euler angles, a rotation its Euler angles, in degrees and without jumps.
+    A pose becomes its position and its Euler angles, a rotation its Euler angles, in degrees and without jumps. Entries
+    with labels, pairs of name and unit, become a panel for each unit; `unit` converts those that it can.
     """
     pieces = [(np.asarray(ts), np.asarray(values)) for ts, values in pieces]
+    if labels and pieces:
+        return _labelled(name, [(ts, v.reshape(len(v), -1)) for ts, v in pieces], unit, labels)
     if group is None or group.flat or (len(group.parts) == 1 and not group.rigid):
         return [_entries(name, name, pieces, unit or "SI")]
     return [_of_part(name, part, [(ts, part.of(values)) for ts, values in pieces], unit) for part in group.parts]
+
+
+def _labelled(
+    name: str, pieces: Sequence[tuple[Array, Array]], unit: str, labels: Sequence[tuple[str, str]]
+) -> list[Panel]:
+    """A panel for each unit of the entries."""
+    by_unit: dict[str, list[int]] = {}
+    for column, (_, label_unit) in enumerate(labels):
+        by_unit.setdefault(label_unit, []).append(column)
+    drawn = []
+    for label_unit, columns in by_unit.items():
+        shown, factor = (unit, _FACTORS[label_unit, unit]) if (label_unit, unit) in _FACTORS else (label_unit, 1.0)
+        curve = _joined([(ts, factor * values[:, columns]) for ts, values in pieces])
+        title = name if len(by_unit) == 1 else f"{name}, {shown}"
+        drawn.append(Panel(title, shown, [labels[i][0] for i in columns], curve, columns=columns, factor=factor))
+    return drawn
 
 
 def _entries(title: str, name: str, pieces: Sequence[tuple[Array, Array]], unit: str) -> Panel:
@@ -92,12 +133,67 @@ def _angles(values: Array) -> Array:
     return np.rad2deg(np.unwrap(angles, axis=0))
 
 
-def chosen(names: Sequence[str] | None, there: Sequence[str], units: Mapping[str, str] | None) -> list[str]:
-    """The names to draw, all unless given. Raises InputError for one that is not there."""
-    wrong = [name for name in [*(names or ()), *(units or {})] if name not in there]
+def chosen(names: Sequence[Any], there: Iterable[str], units: Mapping[str, str] | None) -> list[str]:
+    """The names that a plot was called with: strings or leaves, or one sequence of them; empty for all.
+
+    Raises:
+        InputError: one that is not there.
+    """
+    several = (
+        names[0] if len(names) == 1 and isinstance(names[0], Sequence) and not isinstance(names[0], str) else names
+    )
+    wanted, known = [getattr(name, "name", name) for name in several], list(dict.fromkeys(there))
+    wrong = [name for name in [*wanted, *(units or {})] if name not in known]
     if wrong:
-        raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {listed(there, wrong[0])}")
-    return list(there if names is None else names)
+        raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {listed(known, str(wrong[0]))}")
+    return wanted
+
+
+class Pictured(NamedTuple):
+    """What a plot may show: values over time by name, and names and units of their entries.
+
+    Attributes:
+        shown: the names of leaves that are drawn where none is named.
+        more: the names of outputs.
+        pieces: from a name to its pieces of times and values.
+        labels: by name of a leaf, pairs of name and unit; the name of a joint draws all entries that have it.
+        units: what the user asks for, by name.
+    """
+
+    shown: Sequence[str]
+    more: Sequence[str]
+    pieces: Callable[[str], Sequence[tuple[Array, Array]]]
+    labels: Labels
+    units: Mapping[str, str] | None
+
+    def panels(self, names: Sequence[Any]) -> list[Panel]:
+        """The panels of the names that a plot was called with. Raises InputError for one that is not there."""
+        joints = joints_of(self.labels, self.shown)
+        wanted = chosen(names, [*self.shown, *self.more, *joints], self.units) or list(self.shown)
+        return [panel for name in wanted for panel in self._of(name, joints.get(name))]
+
+    def _of(self, name: str, columns: Mapping[str, list[int]] | None) -> list[Panel]:
+        units = self.units or {}
+        if columns is None:
+            pieces = self.pieces(name)
+            group = group_of(pieces[0][1]) if pieces else None
+            return panels(name, group, pieces, units.get(name, ""), self.labels.get(name, ()))
+        drawn = []
+        for leaf, entries in columns.items():
+            pieces = [(ts, np.asarray(values).reshape(len(ts), -1)[:, entries]) for ts, values in self.pieces(leaf)]
+            some = [self.labels[leaf][i] for i in entries]
+            drawn += panels(f"{leaf} of {name}", None, pieces, units.get(name, units.get(leaf, "")), some)
+        return drawn
+
+
+def joints_of(labels: Labels, leaves: Iterable[str]) -> dict[str, dict[str, list[int]]]:
+    """Of each joint that labels name the entries by leaf; a joint of several freedoms is one."""
+    joints: dict[str, dict[str, list[int]]] = {}
+    for leaf in leaves:
+        for column, (label, _) in enumerate(labels.get(leaf, ())):
+            for name in {label, label.rpartition(" ")[0] or label}:
+                joints.setdefault(name, {}).setdefault(leaf, []).append(column)
+    return joints
 
 
 def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | None = None) -> Any:
@@ -135,10 +231,11 @@ def _draw(axes: Any, panel: Panel) -> None:
         if panel.marks is not None:
             label = name if panel.curve is None else None
             axes.plot(panel.marks[0], panel.marks[1][:, k], ".", color=color, markersize=5, label=label)
-    for limit in panel.limits:
-        axes.axhline(limit, color=_LIMIT, linestyle="--", linewidth=0.9)
-    if 1 < len(panel.names) <= _NAMED:
-        axes.legend(fontsize="x-small", ncols=3)
+    for number, limit in enumerate(panel.limits):
+        axes.axhline(limit, color=_LIMIT, linestyle="--", linewidth=0.9, label=None if number else "limit")
+    if 1 < len(panel.names) + bool(panel.limits) <= _NAMED:
+        # Beside the axes: no curve is hidden.
+        axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes.set_title(panel.title, fontsize="medium")
     axes.set_xlabel("time, s")
     axes.set_ylabel(panel.unit)

@@ -1,47 +1,86 @@
-"""How far a search or an integration is, on one line: `problem.solve(callback=tx.trajectory.Progress())`."""
+"""Progress messages of everything that may take long, through the logger "twistax".
+
+Where logging is set up for that logger at level INFO, messages are its records. Elsewhere they are lines on standard
+error. `logging.getLogger("twistax").setLevel(logging.WARNING)` switches them off.
+"""
 
 from __future__ import annotations
 
+import contextlib
+import logging
 import sys
+import threading
 import time
 from collections.abc import Callable
 from typing import Any
 
 from .errors import TrajectoryError
 
+LOGGER = logging.getLogger("twistax")
 #: Seconds between lines, on a terminal and elsewhere.
 _LIVE, _LOGGED = 0.1, 5.0
+#: Seconds without a line before a call of a user shows one by itself, and between looks of the watching thread.
+_PATIENCE, _TICK = 2.0, 0.25
 #: Of a bar, in characters.
 _WIDTH = 24
 
 
 class Progress:
-    """A callback of `Problem.solve`: iteration, cost and violation, and the seconds since it was made.
+    """Lines that show how far a call is: `problem.solve(progress=tx.trajectory.Progress(cost="mass {:.0f} kg"))`.
 
-    On a terminal it is one line that is overwritten, elsewhere a line every five seconds. Its method `reached` shows
-    how far an integration is: `tx.integrate(..., progress=tx.trajectory.Progress("flight").reached)`.
+    A solve prints a line for each iteration: its cost, the largest violation and the largest change of an unknown,
+    relative to its size. An integration and a sweep overwrite one line. Where there is no terminal a line comes every
+    five seconds.
+    Within `with progress:` a line with the seconds appears where nothing else was printed for a while. It is a callback
+    of `Problem.solve`, too, and its method `reached` is one of `tx.integrate`.
 
     Args:
         what: the word the line begins with.
         cost: how the cost is written, a format such as "mass {:.0f} kg".
         stream: where it is written; standard error if left out.
+        shown: True: from the beginning. None: after two seconds, on a terminal only. False: never.
     Raises:
         TrajectoryError: cost is no format of one number.
     """
 
-    def __init__(self, what: str = "solve", cost: str = "cost {:.6g}", stream: Any = None) -> None:
+    def __init__(
+        self, what: str = "solve", cost: str = "cost {:.6g}", stream: Any = None, shown: bool | None = True
+    ) -> None:
         try:
             cost.format(0.0)
         except (ValueError, IndexError, KeyError, AttributeError):
             raise TrajectoryError(f"Progress expects cost such as 'mass {{:.0f}} kg', got {cost!r}") from None
-        self._what, self._cost = what, cost
+        self._what, self._cost, self._text = what, cost, ""
         self._stream = sys.stderr if stream is None else stream
-        self._live = self._stream.isatty()
+        self._logs = LOGGER.isEnabledFor(logging.INFO) and LOGGER.hasHandlers()
+        self._live = not self._logs and self._stream.isatty()
+        switched_off = LOGGER.disabled or LOGGER.level > logging.INFO
+        self.shown = shown is not False and not switched_off and (shown is True or self._live or self._logs)
+        self._patience = 0.0 if shown else _PATIENCE
         self._begin = time.perf_counter()
-        self._shown = 0.0 if self._live else self._begin
+        self._written = 0.0 if self._live else self._begin
+        self._depth, self._lock = 0, threading.Lock()
+        self._standing = self._waited = False  # a line that the next one overwrites; whether seconds were shown
 
-    def __call__(self, iteration: int, cost: float, violation: float) -> None:
-        self._show(lambda: f"iteration {iteration:4d}   violation {violation:8.1e}   {self._cost.format(cost)}")
+    def __call__(self, iteration: int, cost: float, violation: float, step: float | None = None) -> None:
+        moved = "" if step is None else f"   step {step:8.1e}"
+        row = lambda: f"iteration {iteration:4d}   {self._cost.format(cost)}   violation {violation:8.1e}{moved}"  # noqa: E731
+        self._show(row, live=False, every=0.0 if self._live and not self._patience else None)
+
+    def __enter__(self) -> Progress:
+        self._depth += 1
+        if self.shown and self._depth == 1:
+            _watch(self)
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        self._depth -= 1
+        if self.shown and not self._depth:
+            with contextlib.suppress(ValueError):
+                _WATCHED.remove(self)
+            self.close()
+            if self._waited and self._patience:
+                self._write(f"took {time.perf_counter() - self._begin:.1f} s", live=False)
 
     def reached(self, t: float, share: float) -> None:
         """Show the time an integration reached in s, and the share of the way to its end."""
@@ -56,25 +95,78 @@ class Progress:
         self._show(lambda: f"[{'=' * round(_WIDTH * share):<{_WIDTH}}] {share:4.0%} of {what}{left}")
 
     def note(self, text: str) -> None:
-        """Show a text until the first iteration, on a terminal only."""
-        if self._live:
-            self._write(text)
+        """Say what is done now, for the line that appears where nothing else is printed."""
+        self._text = text
 
     def close(self) -> None:
         """Clear the line."""
-        if self._live:
+        if self._standing:
+            self._standing = False
             print("\r\033[K", end="", file=self._stream, flush=True)
 
-    def _show(self, seen: Callable[[], str]) -> None:
-        """Where it is time for another line."""
+    def waited(self, since: float) -> None:
+        """Show the seconds where nothing was printed for a while; `since` is the start of the outermost call."""
         now = time.perf_counter()
-        if now - self._shown >= (_LIVE if self._live else _LOGGED):
-            self._shown = now
-            self._write(f"{seen()}   {now - self._begin:5.1f} s")
+        if now - since < max(self._patience, 1.0) or now - self._written < (1.0 if self._live else _LOGGED):
+            return
+        self._waited = True
+        self._write(f"{self._text} ...".lstrip() + f"   {now - self._begin:5.0f} s", live=self._live)
 
-    def _write(self, text: str) -> None:
+    def _show(self, seen: Callable[[], str], live: bool = True, every: float | None = None) -> None:
+        """Where it is time for another line: `every` is the time between two, s."""
+        every = (_LIVE if self._live else _LOGGED) if every is None else every
+        now = time.perf_counter()
+        early = now - self._begin < self._patience
+        if self.shown and not early and now - self._written >= every:
+            self._written = now
+            self._write(f"{seen()}   {now - self._begin:5.1f} s", live and self._live)
+
+    def _write(self, text: str, live: bool) -> None:
         line = f"{self._what:<9} {text}"
-        # Back to the beginning of the line: what is printed next goes over it.
-        print(
-            f"\r\033[K{line}\r" if self._live else line, end="" if self._live else "\n", file=self._stream, flush=True
-        )
+        with self._lock:
+            if self._logs:
+                LOGGER.info(line)
+            else:
+                # On a terminal what is printed next goes over a live line.
+                begin, end = ("\r\033[K" if self._live else ""), ("\r" if live else "\n")
+                print(f"{begin}{line}", end=end, file=self._stream, flush=True)
+        self._written, self._standing = time.perf_counter(), live
+
+
+def watched(what: str, progress: bool | None = None) -> Progress | contextlib.nullcontext[None]:
+    """A context whose seconds are shown while it lasts; `progress` is the argument of a public call.
+
+    It costs nothing where no line can appear.
+    """
+    if progress is False or not (progress or sys.stderr.isatty() or LOGGER.isEnabledFor(logging.INFO)):
+        return contextlib.nullcontext()
+    line = Progress(what, shown=progress)
+    return line if line.shown else contextlib.nullcontext()
+
+
+#: Calls under way, the innermost last.
+_WATCHED: list[Progress] = []
+_ANY = threading.Event()
+_THREAD: list[threading.Thread] = []
+
+
+def _watch(line: Progress) -> None:
+    _WATCHED.append(line)
+    if not _THREAD or not _THREAD[0].is_alive():  # none yet, or this process is a fork
+        _THREAD[:] = [threading.Thread(target=_look, name="twistax progress", daemon=True)]
+        _THREAD[0].start()
+    _ANY.set()
+
+
+def _look() -> None:
+    """Give the innermost call that goes on a line, again and again; sleep while there is none."""
+    while True:
+        _ANY.wait()
+        time.sleep(_TICK)
+        lines = list(_WATCHED)
+        if lines:
+            lines[-1].waited(lines[0]._begin)
+        else:
+            _ANY.clear()
+            if _WATCHED:  # one began in between
+                _ANY.set()

@@ -1,7 +1,5 @@
 """Every bad use and what it ends in: `python tests/bad_calls`, `--all` for each text, `--area NAME` for one table."""
 
-from __future__ import annotations
-
 import argparse
 import sys
 import warnings

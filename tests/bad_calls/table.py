@@ -1,7 +1,5 @@
 """A bad use of the package, and what is made of it: an error of ours that names the thing and what came, or not."""
 
-from __future__ import annotations
-
 import contextlib
 import importlib
 import io

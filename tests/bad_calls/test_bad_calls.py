@@ -1,7 +1,5 @@
 """Every bad use ends in an error of ours that names the thing, what was expected, what came, and how to mend it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import pytest

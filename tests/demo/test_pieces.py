@@ -1,6 +1,7 @@
 """The demo's parts alone: derivative check, figure, table, words for failures, progress line."""
 
 import csv
+import sys
 from pathlib import Path
 
 import matplotlib.image
@@ -8,7 +9,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.demo import derivatives
+from twistax.demo import derivatives, tumbling
 from twistax.demo.figure import save_figure, save_table
 from twistax.demo.landing import describe_failure, describe_limits
 from twistax.scenes import powered_descent as scene
@@ -97,3 +98,20 @@ def test_a_failure_is_named_in_units_people_use(descent: Descent) -> None:
 def test_a_miss_that_is_not_a_number_never_counts() -> None:
     assert Miss(0.1, 0.1, 0.1).within(Miss(0.5, 0.1, 0.5))
     assert not Miss(np.nan, 0.0, 0.0).within(Miss(0.5, 0.1, 0.5))
+
+
+def test_the_first_picture_is_of_a_box_that_turns_over(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """It turns about its middle axis, keeps its momentum about the origin, and flips."""
+    solution = tumbling.flown()
+    rotation = np.asarray(solution.xs["g"])[:, :3, :3]
+    squares = tumbling.SIDES**2
+    inertia = tumbling.MASS / 12.0 * (squares.sum() - squares)
+    assert inertia[1] == sorted(inertia)[1]
+    momentum = np.einsum("nij,nj->ni", rotation, inertia * np.asarray(solution.xs["V"])[:, 3:])
+    np.testing.assert_allclose(momentum, momentum[:1].repeat(len(momentum), 0), atol=1e-6)
+    assert np.asarray(solution.xs["V"])[:, 4].min() < -2.9
+    lines = tumbling.draw(tmp_path)
+    assert (tmp_path / "body.png").stat().st_size > 10_000
+    assert str(tmp_path / "body.png") in lines
+    monkeypatch.setitem(sys.modules, "matplotlib.figure", None)
+    assert any("pip install 'twistax[plot]'" in line for line in tumbling.draw(tmp_path))

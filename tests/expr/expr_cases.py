@@ -1,7 +1,5 @@
 """Expressions as functions of their leaves' values, and the examples of all node classes."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Independent oracles for the Lie nodes: points, point forces and point masses, 4x4 matrices, NumPy and SciPy alone."""
 
-from __future__ import annotations
-
 from collections.abc import Mapping
 from typing import Any
 

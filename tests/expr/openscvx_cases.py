@@ -4,8 +4,6 @@ A case builds one expression with the nodes of either package. Where the values 
 there is had here.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable
 from typing import Any

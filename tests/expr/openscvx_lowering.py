@@ -1,7 +1,5 @@
 """Both lowerings of a case, as functions of its inputs."""
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import warnings

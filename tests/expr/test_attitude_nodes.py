@@ -1,7 +1,5 @@
 """Euler angles, quaternions and rotation vectors as expressions, both ways, against SciPy and mpmath."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 from typing import Any

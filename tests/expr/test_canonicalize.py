@@ -1,7 +1,5 @@
 """The rewrites of `canonicalize`, one by one; docs/rewrites.md lists them."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 from expr_cases import value_of

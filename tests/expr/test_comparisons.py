@@ -1,7 +1,5 @@
 """Comparisons as they are written: at a tie, and where a side is NaN, on every path."""
 
-from __future__ import annotations
-
 import functools
 import pickle
 from collections.abc import Mapping

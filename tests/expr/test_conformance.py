@@ -1,7 +1,5 @@
 """What every node class promises, checked on the examples it gives of itself by the laws of `tx.testing`."""
 
-from __future__ import annotations
-
 import re
 
 import pytest

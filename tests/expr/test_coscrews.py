@@ -1,7 +1,5 @@
 """The tables of docs/coscrews.md, row by row: KSL's functions against matrices written out, and what they cost."""
 
-from __future__ import annotations
-
 import re
 from collections.abc import Callable
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Tables over any axes against SciPy and exact polynomials, on every path; and how their cost grows."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import pickle

@@ -1,7 +1,5 @@
 """Derivatives where the textbook has none: finite, and the documented ones."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

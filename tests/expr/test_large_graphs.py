@@ -1,7 +1,5 @@
 """Time and depth: shared graphs cost what their nodes cost, deep ones do not hit the recursion limit."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 import time

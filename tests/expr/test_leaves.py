@@ -1,7 +1,5 @@
 """Leaves: what they carry, what they refuse, and that they stay as they are."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

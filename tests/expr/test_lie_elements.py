@@ -1,7 +1,5 @@
 """Which matrices are known to be rotations or poses from how they are made, and what it costs to know."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

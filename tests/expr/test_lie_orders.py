@@ -1,7 +1,5 @@
 """[v; w] and [w; v]: where they meet in a system it says so, names both places, and Reorder joins them."""
 
-from __future__ import annotations
-
 import re
 
 import numpy as np

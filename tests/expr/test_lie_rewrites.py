@@ -1,7 +1,5 @@
 """What `canonicalize` does to Lie nodes, and what it leaves alone; each case is also computed both ways."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """What was wrong in silence once: each is right now, or refused with a sentence that says how to mend it."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from fractions import Fraction
 from typing import Any
@@ -216,10 +214,10 @@ def test_lists_with_traced_entries_come_in() -> None:
 
 def test_functions_of_others_are_not_numpys() -> None:
     sign = np.frompyfunc(lambda a: 7.0, 1, 1)  # any name may be NumPy's too
-    with pytest.raises(TypeError, match="not a function of NumPy's own"):
+    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
         sign(v)
     special = pytest.importorskip("scipy.special")
-    with pytest.raises(TypeError, match="not a function of NumPy's own"):
+    with pytest.raises(TypeError, match="is no ufunc of NumPy"):
         special.log1p(v)
 
 

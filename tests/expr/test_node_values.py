@@ -1,7 +1,5 @@
 """Every family against NumPy and SciPy, whose formulas are not ours."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """NumPy functions and arrays, and JAX arrays, that meet expressions."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 
@@ -137,9 +135,9 @@ def test_numpy_numbers_mix() -> None:
         (lambda: np.linalg.eig(A), r"np\.linalg\.eig is not available for expressions"),
         (lambda: np.sum(A, axis=0), r"np\.sum with expressions"),
         (lambda: np.fft.fft(x), r"np\.fft\.fft is not available"),
-        (lambda: np.transpose(A, (0, 1)), "knows matrices"),
-        (lambda: np.stack([x, y], axis=1), "knows axis 0 only"),
-        (lambda: np.concatenate([x, y], axis=1), "knows axis 0"),
+        (lambda: np.transpose(A, (0, 1)), "takes matrices"),
+        (lambda: np.stack([x, y], axis=1), "takes axis 0 only"),
+        (lambda: np.concatenate([x, y], axis=1), "takes axis 0"),
         (lambda: np.asarray(x), "has no value yet"),
         (lambda: np.array([x, y]), "has no value yet"),
         (lambda: float(s), "float"),

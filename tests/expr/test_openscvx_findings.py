@@ -3,8 +3,6 @@
 Skipped where OpenSCvx is not installed. A failure here means that the page is out of date.
 """
 
-from __future__ import annotations
-
 import importlib
 import importlib.metadata
 import os

@@ -5,8 +5,6 @@ asked the same questions. Its values are another matter, see test_openscvx_value
 [v; w], but most of its formulas are those of [w; v]; the last tests show it of the coadjoint.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -3,8 +3,6 @@
 The page is checked without OpenSCvx, the values where it is installed.
 """
 
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from pathlib import Path

@@ -1,7 +1,5 @@
 """What expressions refuse, and the sentences they refuse with."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

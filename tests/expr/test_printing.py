@@ -1,7 +1,5 @@
 """How expressions print."""
 
-from __future__ import annotations
-
 import numpy as np
 
 from twistax import SE3, SO3, lie

@@ -1,7 +1,5 @@
 """Random trees: the value against an independent NumPy evaluation, and the canonical form against the original."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from random import Random
 from typing import Any

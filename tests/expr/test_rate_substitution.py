@@ -1,7 +1,5 @@
 """What becomes of a Rate where leaves are replaced: against derivatives by hand."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

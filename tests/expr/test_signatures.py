@@ -1,7 +1,5 @@
 """What editors and `help` show of a constructor is what it takes."""
 
-from __future__ import annotations
-
 import inspect
 
 import pytest

@@ -1,7 +1,5 @@
 """Every static field of every node enters the key by its content: what the code takes for one node is one node."""
 
-from __future__ import annotations
-
 import copy
 import dataclasses
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Vmap: one expression over the elements of a batch."""
 
-from __future__ import annotations
-
 import copy
 import pickle
 from typing import Any

@@ -7,8 +7,6 @@ A case that is wrong is shrunk and printed as a script. The exit status is 1 if 
 time of all threads, so that a busy machine looks at as much as a quiet one.
 """
 
-from __future__ import annotations
-
 import argparse
 import gc
 import sys

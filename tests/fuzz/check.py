@@ -1,7 +1,5 @@
 """A case on all of its paths against NumPy."""
 
-from __future__ import annotations
-
 import warnings
 from dataclasses import replace
 

@@ -1,7 +1,5 @@
 """Operations entry by entry, choices among them, and what holds to the ends of the range."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from random import Random
 from typing import Any

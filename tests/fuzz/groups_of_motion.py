@@ -1,7 +1,5 @@
 """Maps of SO(3) and SE(3), against exponentials of matrices."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from random import Random
 from typing import Any

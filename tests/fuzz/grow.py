@@ -1,7 +1,5 @@
 """Random terms and the values of their leaves, every choice from one source."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from random import Random

@@ -1,7 +1,5 @@
 """Sums, products, solves and inverses."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from random import Random
 from typing import Any

@@ -1,7 +1,5 @@
 """Joins, indices of all kinds, and maps over an axis."""
 
-from __future__ import annotations
-
 from random import Random
 
 import numpy as np

@@ -1,7 +1,5 @@
 """What a term is by NumPy, and how far rounding may move it."""
 
-from __future__ import annotations
-
 import warnings
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Expressions at physical magnitudes outside of transformations of JAX: C code, CasADi, integrations, `linearize`."""
 
-from __future__ import annotations
-
 import ctypes
 import importlib.util
 import shutil

@@ -7,8 +7,6 @@ about calls that are refused is not here: bad calls have tests of their own. The
 found.
 """
 
-from __future__ import annotations
-
 import argparse
 import os
 import re

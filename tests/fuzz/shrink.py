@@ -1,7 +1,5 @@
 """The smallest case that is wrong in the same way."""
 
-from __future__ import annotations
-
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import replace

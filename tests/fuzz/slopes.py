@@ -1,7 +1,5 @@
 """Derivatives on every path: as those on arrays, forward ones as reverse ones, and as slopes of NumPy's values."""
 
-from __future__ import annotations
-
 import warnings
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 """Tables: linear, bilinear and cubic, against SciPy."""
 
-from __future__ import annotations
-
 from random import Random
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The differential fuzzer: it is quick, its cases are varied, and it sees what is wrong."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

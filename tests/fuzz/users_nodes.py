@@ -1,7 +1,5 @@
 """A node of the user around jax.numpy: plain JAX, without this package, is the oracle."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import cache
 from random import Random

@@ -1,7 +1,5 @@
 """What people ask of a solution: outputs and controls along it, tables of it, other numbers of rows."""
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import functools

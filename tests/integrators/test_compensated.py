@@ -1,7 +1,5 @@
 """Single precision over a million steps: what rounding takes off a state is added again."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

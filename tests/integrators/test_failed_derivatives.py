@@ -1,7 +1,5 @@
 """The derivative of an integration that failed is NaN, by every method and in every mode; others keep theirs."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

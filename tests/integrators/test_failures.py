@@ -1,7 +1,5 @@
 """Integrations that end early: the error compiles nothing, and never ends the process."""
 
-from __future__ import annotations
-
 import subprocess
 import sys
 from typing import Any

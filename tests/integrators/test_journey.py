@@ -3,8 +3,6 @@
 `python tests/integrators/test_journey.py` prints them.
 """
 
-from __future__ import annotations
-
 import gc
 import sys
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """Fixed steps in one kernel: the solution that XLA's loop makes, one body or a batch."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

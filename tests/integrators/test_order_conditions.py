@@ -4,8 +4,6 @@ A condition for each rooted tree t: sum_i b_i Phi_i(t) = 1 / gamma(t), by `tx.te
 tableaus but their numbers.
 """
 
-from __future__ import annotations
-
 import pytest
 
 from twistax.tableaus import ALL, DOP853, ButcherTableau

@@ -148,7 +148,7 @@ def test_a_phase_may_be_another_system_on_another_group() -> None:
     begin[:3, :3] = tx.lie.so3.exp(fall * SPIN)
     np.testing.assert_allclose(found.phases[1].xs["g"][-1], begin @ tx.lie.se3.exp(0.5 * twist), atol=1e-8)
     assert found.xs == {}
-    with pytest.raises(tx.ModelError, match=r"links\[0\] says nothing of 'g'"):
+    with pytest.raises(tx.ModelError, match=r"links\[0\] has no value for 'g'"):
         tx.integrate_phases(phases, START, rtol=1e-9)
 
 

@@ -1,7 +1,5 @@
 """Integrations made once and called often: the solutions of `tx.integrate`, values checked in every call."""
 
-from __future__ import annotations
-
 import functools
 import logging
 from typing import Any

@@ -1,7 +1,5 @@
 """States on groups of users' own: what takes poses takes them. The truth is SciPy's exponential, and differences."""
 
-from __future__ import annotations
-
 import csv
 import functools
 from pathlib import Path

@@ -5,17 +5,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from integrator_bodies import start as body_start
+from test_lie_solver import tumbling
 
 import twistax as tx
 from twistax.integrators.diffrax_bridge.frame import ChartedSystem
-
-
-def tumbling(order: tx.Order) -> tx.System:
-    """A free body, its centre of mass at the origin."""
-    g, V = tx.State("g", group=tx.SE3, order=order), tx.State("V", shape=(6,))
-    inertia = np.array([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
-    inertia = inertia if order == tx.LINEAR_FIRST else np.roll(inertia, 3)
-    return tx.System(rates={g: V, V: -tx.lie.AdjointDual(V, inertia * V, order=order) / inertia})
 
 
 @pytest.mark.parametrize("order", [tx.LINEAR_FIRST, tx.ANGULAR_FIRST], ids=repr)

@@ -1,7 +1,5 @@
 """How many scalar operations the dynamics of an arm take once zeros are gone and equal ones are one."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

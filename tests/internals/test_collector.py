@@ -1,7 +1,5 @@
 """The search for garbage is off while programs are made, and afterwards as it was."""
 
-from __future__ import annotations
-
 import gc
 import threading
 from collections.abc import Iterator

@@ -1,35 +1,11 @@
 """Conditions of events as functions."""
 
-import functools
-from typing import Any
-
 import jax.numpy as jnp
 import numpy as np
+from test_events import WEIGHT, V, falling, g, start
 
 import twistax as tx
 from twistax.integrators.events.conditions import _of_expression
-
-WEIGHT = 9.81
-
-
-SPIN = np.array([0.0, 0.0, 1.2])
-
-
-g, V = tx.State("g", group=tx.SE3), tx.State("V", shape=(3,))
-
-
-pull = tx.Parameter("pull", value=WEIGHT)
-
-
-@functools.cache
-def falling() -> tx.Dynamics:
-    """A body that falls and turns about the vertical at a constant rate: heights and angles are known exactly."""
-    rates = {g: tx.lie.twist(linear=g[:3, :3].T @ V, angular=SPIN), V: tx.Concat(0.0, 0.0, -pull)}
-    return tx.compile(tx.System(rates=rates))
-
-
-def start(height: Any = 5.0, speed: Any = 0.0) -> dict[str, Any]:
-    return {"g": jnp.eye(4).at[2, 3].set(height), "V": jnp.zeros(3).at[2].set(speed)}
 
 
 def test_all_numbers_that_a_condition_is_compared_with_are_data() -> None:

@@ -1,45 +1,17 @@
 """Hessians: operations beside CasADi, and those that are too large."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np
 import pytest
+from test_hessian import FALLING, falling
 
 import twistax as tx
-from oracles import skew
 from twistax.report.figures import hessians as of_the_arm
 from twistax.scalar.graph import TooLarge
 from twistax.system import hessian as hessians
 
 RNG = np.random.default_rng(0)
-
-
-#: With an offset centre of mass, kg and kg m2.
-INERTIA = np.diag([2.0, 2.0, 2.0, 1.0, 2.0, 3.0])
-
-
-INERTIA[:3, 3:] = -skew([0.2, -0.1, 0.3])
-
-
-INERTIA[3:, :3] = skew([0.2, -0.1, 0.3])
-
-
-g, V, F = tx.State("g", group=tx.SE3), tx.State("V", shape=(6,)), tx.Control("F", shape=(6,))
-
-
-def falling() -> tx.Dynamics:
-    """A body in a central field, with drag, and a spring that turns it to its frame: forces depend on the pose."""
-    R, p = g[:3, :3], g[:3, 3]
-    pull = R.T @ (-3.0 * p / tx.linalg.Norm(p) ** 3)
-    turn = -0.7 * tx.lie.SO3Log(R) - 0.3 * tx.linalg.Norm(V[:3]) * V[3:]
-    wrench = tx.Concat(pull, turn) + F * p[2]
-    rate = tx.linalg.Solve(INERTIA, wrench - tx.lie.AdjointDual(V, INERTIA @ V))
-    return tx.compile(tx.System(rates={g: V, V: rate}, outputs={"reach": R @ p}))
-
-
-FALLING = falling()
 
 
 def test_operations_of_the_arm_beside_casadi() -> None:

@@ -114,14 +114,14 @@ def test_code_rests_before_it_goes(monkeypatch: pytest.MonkeyPatch) -> None:
     """A call that nobody waits for may still be under way when the last kernel goes."""
     from twistax.scalar.targets.llvm import kernel
 
-    monkeypatch.setattr(kernel, "_REST", 1e9)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 1e9)
     dynamics = tx.compile(_system(11), backend=tx.Native(least=0))
     before = set(map(id, kernel._CODE.values()))
     jax.block_until_ready(dynamics(0.0, POINT))
-    codes = [weakref.ref(lease.code) for lease in kernel._CODE.values() if id(lease) not in before]
+    codes = [weakref.ref(handle.code) for handle in kernel._CODE.values() if id(handle) not in before]
     del dynamics
     assert _left(codes) == len(codes) > 0
-    monkeypatch.setattr(kernel, "_REST", 0.0)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 0.0)
     kept = tx.compile(_system(12), backend=tx.Native(least=0))
     jax.block_until_ready(kept(0.0, POINT))
     assert _left(codes) == 0
@@ -153,7 +153,7 @@ def test_500_systems_leave_no_memory_behind(monkeypatch: pytest.MonkeyPatch) -> 
     """But for what was dropped within half a minute, which is as much as there was time to compile."""
     from twistax.scalar.targets.llvm import kernel
 
-    monkeypatch.setattr(kernel, "_REST", 0.0)
+    monkeypatch.setattr(kernel, "_RETIREMENT", 0.0)
     _left([ref for k in range(10) for ref in _used(k)])
     before = _own_memory()
     for k in range(500):

@@ -1,7 +1,5 @@
 """Parameters of mechanisms in kernels."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import jax

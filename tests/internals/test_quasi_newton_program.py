@@ -1,27 +1,15 @@
 """Updates of the Hessian need no second derivative."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax
 import numpy as np
 import pytest
+from test_hessians import pendulum
 
 import twistax as tx
 from twistax.expr.operations.elementwise import Function
 from twistax.trajectory import Problem, QuasiNewton
-
-
-def pendulum(hessian: Any = None, swing: bool = False, **options: Any) -> Problem:
-    """A damped pendulum, swung up at the least torque, or held at an angle that it can be held at."""
-    angle, rate, torque = tx.State("angle"), tx.State("rate"), tx.Control("torque", min=-8.0, max=8.0)
-    dynamics = tx.compile(tx.System(rates={angle: rate, rate: torque - 9.81 * tx.Sin(angle) - 0.1 * rate}))
-    cost: Any = tx.Minimize(running=torque**2)
-    if not swing:
-        cost = tx.Minimize(running=(tx.Sin(angle) - 0.6) ** 2 + 0.1 * rate**2 + 1e-3 * torque**2)
-    ends = {"initial": {angle: 0.0, rate: 0.0}, "final": {angle: np.pi, rate: 0.0} if swing else None}
-    return Problem(dynamics, cost, **{"nodes": 21, "final_time": 2.0, "hessian": hessian, **ends, **options})
 
 
 def test_quasi_newton_needs_no_second_derivative() -> None:

@@ -1,7 +1,5 @@
 """Rows on polynomials in loops of XLA; programs that are kept for numbers of rows."""
 
-from __future__ import annotations
-
 import gc
 from typing import Any
 

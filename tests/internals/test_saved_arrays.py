@@ -1,7 +1,5 @@
 """Arrays of saved systems."""
 
-from __future__ import annotations
-
 import io
 from pathlib import Path
 

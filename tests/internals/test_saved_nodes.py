@@ -1,25 +1,18 @@
 """Trees as text and back."""
 
-from __future__ import annotations
-
 import dataclasses
 import json
 from pathlib import Path
 from typing import Any
 
-import jax
 import numpy as np
+from test_saved import Doubled, again
 
 import twistax as tx
 import twistax.mechanics
-from twistax.expr import Example, Expr, all_nodes, leaves_of
+from twistax.expr import Expr, all_nodes, leaves_of
 from twistax.groups import SpecialOrthogonal
 from twistax.system.export.saved import read_nodes, write_nodes
-
-
-def again(dynamics: tx.Dynamics, folder: Path) -> tx.Dynamics:
-    dynamics.save(folder / "system.twistax")
-    return tx.load(folder / "system.twistax")
 
 
 def copied(roots: list[Expr]) -> list[Expr]:
@@ -57,23 +50,6 @@ def test_deep_trees() -> None:
         node = tx.Sin(node) + node
     (loaded,) = copied([node])
     assert loaded.key() == node.key()
-
-
-class Doubled(Expr):
-    """2 x of one's own."""
-
-    x: tx.expr.fields.Operand
-    by: Any = 2.0
-
-    def infer_shape(self, *shapes: Any) -> Any:
-        return shapes[0]
-
-    def evaluate(self, *values: jax.Array) -> jax.Array:
-        return self.by * values[0]
-
-    @classmethod
-    def example(cls) -> list[Example]:
-        return []
 
 
 @dataclasses.dataclass(frozen=True)

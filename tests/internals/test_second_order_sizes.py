@@ -1,7 +1,5 @@
 """Second-order discretizations of batches and in single precision, and those that are too large."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

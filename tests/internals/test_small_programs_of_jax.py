@@ -8,23 +8,10 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 
+from test_jax_inside import ARGUMENTS, recursion
 from twistax import jax_inside
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.xla import as_function
-
-
-def recursion(c: jax.Array, x: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """A scan with one constant, two carried values and one scanned array."""
-
-    def body(carry: tuple[jax.Array, jax.Array], row: jax.Array) -> tuple[tuple[jax.Array, jax.Array], jax.Array]:
-        a, b = carry
-        return (a * c + row.sum(), b - a), a * row
-
-    (a, b), rows = jax.lax.scan(body, (jnp.ones(()), jnp.zeros(())), x)
-    return a + b, rows
-
-
-ARGUMENTS = (np.float64(0.5), np.arange(6.0).reshape(3, 2))
 
 
 @pytest.mark.parametrize("params", [{"later": 1}, {"ft_in": "?", "ft_out": "?", "num_consts": None, "num_carry": None}])

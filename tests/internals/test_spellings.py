@@ -1,7 +1,5 @@
 """Expressions taken for arrays: every error gives a spelling, and the spelling is right."""
 
-from __future__ import annotations
-
 import copy
 import functools
 import itertools

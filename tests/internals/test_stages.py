@@ -1,7 +1,5 @@
 """The loop over stages inside and outside of a small function, against the loop written out in NumPy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

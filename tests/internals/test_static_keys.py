@@ -1,7 +1,5 @@
 """Keys of static fields: values that differ have other ones."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

@@ -35,6 +35,6 @@ def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(vars(OPERATIONS["mul"]), "llvm", OPERATIONS["add"].llvm)
     number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
     step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
-    tile = Iterations(step, 1, 1)
+    body = Iterations(step, 1, 1)
     with pytest.raises(BuildError, match="differ"):
-        check_kernel(HostKernel(tile, Processor.host()))
+        check_kernel(HostKernel(body, Processor.host()))

@@ -1,32 +1,15 @@
 """Chunks of a sweep: which are computed, and on how many devices."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
 
 import twistax as tx
+from test_sweep import COUNT, EXPECTED, MEMBERS, run
 from twistax.monte_carlo.sweeps import _Plan
-
-RANDOM = np.random.default_rng(1)
-
-
-COUNT = 29
-
-
-MEMBERS = {"x": RANDOM.normal(size=(COUNT, 3)), "gain": RANDOM.uniform(0.5, 2.0, COUNT)}
-
-
-def run(member: Any) -> dict[str, jax.Array]:
-    return {"sum": jnp.sum(member["x"]) * member["gain"], "all": jnp.sin(member["x"])}
-
-
-EXPECTED = {"sum": MEMBERS["x"].sum(1) * MEMBERS["gain"], "all": np.sin(MEMBERS["x"])}
 
 
 def test_a_sweep_goes_on_where_it_was_stopped(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

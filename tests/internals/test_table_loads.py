@@ -1,7 +1,5 @@
 """Loads from tables of numbers, as an operation of JAX."""
 
-from __future__ import annotations
-
 import jax
 import jax.numpy as jnp
 import numpy as np

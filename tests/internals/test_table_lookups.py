@@ -10,7 +10,7 @@ import pytest
 
 import twistax as tx
 from twistax.expr.tables import BSpline, Linear
-from twistax.expr.tables.kinds import Axis
+from twistax.expr.tables.kinds import GridAxis
 from twistax.scalar.reader import scalarize
 from twistax.scalar.rewriting import emitted_form
 
@@ -36,7 +36,7 @@ def test_intervals_are_found_exactly(count: int, dtype: Any) -> None:
         at = np.concatenate([own, np.nextafter(own, dtype(9)), np.nextafter(own, dtype(-9)), RNG.uniform(-2, 2, 99)])
         at = np.concatenate([at.astype(dtype), np.array([np.inf, -np.inf, np.nan], dtype)])
         expected = np.clip(np.searchsorted(own, at[:-1], side="right") - 1, 0, count - 2)
-        found = jax.jit(Axis(points).interval)(at)
+        found = jax.jit(GridAxis(points).interval)(at)
         np.testing.assert_array_equal(found[:-1], expected)
         assert found[-1] == 0
 

@@ -1,7 +1,5 @@
 """Derivatives that are too large for one program of scalars."""
 
-from __future__ import annotations
-
 import functools
 import re
 from typing import Any

@@ -1,7 +1,5 @@
 """Numbers of XML files."""
 
-from __future__ import annotations
-
 import time
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 """Whichever backend runs a system: the same numbers to rounding, in every use, and no warning."""
 
-from __future__ import annotations
-
 import functools
 import importlib.util
 import warnings

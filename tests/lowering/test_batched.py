@@ -1,7 +1,5 @@
 """Members of a batch that share arguments, and loops of different lengths that share a kernel."""
 
-from __future__ import annotations
-
 import re
 import tracemalloc
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 """`tx.lower`: one signature, values, precision, purity, and every transformation of JAX."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

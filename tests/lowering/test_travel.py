@@ -1,7 +1,5 @@
 """Systems and what is compiled of them travel to other processes."""
 
-from __future__ import annotations
-
 import multiprocessing
 import pickle
 import sys

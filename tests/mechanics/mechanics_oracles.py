@@ -8,6 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from oracles import hat
+from twistax.mechanics import SpatialInertia
 
 
 def pose(rng: np.random.Generator) -> np.ndarray:
@@ -63,3 +64,7 @@ class Cloud:
     def weight(self, T: np.ndarray, gravity: np.ndarray) -> np.ndarray:
         forces = self.masses[:, None] * (T[:3, :3].T @ gravity)
         return np.concatenate([forces.sum(axis=0), np.cross(self.points, forces).sum(axis=0)])
+
+
+def body_of(cloud: Cloud) -> SpatialInertia:
+    return SpatialInertia(mass=cloud.mass, center_of_mass=cloud.center, inertia=cloud.tensor_about(cloud.center))

@@ -6,8 +6,6 @@ prints the table of docs/model_files.md. Each folder holds a package, for exampl
 FOLDER robosuite`. With `--details` it also prints a line for every file that does not load or does not agree.
 """
 
-from __future__ import annotations
-
 import argparse
 import collections
 import contextlib

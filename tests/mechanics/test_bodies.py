@@ -1,7 +1,5 @@
 """Bodies against clouds of point masses, and in flight against exact solutions."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

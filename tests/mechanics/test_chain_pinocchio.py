@@ -1,7 +1,5 @@
 """The arm against Pinocchio, where that is installed."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Masses that move within bodies: against sums over points, and against the same masses on joints that are driven."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Closed loops: against trees with a joint in place of the closure, against a linkage by hand, and in motion."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any
@@ -10,7 +8,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, pose
+from mechanics_oracles import Cloud, body_of, pose
 
 import twistax as tx
 from twistax import mechanics
@@ -18,10 +16,6 @@ from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints, lo
 
 GRAVITY = np.array([0.7, -1.1, -9.6])
 AXIS = np.array([0.6, 0.0, -0.8])
-
-
-def body_of(cloud: Cloud) -> SpatialInertia:
-    return SpatialInertia(mass=cloud.mass, center_of_mass=cloud.center, inertia=cloud.tensor_about(cloud.center))
 
 
 class Both:

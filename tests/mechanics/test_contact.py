@@ -1,7 +1,5 @@
 """A ground that gives way, and given forces at contacts."""
 
-from __future__ import annotations
-
 import functools
 
 import jax

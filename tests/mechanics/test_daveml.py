@@ -1,7 +1,5 @@
 """DAVE-ML: tables against SciPy, MathML against Python, the checks inside files, and what is refused where."""
 
-from __future__ import annotations
-
 import functools
 import math
 import os
@@ -125,10 +123,10 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         ('gtID="T"/></functionDefn>', 'gtID="S"/></functionDefn>', "line {line}, <griddedTableRef>: gtID 'S' is"),
         ('bpID="E"><bpVals', 'bpID="A"><bpVals', "line {line}, <breakpointDef>: bpID 'A' was .* line 40"),
         ('varID="ceil">1', 'varID="floor">1', "line {line}, <function.*varID 'floor' has another"),
-        ('varID="mach" interpolate="floor"', 'varID="steps" interpolate="floor"', "needs itself"),
+        ('varID="mach" interpolate="floor"', 'varID="steps" interpolate="floor"', "depends on itself"),
         ('interpolate="floor"', 'interpolate="cubicSpline"', "line {line}, <independentVarPts>: .*cubicSpline"),
         (">0.5 25 3<", ">0.6 25 3<", "line {line}, <ungriddedTableDef>: its 4 points do not fill a grid"),
-        ("<m:otherwise>", "<m:piece>", "this is no XML"),
+        ("<m:otherwise>", "<m:piece>", "this is not XML"),
         ("<m:cn>-9</m:cn>", "<m:ci>alpha</m:ci><m:piecewise/>", "line {line}, <piecewise>: expected <otherwise>"),
         ("<m:plus/>", "<m:divide/>", "line {line}, <divide>: expected 2 operands, got 3"),
         ("<m:cn>100</m:cn>", "<m:cn>nan</m:cn>", "line {line}, <cn>: expected a finite number, got 'nan'"),
@@ -139,13 +137,13 @@ def test_inputs_units_and_what_a_call_refuses() -> None:
         (">0.2, 0.6", ">&a; 0.6", "line {line}: unknown entity &a;"),
         ('max="12"', 'max="1&q;2"', "line {line}: unknown entity &q;"),
         ('type="e-notation">1<m:sep/>4', 'type="rational">1<m:sep/>0', "line {line}, <cn>: .*denominator"),
-        ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: a variable has one"),
+        ("</calculation>", "</calculation><calculation/>", "line {line}, <calculation>: has more than one"),
         ('max="12"', 'min="13" max="12"', "line {line}, <independentVarRef>: min 13 is above max 12"),
         ('<dependentVarPts varID="near">', '<independentVarRef varID="el"/><dependentVarPts varID="near">',
          "line {line}, <independentVarRef>: a function has either"),
         ("<signalUnits>deg", "<signalUnits>rad", "line {line}, <signal>: gives 'angleOfAttack' in 'rad'.* in 'deg'"),
-        (' standalone="no"', ' encoding="shift_jis"', "this is no XML: multi-byte"),
-        (' standalone="no"', ' encoding="foo"', "this is no XML: unknown encoding"),
+        (' standalone="no"', ' encoding="shift_jis"', "this is not XML: multi-byte"),
+        (' standalone="no"', ' encoding="foo"', "this is not XML: unknown encoding"),
     ],
 )  # fmt: skip
 def test_a_broken_file_is_refused_with_its_line(old: str, new: str, words: str, tmp_path: Path) -> None:

@@ -1,7 +1,5 @@
 """Gravity, air and the Earth's figure against potentials, published tables, quadrature and 50-digit arithmetic."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The F-16 of NASA/TM-2015-218675 from its DAVE-ML files, where somebody names the folder: TWISTAX_NASA=DIR."""
 
-from __future__ import annotations
-
 import os
 import runpy
 import shutil

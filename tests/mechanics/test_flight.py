@@ -1,7 +1,5 @@
 """The flight layer: frames, rates, starts, air data and forces, against closed forms and finite differences."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

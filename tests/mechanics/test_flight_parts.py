@@ -1,7 +1,5 @@
 """Turbulence, engines, burning and sensors: against their spectra, the balance of momentum and finite differences."""
 
-from __future__ import annotations
-
 import functools
 from pathlib import Path
 from typing import Any
@@ -269,7 +267,7 @@ def test_columns_of_nasa_come_back_as_they_are_read(tmp_path: Path) -> None:
     flown = tx.integrate(tx.compile(tx.System({s: 1.0}, outputs)), {"s": 0.0}, t1=30.0, dt=0.5, save_at=published.TIMES)
     for si in (False, True):
         flown.to_csv(tmp_path / "sim.csv", flight.NasaColumns(si=si))
-        table = published.Table(tmp_path / "sim.csv")
+        table = published.PublishedTable(tmp_path / "sim.csv")
         track = table.track()
         wanted = {name: np.array([own(t) for t in published.TIMES]) for name, own in exact.items()}
         assert ("eiPosition_m_X" in table.names) == si

@@ -1,7 +1,5 @@
 """Harmonics, the gravity gradient and the air above 86 km, against 40 digits, point masses and the standard."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

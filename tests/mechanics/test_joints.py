@@ -1,7 +1,5 @@
 """Joints: their subspaces in any frame, their poses against their twists, and what is refused."""
 
-from __future__ import annotations
-
 from functools import partial
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Derivatives of the dynamics against differences in extended precision, and against those on the graph of scalars."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import jax

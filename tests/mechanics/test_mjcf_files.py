@@ -1,7 +1,5 @@
 """MJCF: which other files it may bring in, what of it is dropped and said so, and what moves nothing."""
 
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

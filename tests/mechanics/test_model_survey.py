@@ -1,7 +1,5 @@
 """The script that compares public models with Pinocchio and MuJoCo, on the models of this repository."""
 
-from __future__ import annotations
-
 from pathlib import Path
 
 import pytest

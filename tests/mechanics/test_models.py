@@ -1,7 +1,5 @@
 """Model files: what is read, what becomes a Parameter, what is refused and where it says so."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any
@@ -189,7 +187,7 @@ def test_axis_as_a_parameter_has_the_subspaces_of_one_that_is_not() -> None:
         ({"ixx": "-5"}, r"line 3, <inertial>: link 'b' (.|\n)*not negative"),
         ({"kind": "ball"}, r"line 5, <joint name='j'>: expected the type(.|\n)*got 'ball'"),
         ({"child": "c"}, r"line 5, <joint name='j'>: there is no link 'c', its child"),
-        ({"child": "a"}, r"line 5, <joint name='j'>: links carry each other in a circle: 'a'"),
+        ({"child": "a"}, r"line 5, <joint name='j'>: the links form a cycle: 'a'"),
         ({"xyz": "0 0"}, r"in <joint name='j'>, line 5, <origin>: expected 3 finite numbers in xyz, got '0 0'"),
         ({"xyz": "0 0 nan"}, r"line 5, <origin>: expected 3 finite numbers"),
     ],
@@ -211,7 +209,7 @@ def test_inertias_that_no_body_has_are_taken_where_that_is_asked_for(tmp_path: P
     [
         ('<!DOCTYPE robot [<!ENTITY a "b">]>\n<robot/>', "line 1: a document type or entity is declared"),
         ('<!DOCTYPE robot SYSTEM "/etc/passwd">\n<robot/>', "line 1: a document type or entity is declared"),
-        ("<robot>\n<link name='a'>\n</robot>", "line 3: this is no XML: mismatched tag"),
+        ("<robot>\n<link name='a'>\n</robot>", "line 3: this is not XML: mismatched tag"),
         ("<sdf/>", "line 1, <sdf>: load expects"),
         ("<robot/>", "line 1, <robot>: there is no <link>"),
     ],

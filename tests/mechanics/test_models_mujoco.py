@@ -1,7 +1,5 @@
 """Mechanisms from MJCF against MuJoCo, where that is installed; and every model that comes with packages at hand."""
 
-from __future__ import annotations
-
 import importlib.util
 from pathlib import Path
 from typing import Any
@@ -376,7 +374,7 @@ def test_numbers_of_a_file_become_parameters() -> None:
             '<geom type="mesh" mesh="m"/></body></worldbody>',
             "line 3, <mesh name='m'>: Error opening file",
         ),
-        ("<!DOCTYPE mujoco>", "this is no XML|document type"),
+        ("<!DOCTYPE mujoco>", "this is not XML|document type"),
         (
             "<worldbody><body><joint/>\n<inertial pos='nan 0 0' mass='1' diaginertia='1 1 1'/></body></worldbody>",
             "line 3, <inertial>: expected finite numbers in pos, got 'nan 0 0'",

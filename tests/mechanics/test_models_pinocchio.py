@@ -1,7 +1,5 @@
 """Mechanisms from URDF against Pinocchio, where that is installed; and every robot of example-robot-data at hand."""
 
-from __future__ import annotations
-
 from pathlib import Path
 from typing import Any
 

@@ -4,8 +4,6 @@ Published values are those of the trajectories that come with the report, read a
 data of the scene; the digits that count stand here again.
 """
 
-from __future__ import annotations
-
 import csv
 import dataclasses
 import importlib.util

@@ -4,8 +4,6 @@ The oracle is a KKT system in NumPy: rows and drift by JAX's derivatives of the 
 energy, ranks by singular values.
 """
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any

@@ -4,8 +4,6 @@ On the base and without gravity a rotor of the inertia a on all freedoms of a jo
 moments a at the origin of the link: Newton and Euler know that one.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

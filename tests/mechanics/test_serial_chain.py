@@ -1,7 +1,5 @@
 """Serial chains against Lagrange's equations of point masses, a double pendulum on paper, and their own energy."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from functools import partial
 from typing import Any

@@ -1,7 +1,5 @@
 """Springs of drives: their energy, and joints on them without motors."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

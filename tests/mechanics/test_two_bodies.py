@@ -1,7 +1,5 @@
 """Two bodies in a row, put together as docs/mechanics.md does, against Lagrange's equations of their points."""
 
-from __future__ import annotations
-
 from functools import partial
 
 import jax

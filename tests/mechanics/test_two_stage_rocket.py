@@ -1,7 +1,5 @@
 """NASA's rocket of two stages from its DAVE-ML files, where somebody names the folder: TWISTAX_NASA=DIR."""
 
-from __future__ import annotations
-
 import os
 import runpy
 from pathlib import Path

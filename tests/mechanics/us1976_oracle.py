@@ -4,8 +4,6 @@ Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562: equations (25) to (40)
 number densities at 86 km of its appendix A. Heights in km, the rest in SI.
 """
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

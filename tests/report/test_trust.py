@@ -114,7 +114,7 @@ def test_a_saddle_is_told_from_a_minimum(sign: float, saddle: bool) -> None:
 
 
 def test_what_does_not_stay_is_counted() -> None:
-    sweep = trust.Sweep(Known(problems.goddard, 3.0))
+    sweep = trust.StartSweep(Known(problems.goddard, 3.0))
     stays = {3.0: True, 2.9999: True, 2.5: True, 2.0: True, 1.0: False, 9.0: True}
     sweep.__dict__["_came"] = [
         trust.Tried(cost != 9.0, cost, 1, own, own and cost < 2.5) for cost, own in stays.items()
@@ -134,7 +134,7 @@ def test_a_sweep_that_fails_runs_once_and_fails_every_check() -> None:
         made.append(True)
         raise tx.ModelError("no such problem")
 
-    sweep = trust.Sweep(Known(make, 1.0))
+    sweep = trust.StartSweep(Known(make, 1.0))
     for measure in (sweep.apart, sweep.spread, lambda: sweep.wrong):
         with pytest.raises(tx.ModelError, match="no such problem"):
             measure()
@@ -145,4 +145,4 @@ def test_the_reach_is_that_of_an_optimum() -> None:
     known = Known(problems.goddard, 1.0)
     known.__dict__["result"] = SimpleNamespace(solved=False, status=tx.trajectory.Status.STALLED)
     with pytest.raises(RuntimeError, match="plainly stated it ends in STALLED"):
-        _ = trust.Sweep(known).tried
+        _ = trust.StartSweep(known).tried

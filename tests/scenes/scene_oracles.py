@@ -1,7 +1,5 @@
 """Solutions by SciPy of equations written out in NumPy: the truth of a scene, found another way."""
 
-from __future__ import annotations
-
 from collections.abc import Callable, Mapping
 from typing import Any
 

@@ -9,8 +9,6 @@ collocation, in NumPy's longest float. On x86 that is 64 bits of mantissa, 1e-19
 the last digits differ.
 """
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -1,7 +1,5 @@
 """Check-cases 4 to 10 of NASA/TM-2015-218675 against published values, all trajectories where they are, and SciPy."""
 
-from __future__ import annotations
-
 import functools
 import os
 from pathlib import Path

@@ -1,7 +1,5 @@
 """Functions of a problem in stages that are written in Python, as the core calls them."""
 
-from __future__ import annotations
-
 import ctypes
 from collections.abc import Callable, Sequence
 from typing import Any

@@ -1,7 +1,5 @@
 """Problems in stages with their starts: each has what the others have not."""
 
-from __future__ import annotations
-
 import casadi as ca
 import numpy as np
 from numpy import ndarray as Array

@@ -1,7 +1,5 @@
 """Problems in stages written with CasADi: for the core, and as one problem for IPOPT."""
 
-from __future__ import annotations
-
 import dataclasses
 from collections.abc import Callable, Sequence
 from typing import Any

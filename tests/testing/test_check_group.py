@@ -1,7 +1,5 @@
 """`check_group` passes groups that are right, and sees each error that makes one wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 import subprocess
 import sys

@@ -1,7 +1,5 @@
 """`check_joint` runs over every joint of the package, passes users' own, and sees each error that makes one wrong."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """`check_node` passes a node of a user's, and sees each error that makes one wrong."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """`check_scene` runs over every scene of the package, found by itself, and sees each error that makes one wrong."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import pkgutil

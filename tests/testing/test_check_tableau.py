@@ -1,7 +1,5 @@
 """`check_tableau` runs over every tableau of the package, and sees a wrong digit and a wrong label."""
 
-from __future__ import annotations
-
 import importlib
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The parts that pages write down pass the checks that the pages promise, each section run as it stands."""
 
-from __future__ import annotations
-
 import re
 from pathlib import Path
 from typing import Any

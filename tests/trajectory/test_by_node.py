@@ -1,7 +1,5 @@
 """References and weights with a value for each node, against the same as functions of time."""
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

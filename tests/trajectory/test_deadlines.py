@@ -1,7 +1,5 @@
 """Solves that end early: the best iterate, its measures, and why; and strategies left out."""
 
-from __future__ import annotations
-
 import time
 
 import numpy as np

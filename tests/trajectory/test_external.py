@@ -6,7 +6,7 @@ import time
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import EULER, HEUN, double_integrator
+from trajectory_systems import EULER, HEUN, double_integrator, fastest_turn
 
 import twistax as tx
 
@@ -17,23 +17,9 @@ SOLVERS = [tx.trajectory.IPOPT(), tx.trajectory.Fatrop()]
 IDS = ["ipopt", "fatrop"]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def turning() -> tx.trajectory.Problem:
-    """The fastest turn of an asymmetric body, with a rate limit."""
-    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
-    M = tx.Control("M", shape=(3,), min=-1.0, max=1.0)
-    J = np.diag([1.0, 1.2, 0.7])
-    rate = tx.linalg.Solve(J, M - tx.linalg.Cross(w, J @ w))
-    system = tx.System(rates={R: w, w: rate}, constraints={"slow": tx.linalg.Norm(w) <= 1.8})
-    return tx.trajectory.Problem(
-        tx.compile(system),
-        tx.Minimize(tx.Time(), running=0.01 * M @ M),
-        nodes=9,
-        final_time=(0.5, 10.0),
-        initial={R: np.eye(3), w: np.zeros(3)},
-        final={R: np.asarray(tx.SO3.exp(jnp.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
-        **{**HEUN, "substeps": 4},
-    )
+    return fastest_turn()
 
 
 def test_they_find_what_the_interior_point_finds(turning: tx.trajectory.Problem) -> None:

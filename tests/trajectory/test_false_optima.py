@@ -1,7 +1,5 @@
 """Optima of a mesh that are none of the equations, and rows that are flat to several orders: never SOLVED."""
 
-from __future__ import annotations
-
 import numpy as np
 import pytest
 

@@ -1,7 +1,5 @@
 """Integrals, extremes and starts in the statement of a problem, against exact optima."""
 
-from __future__ import annotations
-
 import functools
 import pickle
 from typing import Any

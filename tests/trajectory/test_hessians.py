@@ -1,7 +1,5 @@
 """Hessians by option, against exact second derivatives, on problems whose steps tell them apart."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 

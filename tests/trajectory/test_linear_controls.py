@@ -4,7 +4,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import double_integrator, regulator_error
 
 import twistax as tx
 from twistax.trajectory import Held, Linear, Problem, Rate
@@ -51,27 +51,10 @@ def test_least_energy_of_a_double_integrator_is_exact_on_three_nodes() -> None:
     assert found.shifted().point.us[-1] == 0.0
 
 
-def regulator(nodes: int, controls: Any) -> float:
-    """x' = u from 1 in 2 s with x^2 + u^2 as running cost: tanh(2)."""
-    x, u = tx.State("x"), tx.Control("u")
-    problem = Problem(
-        tx.compile(tx.System(rates={x: u})),
-        tx.Minimize(running=x**2 + u**2),
-        nodes=nodes,
-        final_time=2.0,
-        initial={x: 1.0},
-        controls=controls,
-        substeps=4,
-    )
-    result = problem.solve(tolerance=1e-10)
-    assert result.solved
-    return result.cost - np.tanh(2.0)
-
-
 @pytest.mark.parametrize(("controls", "order"), [pytest.param(Held(), 2.0, marks=pytest.mark.slow), (Linear(), 4.0)])
 def test_the_order_in_the_mesh(controls: Any, order: float) -> None:
     """Held controls miss the optimum by the second power of the intervals, linear ones by the fourth."""
-    far, near = regulator(5, controls), regulator(9, controls)
+    far, near = (regulator_error(nodes, controls, 1e-10, substeps=4) for nodes in (5, 9))
     assert far > near > 0.0
     assert np.log2(far / near) == pytest.approx(order, abs=0.25)
 

@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.optimize import minimize
 from trajectory_systems import EULER, HEUN
 
 import twistax as tx
@@ -162,6 +163,34 @@ def test_an_impulse_a_free_start_and_a_value(link: str) -> None:
     assert result.phases[1].xs["p"][0] == pytest.approx(0.5, abs=1e-6)
     if link == "impulse":
         assert result.params["dv"] == pytest.approx(1.0, abs=1e-6)
+
+
+def test_an_integral_of_a_later_phase_begins_at_zero() -> None:
+    """A budget of effort for the second half: SciPy has the held controls alone as unknowns."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    dynamics, cost = tx.compile(tx.System(rates={p: v, v: u})), tx.Minimize(running=u * u)
+    end, budget, count = [{p: 1.0, v: 0.0}, tx.trajectory.Integral(u * u) <= 0.6], 0.6, 6
+    result = Problem(
+        [
+            Phase(dynamics, cost, nodes=count + 1, final_time=1.0, initial={p: 0.0, v: 0.0}),
+            Phase(dynamics, cost, nodes=count + 1, final_time=1.0, final=end),
+        ]
+    ).solve()
+    step = 1.0 / count
+    later = step * (np.arange(2 * count)[::-1] + 0.5)  # from the middle of an interval to the end
+    least = minimize(
+        lambda z: step * z @ z,
+        np.zeros(2 * count),
+        constraints=[
+            {"type": "eq", "fun": lambda z: np.array([step * z.sum(), step * later @ z - 1.0])},
+            {"type": "ineq", "fun": lambda z: budget - step * z[count:] @ z[count:]},
+        ],
+        method="SLSQP",
+        options={"ftol": 1e-12},
+    )
+    assert result.solved
+    assert result.cost == pytest.approx(least.fun, rel=1e-6)
+    assert result.phases[1].integrals["Integral(u * u)"][-1] == pytest.approx(budget, abs=1e-6)
 
 
 def test_a_limit_that_the_end_of_a_phase_meets_binds_nobody_at_the_next_start() -> None:

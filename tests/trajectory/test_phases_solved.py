@@ -1,7 +1,5 @@
 """Problems of phases solved as others are: warm, for other ends, by other solvers, between nodes, many at once."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from typing import Any
@@ -125,7 +123,7 @@ def test_a_finer_mesh_begins_where_the_coarse_one_ended() -> None:
     finer, warm = refine._finer(result, errors, 1e-3, is_settled=False) or (None, None)
     assert finer is not None
     assert all(part.nodes > NODES for part in finer.parts)
-    staged = finer.core(1e-6, warm.point, finer.started().given).staged
+    staged = finer.core(1e-6, warm.point, finer.started().instance).staged
     values = Evaluated(staged.transcription, staged.flat(warm.point))
     np.testing.assert_allclose(values.c, 0.0, atol=1e-9)
     assert values.cost[0] == pytest.approx(result.cost, rel=1e-9)

@@ -1,10 +1,15 @@
-"""The line of a search."""
+"""Lines of solves, integrations and sweeps that take long."""
 
 import io
+import logging
+import re
+import sys
+import time
 
 import pytest
 
 import twistax as tx
+from twistax import progress
 
 
 class Terminal(io.StringIO):
@@ -12,17 +17,86 @@ class Terminal(io.StringIO):
         return True
 
 
-def test_it_overwrites_one_line_on_a_terminal_and_is_sparse_elsewhere() -> None:
-    terminal, log = Terminal(), io.StringIO()
-    for stream in (terminal, log):
-        progress = tx.trajectory.Progress("solve", cost="mass {:9,.0f} kg", stream=stream)
-        progress.note("compiling ...")
-        progress(3, 27_000.0, 1e-3)
-        progress.close()
-    assert "iteration    3" in terminal.getvalue()
-    assert "1.0e-03" in terminal.getvalue()
-    assert "27,000 kg" in terminal.getvalue()
-    assert "\n" not in terminal.getvalue()
+def double_integrator() -> tx.trajectory.Problem:
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    ends = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
+    return tx.trajectory.Problem(dynamics, tx.Minimize(tx.Time()), nodes=5, final_time=(0.5, 9.0), **ends)
+
+
+def test_a_solve_prints_a_line_for_each_iteration() -> None:
+    terminal = Terminal()
+    result = double_integrator().solve(progress=tx.trajectory.Progress(cost="time {:.4f} s", stream=terminal))
+    rows = re.findall(
+        r"solve +iteration +(\d+)   time (\S+) s   violation +(\S+)(?:   step +(\S+))? .*\n", terminal.getvalue()
+    )
+    assert [int(row[0]) for row in rows][:9] == list(range(9))
+    assert float(rows[-1][1]) == pytest.approx(result.final_time, abs=1e-4)
+    assert float(rows[-1][2]) < 1e-6
+    assert rows[0][3] == ""
+    assert 0.0 < float(rows[-1][3]) < float(rows[1][3])
+
+
+def test_lines_come_late_by_themselves_and_on_a_terminal_alone(monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("_LIVE", "_PATIENCE"):
+        monkeypatch.setattr(progress, name, 0.0)
+    problem = double_integrator()
+    for stream, options, lines in (
+        (Terminal(), {}, True),
+        (Terminal(), {"progress": False}, False),
+        (Terminal(), {"callback": lambda iteration, cost, violation: None}, False),
+        (io.StringIO(), {}, False),
+    ):
+        monkeypatch.setattr(sys, "stderr", stream)
+        problem.solve(**options)
+        assert ("iteration    1" in stream.getvalue()) == lines
+    monkeypatch.undo()
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    problem.solve()  # within two seconds
+    assert terminal.getvalue() == ""
+    with pytest.raises(tx.TrajectoryError, match=r"progress expects True, False, None or a tx\.trajectory\.Progress"):
+        problem.solve(progress=3)
+
+
+def test_a_wait_has_a_line_with_its_seconds(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Of the innermost call, and the time it took at its end."""
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "_PATIENCE", 1.0)
+    with progress.watched("integrate"), progress.watched("compile"):
+        time.sleep(1.6)
+    assert re.search(r"compile +\.\.\. +1 s\r", terminal.getvalue())
+    assert re.search(r"compile +took 1\.\d s\n", terminal.getvalue())
+    assert "integrate" not in terminal.getvalue()
+    assert progress._WATCHED == []
+    begin, text = time.perf_counter(), terminal.getvalue()
+    with progress.watched("compile"):
+        pass
+    assert time.perf_counter() - begin < 0.5
+    assert terminal.getvalue() == text
+
+
+def test_messages_are_records_where_logging_is_set_up(
+    caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    terminal = Terminal()
+    monkeypatch.setattr(sys, "stderr", terminal)
+    monkeypatch.setattr(progress, "_LOGGED", 0.0)
+    with caplog.at_level(logging.INFO, logger="twistax"):
+        double_integrator().solve(progress=True)
+    assert {record.name for record in caplog.records} == {"twistax"}
+    assert "solve     iteration    0" in caplog.records[0].getMessage()
+    with caplog.at_level(logging.WARNING, logger="twistax"):
+        double_integrator().solve(progress=True)
+    assert terminal.getvalue() == ""
+
+
+def test_it_is_sparse_where_there_is_no_terminal() -> None:
+    log = io.StringIO()
+    line = tx.trajectory.Progress(stream=log)
+    line(3, 27_000.0, 1e-3)
+    line.close()
     assert log.getvalue() == ""
 
 

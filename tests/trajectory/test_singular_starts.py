@@ -1,7 +1,5 @@
 """Starts at which rates are not finite, against the exact solution of a power-limited start."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -1,7 +1,5 @@
 """Soft constraints, against optima with slacks by SciPy, exact answers and hard constraints."""
 
-from __future__ import annotations
-
 import functools
 import itertools
 import pickle

@@ -5,7 +5,7 @@ from typing import Any
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from trajectory_systems import double_integrator
+from trajectory_systems import double_integrator, regulator_error
 
 import twistax as tx
 from twistax.trajectory import Collocation, Linear, Problem, Rate, Spline
@@ -39,27 +39,11 @@ def test_least_effort_that_is_a_parabola_is_exact_on_three_nodes() -> None:
     )
 
 
-def regulator(nodes: int, degree: int) -> float:
-    """x' = u from 1 in 2 s with x^2 + u^2 as running cost: tanh(2)."""
-    x, u = tx.State("x"), tx.Control("u")
-    problem = Problem(
-        tx.compile(tx.System(rates={x: u})),
-        tx.Minimize(running=x**2 + u**2),
-        nodes=nodes,
-        final_time=2.0,
-        initial={x: 1.0},
-        controls=Spline(degree),
-        transcription=Collocation(tx.tableaus.GAUSS_LEGENDRE6, substeps=4),
-    )
-    result = problem.solve(tolerance=1e-11)
-    assert result.solved
-    return result.cost - float(np.tanh(2.0))
-
-
 @pytest.mark.slow
 def test_the_order_in_the_mesh() -> None:
     """A parabola misses by the sixth power of the intervals."""
-    far, near = regulator(4, 2), regulator(7, 2)
+    rule = Collocation(tx.tableaus.GAUSS_LEGENDRE6, substeps=4)
+    far, near = (regulator_error(nodes, Spline(2), 1e-11, transcription=rule) for nodes in (4, 7))
     assert far > near > 0.0
     assert np.log2(far / near) == pytest.approx(6.0, abs=0.5)
 
@@ -114,3 +98,27 @@ def test_what_is_no_spline() -> None:
     assert problem({u: Spline(2)}, running=u**2 + Rate(u) ** 2 + 1e-3 * Rate(Rate(u)) ** 2).continuous.rates == {
         "rate of rate of u": 2
     }
+
+
+@pytest.mark.parametrize("by_name", [False, True])
+def test_bounds_of_norms_are_as_smooth_as_the_control(by_name: bool) -> None:
+    """A double integrator goes 1 m in 2 s with an impulse of 1.4 at most: u is a straight line with a dead zone.
+
+    With x = 1 - t, u = a (|x| - d) sign x beyond d: 3 / (2 + d) = 1.4, a (1 - d)^2 = 1.4, the cost 2 a^2 (1 - d)^3 / 3.
+    """
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    impulse, spline = tx.trajectory.Integral(tx.Abs(u)), tx.trajectory.Spline(2)
+    problem = tx.trajectory.Problem(
+        tx.compile(tx.System(rates={p: v, v: u})),
+        tx.Minimize(running=u * u),
+        nodes=7,
+        final_time=2.0,
+        initial={p: 0.0, v: 0.0},
+        final=[{p: 1.0, v: 0.0}, impulse <= 1.4],
+        controls={u: spline} if by_name else spline,
+    )
+    dead = 3.0 / 1.4 - 2.0
+    exact = 2.0 * (1.4 / (1.0 - dead) ** 2) ** 2 * (1.0 - dead) ** 3 / 3.0
+    result = problem.solve()
+    assert result.solved
+    assert result.cost == pytest.approx(exact, rel=3e-3)  # with bounds that are linear in time .027 more

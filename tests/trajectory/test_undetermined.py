@@ -1,7 +1,5 @@
 """Controls that an optimum leaves open, against the moves that keep the ends of double integrators."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

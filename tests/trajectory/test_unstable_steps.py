@@ -1,7 +1,5 @@
 """Horizons on which explicit steps blow up, against the value functions of the hypersensitive problem."""
 
-from __future__ import annotations
-
 import pickle
 from typing import Any
 
@@ -10,7 +8,7 @@ import pytest
 from scipy.integrate import quad
 
 import twistax as tx
-from twistax.trajectory import Collocation, MultipleShooting, Phase, Problem, Status, Strategy
+from twistax.trajectory import Collocation, MultipleShooting, Phase, Problem, Status, Strategy, solution
 
 HORIZON = 1000.0
 x, u = tx.State("x"), tx.Control("u")
@@ -70,6 +68,22 @@ def test_what_others_chose_is_tried_first() -> None:
     explicit = hypersensitive(nodes, transcription=MultipleShooting(tx.RKMK(tx.tableaus.RK4), substeps=4)).solve()
     assert explicit.cost == pytest.approx(radau.cost, rel=1e-6)
     assert SAID in explicit.message
+
+
+@pytest.mark.parametrize("limit", [{}, {"slow": x <= 1.9}])
+def test_a_warm_start_from_such_a_result(limit: dict[str, Any]) -> None:
+    """With a limit along the path there are other rows than by explicit steps."""
+    dynamics = tx.compile(tx.System(rates={x: u - x**3}, constraints=limit))
+    ends: dict[str, Any] = {"final_time": HORIZON, "initial": {x: 1.5}, "final": {x: 1.0}}
+    stated = Problem(dynamics, EFFORT, nodes=at_ends(40, 15.0), **ends)
+    first = stated.solve()
+    for problem, warm in ((stated, first), pickle.loads(pickle.dumps((stated, first)))):
+        again = problem.solve(warm=warm)
+        assert again.solved
+        assert again.iterations <= 1
+        assert again.message.endswith("Solved by Collocation(tx.tableaus.RADAU_IIA5), as the start was.")
+        assert again.cost == pytest.approx(first.cost, rel=1e-9)
+    assert float(solution(stated)().cost) == pytest.approx(first.cost, rel=1e-7)
 
 
 def test_it_is_a_strategy() -> None:

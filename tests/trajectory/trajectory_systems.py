@@ -67,3 +67,32 @@ def sample(seed: int) -> tuple[dict[str, np.ndarray], dict[str, np.ndarray]]:
         "P": rng.normal(size=(2, 2)),
     }
     return x, {"F": rng.normal(size=3), "q": np.asarray(rng.normal())}
+
+
+@functools.cache
+def fastest_turn() -> tx.trajectory.Problem:
+    """The fastest turn of an asymmetric body, with a rate limit."""
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+    M = tx.Control("M", shape=(3,), min=-1.0, max=1.0)
+    J = np.diag([1.0, 1.2, 0.7])
+    rate = tx.linalg.Solve(J, M - tx.linalg.Cross(w, J @ w))
+    system = tx.System(rates={R: w, w: rate}, constraints={"slow": tx.linalg.Norm(w) <= 1.8})
+    return tx.trajectory.Problem(
+        tx.compile(system),
+        tx.Minimize(tx.Time(), running=0.01 * M @ M),
+        nodes=9,
+        final_time=(0.5, 10.0),
+        initial={R: np.eye(3), w: np.zeros(3)},
+        final={R: np.asarray(tx.SO3.exp(np.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
+        **{**HEUN, "substeps": 4},
+    )
+
+
+def regulator_error(nodes: int, controls: Any, tolerance: float, **options: Any) -> float:
+    """By how much the cost of x' = u from 1 in 2 s is above the least, tanh(2), with x^2 + u^2 as running cost."""
+    x, u = tx.State("x"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={x: u}))
+    given: dict[str, Any] = {"nodes": nodes, "final_time": 2.0, "initial": {x: 1.0}, "controls": controls} | options
+    result = tx.trajectory.Problem(dynamics, tx.Minimize(running=x**2 + u**2), **given).solve(tolerance=tolerance)
+    assert result.solved
+    return result.cost - float(np.tanh(2.0))

@@ -169,7 +169,7 @@ def test_phases_are_shown_one_after_the_other() -> None:
     np.testing.assert_array_equal(scene.ts, TIMES)
     np.testing.assert_allclose(body.poses[:, 2, 3], [2.0, 2.0, 7.0, 7.0])
     assert (body.trail, body.axes) == (False, True)
-    with pytest.raises(tx.InputError, match="no motion"):
+    with pytest.raises(tx.InputError, match="expects saved times"):
         dataclasses.replace(flight, save_at=None).show()
 
 

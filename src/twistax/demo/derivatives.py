@@ -1,7 +1,5 @@
 """Derivatives of a compiled system against finite differences, in the tangent space."""
 
-from __future__ import annotations
-
 import math
 from typing import Any, NamedTuple
 

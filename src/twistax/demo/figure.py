@@ -3,8 +3,6 @@
 The picture needs matplotlib, the extra `plot`; imported when it is drawn.
 """
 
-from __future__ import annotations
-
 import csv
 from collections.abc import Sequence
 from pathlib import Path

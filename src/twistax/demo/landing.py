@@ -18,6 +18,7 @@ import twistax as tx
 
 from ..scenes import powered_descent as scene
 from ..scenes.touchdown import ALLOWED, SAMPLES, Descent, Miss, Reach, planned, reaches, replayed
+from . import tumbling
 from .derivatives import BAR, check_derivatives
 from .figure import ENLARGED, LENGTH, PLUME, RADIUS, save_figure, save_table
 
@@ -41,14 +42,19 @@ def run(arguments: argparse.Namespace) -> int:
     except OSError as error:
         print(f"twistax demo: cannot write to --out {arguments.out}: {error.strerror}", file=sys.stderr)
         return 2
+    _say("body", *tumbling.draw(arguments.out), f"in {time.perf_counter() - begin:.1f} s")
+    begin = time.perf_counter()
     start, vehicle = arguments.initial, scene.Vehicle()
     _say("start", *describe_start(start, vehicle))
     dynamics = tx.compile(scene.system(vehicle))
-    _say("check", *_check(dynamics, vehicle), f"compiled and checked in {time.perf_counter() - begin:.1f} s")
+    with tx.trajectory.Progress("check", stream=sys.stdout):
+        checked = _check(dynamics, vehicle)
+    _say("check", *checked, f"compiled and checked in {time.perf_counter() - begin:.1f} s")
     result = _solved(dynamics, start, vehicle, arguments)
 
     lap = time.perf_counter()
-    rollouts, failures = _rollouts(result)
+    with tx.trajectory.Progress("rollouts", stream=sys.stdout):
+        rollouts, failures = _rollouts(result)
     dense = next(iter(rollouts.values()), planned(result))
     misses = {name: Miss.of(descent) for name, descent in rollouts.items()}
     reached = reaches(dense, scene.limits(vehicle))
@@ -95,16 +101,13 @@ def _solved(
     dynamics: tx.Dynamics, start: scene.Start, vehicle: scene.Vehicle, arguments: argparse.Namespace
 ) -> tx.trajectory.TrajectoryResult:
     problem = scene.problem(dynamics, start, vehicle, nodes=arguments.nodes)
-    progress = tx.trajectory.Progress("solve", cost="mass {:9,.0f} kg", stream=sys.stdout)
-    progress.note("compiling ...")
     result = problem.solve(
         seed=arguments.guess_seed,
-        callback=progress,
+        progress=tx.trajectory.Progress("solve", cost="mass {:9,.0f} kg", stream=sys.stdout),
         max_iterations=arguments.max_iterations,
         refine=_REFINED,
         between=_BETWEEN,
     )
-    progress.close()
     meshes = [
         f"{mesh.nodes} nodes: an interval misses by {mesh.error:.1e} at most, allowed {_REFINED:.0e}; "
         f"mass {abs(mesh.cost):,.1f} kg"

@@ -1,7 +1,5 @@
 """The options of the demo, and how a start is written on the command line."""
 
-from __future__ import annotations
-
 import argparse
 import math
 from collections.abc import Callable
@@ -91,5 +89,5 @@ def _numbers(name: str, text: str, count: int) -> tuple[float, ...]:
         wanted = "a number" if count == 1 else f"{count} numbers separated by colons"
         raise argparse.ArgumentTypeError(f"{name} expects {wanted}, got {text!r}")
     if max(map(abs, numbers)) > 1e6:
-        raise argparse.ArgumentTypeError(f"{name} is beyond this world: no entry may exceed 1e6, got {text!r}")
+        raise argparse.ArgumentTypeError(f"{name} is too large: no entry may exceed 1e6, got {text!r}")
     return numbers

@@ -68,8 +68,8 @@ def bind_fields(cls: Any, args: tuple[Any, ...], kwargs: dict[str, Any]) -> dict
     bound.apply_defaults()
     for field in cls._fields:
         if field.variadic and len(bound.arguments[field.name]) < cls.fewest:
-            given, least = len(bound.arguments[field.name]), ("one", "two")[cls.fewest - 1]
-            raise ModelError(f"{cls.__name__} requires {least} or more {field.name}, got {given}")
+            count, least = len(bound.arguments[field.name]), ("one", "two")[cls.fewest - 1]
+            raise ModelError(f"{cls.__name__} requires {least} or more {field.name}, got {count}")
     return bound.arguments
 
 
@@ -136,11 +136,11 @@ _KEPT: list[Any] = []
 
 def _number_of(value: Any) -> int:
     """A number that no other object gets, not even one that comes to lie at the same address."""
-    own = next(_NUMBERS)
-    found = _IDENTITIES.setdefault(id(value), own)
-    if found == own:
+    new = next(_NUMBERS)
+    number = _IDENTITIES.setdefault(id(value), new)
+    if number == new:
         try:
             weakref.finalize(value, _IDENTITIES.pop, id(value), None)
         except TypeError:
             _KEPT.append(value)
-    return found
+    return number

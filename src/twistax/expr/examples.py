@@ -33,8 +33,8 @@ def example_of(cls: Any, case: Case, smooth: bool) -> Example:
         return NODES["State"](name, shape=values[name].shape)
 
     if isinstance(case, tuple):
-        build, given = case
-        return Example(build(cls, **{name: leaf(name, value) for name, value in given.items()}), values, smooth)
+        build, operands = case
+        return Example(build(cls, **{name: leaf(name, value) for name, value in operands.items()}), values, smooth)
     several: list[Any] = []
     named = dict(case)
     for field in cls._fields:

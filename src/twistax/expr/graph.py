@@ -159,10 +159,10 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
 
     def branch(root: Node, scope: Hashable, known: int) -> jax.Array:
         before = len(memo)
-        (found,) = values([root], scope, known)
+        (value,) = values([root], scope, known)
         while len(memo) > before:  # what was evaluated here exists in the branch only
             memo.popitem()
-        return found
+        return value
 
     return values(roots, None, 0)
 
@@ -179,8 +179,8 @@ def _shared_by_branches(roots: Sequence[Node], order: Sequence[Node]) -> tuple[l
     for node in reversed(order):
         eager = len(node.eager_children())
         for k, child in enumerate(node.children()):
-            own = scopes[node.key()] if k < eager else (node.key(), k - eager)
-            if not child.is_leaf and scopes.setdefault(child.key(), own) != own:
+            of_child = scopes[node.key()] if k < eager else (node.key(), k - eager)
+            if not child.is_leaf and scopes.setdefault(child.key(), of_child) != of_child:
                 scopes[child.key()] = child.key()
     shared: list[Node] = []
     needs: dict[Hashable, int] = {}

@@ -370,10 +370,10 @@ def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndar
         if np.isnan(array[part.place]).all():
             rest[part.place] = 0.0
     if np.isnan(rest).any():
-        whole = " or ".join(f"the whole {part.name}" for part in parts)
+        open_parts = " or ".join(f"the whole {part.name}" for part in parts)
+        can_leave = f"{open_parts} free, no other entries" if parts else "none free"
         raise ModelError(
-            f"{name!r}: {what} of {group.name} can leave {f'{whole} free, no other entries' if whole else 'none free'}"
-            f", got\n{array}\n"
+            f"{name!r}: {what} of {group.name} can leave {can_leave}, got\n{array}\n"
             f"  fix: use constraints on the entries of {name}, e.g. {what}=[{name}[0, 1] == 0.0]"
         )
     return array
@@ -382,12 +382,12 @@ def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndar
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
     """A start or an end: an element of a group, or numbers of which some may be None."""
     if value is None or group.flat:
-        found = _value(name, what, value, group.shape)
+        numbers = _value(name, what, value, group.shape)
         if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip
             raise ShapeError(f"{name!r}: {what} expects shape {group.shape} or a number, got {np.shape(value)}")
-        if found is not None and np.isinf(found).any():
-            raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {found}")
-        return found
+        if numbers is not None and np.isinf(numbers).any():
+            raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {numbers}")
+        return numbers
     if np.shape(value) != group.shape:
         raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
     array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)

@@ -172,9 +172,9 @@ class Expr(Printed, Operators):
                 f"{type(self).__name__} has no {name!r}; it has: {listed([p.name for p in taken], name)}"
             )
         variadic = [p.name for p in taken if p.kind is p.VAR_POSITIONAL]
-        given = {p.name: getattr(self, p.name) for p in taken} | changes
-        operands = [operand for name in variadic for operand in given.pop(name)]
-        return type(self)(*operands, **given)
+        arguments = {p.name: getattr(self, p.name) for p in taken} | changes
+        operands = [operand for name in variadic for operand in arguments.pop(name)]
+        return type(self)(*operands, **arguments)
 
     # ---- hooks -----------------------------------------------------------------------------------------------
 
@@ -248,13 +248,13 @@ class Expr(Printed, Operators):
 
     def children(self) -> list[Expr]:
         """The operands, in order."""
-        found: list[Expr] = []
+        children: list[Expr] = []
         for field in self._fields:
             if field.variadic:
-                found.extend(getattr(self, field.name))
+                children.extend(getattr(self, field.name))
             elif field.operand:
-                found.append(getattr(self, field.name))
-        return found
+                children.append(getattr(self, field.name))
+        return children
 
     def child_names(self) -> list[str]:
         """Where each child sits: field names, with positions for variadic nodes."""
@@ -324,14 +324,14 @@ class Expr(Printed, Operators):
     @property
     def is_group_element(self) -> bool:
         """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
-        own = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_element", own)
+        of_node = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_element", of_node)
 
     @property
     def boolean(self) -> bool:
         """Whether the entries are true or false: constraints and what is made of them."""
-        own = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_boolean", own)
+        of_node = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
+        return bottom_up(self, "_boolean", of_node)
 
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
@@ -377,8 +377,8 @@ def node_classes() -> Iterator[type[Expr]]:
 def all_nodes() -> list[type[Expr]]:
     """Every node class of this package, sorted by module and name. Bases marked `abstract` are left out."""
     package = __name__.partition(".")[0]
-    own = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
-    return sorted(own, key=lambda cls: (cls.__module__, cls.__qualname__))
+    classes = {cls for cls in node_classes() if not cls.abstract and cls.__module__.partition(".")[0] == package}
+    return sorted(classes, key=lambda cls: (cls.__module__, cls.__qualname__))
 
 
 def to_numbers(owner: str, child: Expr) -> Expr:

@@ -93,18 +93,18 @@ def _is_listed(eqn: Any) -> bool:
 
 def _differs(name: str, eqn: Any) -> bool:
     """Whether NumPy would do something else."""
-    given, result = [v.aval.dtype for v in eqn.invars], eqn.outvars[0].aval.dtype
+    types, result = [v.aval.dtype for v in eqn.invars], eqn.outvars[0].aval.dtype
     if name == "dot_general" and eqn.params["dimension_numbers"][1][0]:
         return True
     if name in ("dot_general", "mul"):
-        return {*given} != {result}
+        return {*types} != {result}
     if name == "reshape":
         return eqn.params["dimensions"] is not None
     if name == "select_n":
-        return given[0] != np.dtype(bool)
+        return types[0] != np.dtype(bool)
     # NaN, and what is out of range.
     return (
-        name == "convert_element_type" and jnp.issubdtype(given[0], jnp.inexact) and jnp.issubdtype(result, jnp.integer)
+        name == "convert_element_type" and jnp.issubdtype(types[0], jnp.inexact) and jnp.issubdtype(result, jnp.integer)
     )
 
 
@@ -117,12 +117,12 @@ def _computed(closed: ClosedJaxpr, values: Sequence[Any]) -> list[np.ndarray]:
         return np.asarray(variable.val if isinstance(variable, Literal) else known[variable], variable.aval.dtype)
 
     for eqn in jaxpr.eqns:
-        inputs = [value(each) for each in eqn.invars]
+        inputs = list(map(value, eqn.invars))
         if inner := _inner(eqn):
             results = _computed(inner, inputs)
         else:
             function, names = _IN_NUMPY[eqn.primitive.name]
-            found = function(*inputs, **{name: eqn.params[name] for name in names})
-            results = found if eqn.primitive.multiple_results else [found]
+            output = function(*inputs, **{name: eqn.params[name] for name in names})
+            results = output if eqn.primitive.multiple_results else [output]
         known.update(zip(eqn.outvars, results, strict=True))
-    return [value(each) for each in jaxpr.outvars]
+    return list(map(value, jaxpr.outvars))

@@ -89,7 +89,7 @@ class Operators:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:
             raise OperationError(
-                f"{ufunc!r} is not a function of NumPy's own, and has no meaning for expressions.\n"
+                f"{ufunc!r} is no ufunc of NumPy and is not defined for expressions.\n"
                 "  fix: build it from tx nodes, or lower first (tx.lower(expr)) and apply it to the numbers"
             )
         function = _meaning(name, self)
@@ -174,7 +174,7 @@ class Operators:
 def _dot(a: Any, b: Any) -> Any:
     a, b = as_node(a), as_node(b)
     if a.ndim > 2 or b.ndim > 2:
-        raise OperationError("np.dot of expressions knows vectors and matrices; a @ b multiplies stacks of matrices")
+        raise OperationError("np.dot of expressions takes vectors and matrices; a @ b multiplies stacks of matrices")
     if a.ndim == 0 or b.ndim == 0:
         return NODES["Mul"](a, b)
     return NODES["Dot"](a, b) if a.ndim == b.ndim == 1 else NODES["MatMul"](a, b)
@@ -184,7 +184,7 @@ def _cross(a: Any, b: Any) -> Any:
     a, b = as_node(a), as_node(b)
     if a.ndim > 1 or b.ndim > 1:
         raise OperationError(
-            "np.cross of expressions knows vectors; tx.linalg.Cross takes k columns (3, k) on the right"
+            "np.cross of expressions takes vectors; tx.linalg.Cross takes k columns (3, k) on the right"
         )
     return NODES["Cross"](a, b)
 
@@ -195,12 +195,12 @@ def _joined(arrays: Any, axis: int = 0) -> Any:
         return NODES["Hstack"](exprs)
     if axis == 0 or (axis == -1 and all(e.ndim == 1 for e in exprs)):
         return NODES["Concat"](*exprs)
-    raise OperationError("np.concatenate of expressions knows axis 0, and axis 1 of matrices")
+    raise OperationError("np.concatenate of expressions takes axis 0, and axis 1 of matrices")
 
 
 def _stacked(arrays: Any, axis: int = 0) -> Any:
     if axis != 0:
-        raise OperationError("np.stack of expressions knows axis 0 only; transpose the result")
+        raise OperationError("np.stack of expressions takes axis 0 only; transpose the result")
     return NODES["Stack"](list(arrays))
 
 
@@ -208,7 +208,7 @@ def _transposed(a: Any, axes: Any = None) -> Any:
     expr = as_node(a)
     if axes not in (None, (1, 0), [1, 0]) or expr.ndim > 2:
         raise OperationError(
-            "np.transpose of an expression knows matrices; tx.linalg.Transpose swaps the last two axes"
+            "np.transpose of an expression takes matrices; tx.linalg.Transpose swaps the last two axes"
         )
     return expr.T
 
@@ -218,7 +218,7 @@ def _blocks(arrays: Any) -> Any:
     entries = [e for row in arrays for e in (row if isinstance(row, (list, tuple)) else [row])]
     ranks = [as_node(entry).ndim for entry in entries]
     if max(ranks, default=0) > 2:
-        raise OperationError("np.block of expressions knows vectors and matrices; tx.Block joins the first two axes")
+        raise OperationError("np.block of expressions takes vectors and matrices; tx.Block joins the first two axes")
     if max(ranks, default=0) < 2 and not any(isinstance(row, (list, tuple)) for row in arrays):
         return NODES["Hstack"](list(arrays))
     return NODES["Block"](arrays)

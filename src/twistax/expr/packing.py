@@ -28,18 +28,18 @@ def pack(value: Any) -> tuple[list[tuple[type[Any], dict[str, Any]]], Any]:
     places = {id(node): _Place(k) for k, node in enumerate(nodes)}
     table = []
     for node in nodes:
-        own = {name: value for name, value in node.__dict__.items() if name not in _MADE_AGAIN}
-        _check_pickles(node, own)
-        table.append((type(node), _exchanged(own, lambda node: places[id(node)])))
+        fields = {name: value for name, value in node.__dict__.items() if name not in _MADE_AGAIN}
+        _check_pickles(node, fields)
+        table.append((type(node), _exchanged(fields, lambda node: places[id(node)])))
     return table, _exchanged(value, lambda node: places[id(node)])
 
 
 def unpack(table: list[tuple[type[Any], dict[str, Any]]], value: Any) -> Any:
     """What was packed."""
     nodes: list[Any] = []
-    for cls, own in table:
+    for cls, fields in table:
         node = object.__new__(cls)
-        node.__dict__.update(_exchanged(own, nodes.__getitem__))
+        node.__dict__.update(_exchanged(fields, nodes.__getitem__))
         nodes.append(node)
     return _exchanged(value, nodes.__getitem__)
 
@@ -61,10 +61,10 @@ def _exchanged(value: Any, other: Callable[[Any], Any]) -> Any:
     return {name: _exchanged(entry, other) for name, entry in value.items()} if type(value) is dict else value
 
 
-def _check_pickles(node: Any, own: Mapping[str, Any]) -> None:
+def _check_pickles(node: Any, fields: Mapping[str, Any]) -> None:
     """Name the node that holds what pickle refuses; cloudpickle takes more."""
-    held = {"class": type(node)} | {name: value for name, value in own.items() if callable(value)}
-    for name, value in held.items():
+    values = {"class": type(node)} | {name: value for name, value in fields.items() if callable(value)}
+    for name, value in values.items():
         try:
             if not isinstance(value, Operators):
                 pickle.dumps(value)

@@ -36,13 +36,13 @@ def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
         for name, value in zip(names or ["a group's map"] * len(values), values, strict=True)
     ]
     canonical = jax.dtypes.canonicalize_dtype  # of float64 without x64: float32, which JAX would warn of
-    own = [
+    dtypes = [
         canonical(value.dtype) if isinstance(value, _TYPED) and jnp.issubdtype(value.dtype, jnp.floating) else None
         for value in values
     ]
-    kinds = [dtype for dtype in own if dtype is not None]
+    kinds = [dtype for dtype in dtypes if dtype is not None]
     common = jnp.result_type(*kinds) if kinds else jnp.result_type(float)
-    return tuple(jnp.asarray(array, dtype or common) for array, dtype in zip(arrays, own, strict=True))
+    return tuple(jnp.asarray(array, dtype or common) for array, dtype in zip(arrays, dtypes, strict=True))
 
 
 def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Input) -> tuple[Array, ...]:
@@ -140,8 +140,8 @@ def cross(a: Components, b: Components) -> Components:
     return (a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0])
 
 
-def add(a: Components, *others: Components) -> Components:
-    for b in others:
+def add(a: Components, *terms: Components) -> Components:
+    for b in terms:
         a = tuple(x + y for x, y in zip(a, b, strict=True))
     return a
 

@@ -72,14 +72,14 @@ def angles(R: Array, sequence: str) -> Array:
     # sin c and cos c times `level`, which is cos b, or sin b where the last axis is the first; and the column that
     # E_l(-c) turns towards e_j.
     if last == i:
-        sine, cosine, beside = R[i, j], sign * R[i, k], -sign * R[:, k]
+        sine, cosine, turned = R[i, j], sign * R[i, k], -sign * R[:, k]
     else:
-        sine, cosine, beside = -sign * R[i, j], R[i, i], sign * R[:, i]
+        sine, cosine, turned = -sign * R[i, j], R[i, i], sign * R[:, i]
     square = sine * sine + cosine * cosine
     locked = square < (4.0 * float(jnp.finfo(R.dtype).eps)) ** 2
     level = jnp.where(locked, 0.0, jnp.sqrt(jnp.where(locked, 1.0, square)))
     c = jnp.where(locked, 0.0, jnp.arctan2(jnp.where(locked, 0.0, sine), jnp.where(locked, 1.0, cosine)))
     b = jnp.arctan2(level, R[i, i]) if last == i else jnp.arctan2(sign * R[i, k], level)
-    column = jnp.cos(c) * R[:, j] + jnp.sin(c) * beside
+    column = jnp.cos(c) * R[:, j] + jnp.sin(c) * turned
     a = jnp.arctan2(sign * column[k], column[j])
     return jnp.stack([angle for _, angle in sorted(zip(places, (a, b, c), strict=True), key=lambda pair: pair[0])])

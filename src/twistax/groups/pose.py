@@ -54,25 +54,25 @@ def pose(
     same_unit("pose: position", position, metres)
     same_unit("pose: euler", euler, radians)
     same_unit("pose: rotation_vector", rotation_vector, radians)
-    given = {name: own for name, own in attitudes.items() if own[0] is not None}
-    one_attitude(given)
+    used = {name: entry for name, entry in attitudes.items() if entry[0] is not None}
+    one_attitude(used)
     euler_angles.turns(sequence)  # which is checked without angles too
     place = (0.0, 0.0, 0.0) if position is None else position
-    if not given:
+    if not used:
         (p,) = of_shape("pose", {"position": (3,)}, place)
         _check_finite("position", p)
         return se3.transform(jnp.eye(3, dtype=p.dtype), p)
-    ((name, (value, shape, build)),) = given.items()
+    ((name, (value, shape, build)),) = used.items()
     p, attitude = of_shape("pose", {"position": (3,), name: shape}, place, value)
     for what, array in (("position", p), (name, attitude)):
         _check_finite(what, array)
     return se3.transform(build(attitude), p)
 
 
-def one_attitude(given: Collection[str]) -> None:
+def one_attitude(attitudes: Collection[str]) -> None:
     """Raise InputError where several attitudes are given."""
-    if len(given) > 1:
-        raise InputError(f"pose expects at most one attitude, got {' and '.join(given)}\n  fix: keep one of them")
+    if len(attitudes) > 1:
+        raise InputError(f"pose expects at most one attitude, got {' and '.join(attitudes)}\n  fix: keep one of them")
 
 
 def _check_finite(what: str, array: Array) -> None:

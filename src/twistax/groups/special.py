@@ -261,7 +261,7 @@ def tangent_grad(fn: Callable[..., Any], group: Group = SE3, argnums: int = 0) -
 
     def gradient(*args: Any, **kwargs: Any) -> jax.Array:
         if not -len(args) <= argnums < len(args):
-            raise InputError(f"tangent_grad looks at argument {argnums}, but {len(args)} positional ones came")
+            raise InputError(f"tangent_grad expects argument {argnums}, got {len(args)} positional arguments")
         position = argnums % len(args)
         element = args[position]
 

@@ -54,7 +54,7 @@ class AmbientSystem:
 
 
 class _Numbers(NamedTuple):
-    """How one state is written in plain numbers: of an element, the element of numbers, and y' for a body velocity."""
+    """A state as plain numbers: the map from an element to numbers, its inverse, and y' for a body velocity."""
 
     write: Callable[[jax.Array], jax.Array]
     read: Callable[[jax.Array], jax.Array]
@@ -96,7 +96,7 @@ class Arguments:
     params: Any  # prepared
 
     def rates(self, dynamics: Dynamics, t: jax.Array | None = None, h: jax.Array | None = None) -> Arrays:
-        """The rates there, for controls within the step from t to t + h.
+        """The rates at this point, for controls within the step from t to t + h.
 
         A solver that picks its own steps has no step to look into: without one tables are read at the time itself.
         """

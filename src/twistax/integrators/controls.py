@@ -24,7 +24,7 @@ _SHORT = 64
 
 
 def _floats(place: str, value: Any) -> jax.Array:
-    """The value as a floating point array; what is known stays known inside jit, so that it can be checked."""
+    """The value as a floating point array; known numbers stay NumPy arrays inside jit, so that they can be checked."""
     array = real_array(place, value)
     dtype = array.dtype if jnp.issubdtype(array.dtype, jnp.floating) else float
     # What the precision cannot hold becomes infinite, and is refused as that.
@@ -33,7 +33,7 @@ def _floats(place: str, value: Any) -> jax.Array:
 
 
 def row_at(ts: jax.Array, t: jax.Array) -> jax.Array:
-    """The last row whose time is not after t; -1 before the first one."""
+    """The last row whose time is not after t; -1 before the first row."""
     # Comparing with every time has a scalar form, which kernels need; for long tables it takes longer.
     method = "compare_all" if ts.size <= _SHORT else "scan_unrolled"
     return jnp.searchsorted(ts, t, side="right", method=method) - 1
@@ -93,17 +93,17 @@ class ControlTable(ABC):
 
     @property
     def first(self) -> Any:
-        """The first row, of NumPy where it is known."""
+        """The first row, a NumPy array if it is known."""
         return self.values[0] if is_traced(self.values) else np.asarray(self.values)[0]
 
     @property
     def times(self) -> Any:
-        """ts, as an array of NumPy where it is known."""
+        """ts, as a NumPy array if it is known."""
         return self.ts if is_traced(self.ts) else np.asarray(self.ts)
 
     @property
     def jumps(self) -> Any:
-        """The times at which the value, or how it changes, jumps; of NumPy where they are known."""
+        """The times at which the value or its derivative jumps; a NumPy array if they are known."""
         return self.times[1:] if self.holds_on else self.times
 
     def during(self, t: jax.Array, h: jax.Array, within: bool = False) -> Callable[[jax.Array], jax.Array]:
@@ -156,12 +156,13 @@ class ControlTable(ABC):
 
 
 class ZeroOrderHold(ControlTable):
-    """A zero-order hold: row i holds from ts[i] until ts[i + 1], the last one from its time on.
+    """A control that is piecewise constant (a zero-order hold): row i from ts[i] until ts[i + 1], the last row from its
+    time on.
 
-    Before ts[0] there is no value: an integration must not begin earlier.
+    There is no value before ts[0]: an integration must not begin earlier.
 
-    A step that starts or ends at a jump sees the value within the step at all its stages, and `tx.integrate` ends a
-    step at every jump, so that the method keeps its order.
+    A step that starts or ends at a jump uses the value inside the step for all of its stages, and `tx.integrate` ends a
+    step at every jump. So the method keeps its order.
 
     Args:
         ts: (n,) times in s, increasing.
@@ -179,9 +180,10 @@ class ZeroOrderHold(ControlTable):
 
 
 class PiecewisePolynomial(ControlTable):
-    """Polynomials: from ts[i] until ts[i + 1] $sum_k values[i, k] (t - ts[i])^k / k!$, the last from its time on.
+    """A control that is a polynomial in time between the times of a table: from ts[i] until ts[i + 1]
+    $sum_k values[i, k] (t - ts[i])^k / k!$. The last polynomial continues without end.
 
-    So values[i] has the value at ts[i] and its derivatives from there on. Before ts[0] there is no value.
+    So values[i] holds the value at ts[i] and the derivatives to the right of it. There is no value before ts[0].
 
     Args:
         ts: (n,) times in s, increasing.
@@ -214,7 +216,9 @@ class PiecewisePolynomial(ControlTable):
 
 
 class FirstOrderHold(ControlTable):
-    """Linear interpolation between rows. Beyond the ends there is no value: they must cover an integration.
+    """A control that is interpolated linearly between the rows of a table (a first-order hold).
+
+    There is no value outside of `ts`: the table must cover the whole integration.
 
     Args, Raises: ts and values as for `ZeroOrderHold`, two rows or more.
     """
@@ -267,7 +271,7 @@ class ByName:
 
 
 class OfTime:
-    """Controls as a function of time and of inputs. A pytree of the inputs, and of a function that is one itself."""
+    """Controls as a function of time. A pytree of the traced values that the function closes over."""
 
     #: No times that are known: whoever writes the function says where it jumps.
     jumps: Sequence[Any] = ()
@@ -289,13 +293,13 @@ class OfTime:
         return values
 
     def opened(self, t: jax.Array) -> OfTime:
-        """The same function, the traced values it closes over made inputs, so that derivatives find them."""
+        """The same function with the traced values that it closes over as inputs, so that derivatives find them."""
         with of_one_device():
             function, inputs = jax.closure_convert(self.function, t)
         return OfTime(function, inputs) if inputs else self
 
     def prepared(self, arrays: Mapping[str, Any], dtype: Any) -> OfTime:
-        """Nothing to cast before the function is called."""
+        """The controls themselves: there is nothing to cast before the function is called."""
         return self
 
     def during(
@@ -318,7 +322,7 @@ Signals: TypeAlias = ByName | OfTime
 
 
 def controls_of(u: Any) -> Signals:
-    """The controls a user gave, in one of the two forms. Raises InputError for anything else."""
+    """The controls `u`, in one of the two forms. Raises InputError for anything else."""
     if u is None:
         return ByName({})
     if isinstance(u, Mapping):

@@ -17,6 +17,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import is_traced, is_tracing
+from ..progress import watched
 from ..scalar.array_primitive import on_any_mesh
 from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
@@ -78,7 +79,8 @@ def integrate(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> So
         throw: raise when the integration ends early. Otherwise the part before the failure is returned, with `result`.
         progress: True for a line that shows how far it is, as `tx.trajectory.Progress` writes it; or a function called
             with the time reached in s and the share of the way from t0 to t1, every hundredth of fixed steps, every 256
-            steps that are chosen. One other program is compiled for it; nothing is told where something is traced.
+            steps that are chosen. One other program is compiled for it; nothing is shown where something is traced.
+            Left out, a line with the seconds appears after two of them, on a terminal; False shows nothing.
 
     Returns:
         `Solution(ts, xs, stats, result)`, saved times on the leading axis. Where something is traced, states that were
@@ -99,8 +101,11 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
     need_flag("throw", options.throw)
     stepper, steps = plan.stepper, plan.steps
     callback = None if options.progress is None else callback_of(options.progress)
-    if callback is None or plan.traced or is_tracing():
+    if plan.traced or is_tracing():
         result = rollout(steps, stepper, plan.x)
+    elif callback is None:
+        with watched("integrate", options.progress):
+            result = rollout(steps, stepper, plan.x)
     else:
         with calling_back(callback) as meter:
             result = rollout(dataclasses.replace(steps, meter=meter), stepper, plan.x)
@@ -111,7 +116,7 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
 
 
 def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
-    """The result of traced times: NON_FINITE and NaN where known ones would be refused."""
+    """The result for traced times: NON_FINITE and NaN for times that would be refused if they were known."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
@@ -131,7 +136,7 @@ def _and_end(array: Any, ts: Any, xs: Any, t: Any, end: Any) -> tuple[Any, Any]:
 def solution_of(
     stepper: Stepper, steps: Steps, rolled: RolloutResult, ts: Any, end_only: bool, throw: bool
 ) -> Solution:
-    """The `Solution` of a rollout; with known numbers a failure raises, or the part before it is returned."""
+    """The `Solution` of a rollout. With known numbers a failure raises, or the part before it is returned."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
     watching = steps.watch is not None and any(steps.watch.terminal)
     code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations

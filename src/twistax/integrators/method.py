@@ -48,7 +48,7 @@ class VectorField(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class StepAttempt:
-    """A step that may be taken back."""
+    """A step that may be rejected."""
 
     y: Any  # the stored state at its end
     carry: Any  # what the next step begins with
@@ -61,7 +61,7 @@ class StepAttempt:
 
 
 class Method(ABC):
-    """A one-step method. A value: methods are equal where they mean the same, and hash accordingly.
+    """A one-step method. A value: methods are equal, with equal hashes, if they mean the same.
 
     A new method subclasses this; `tx.integrate` takes any with fixed steps. One that estimates its own error also gives
     `error_order` and `attempt`, and chooses its own steps. One that learns from the step before gives `before` and
@@ -88,7 +88,7 @@ class Method(ABC):
         return self.evaluations
 
     def check(self, dynamics: Dynamics) -> None:
-        """Refuse a system that the method cannot integrate. Raises ModelError with the reason; most take all."""
+        """Raise ModelError, with the reason, for a system that the method cannot integrate; most methods take all."""
         return
 
     def coordinates(self, dynamics: Dynamics) -> StateCoordinates:
@@ -130,11 +130,11 @@ class Method(ABC):
     # ---- fixed steps ---------------------------------------------------------------------------------------------
 
     def before(self, dynamics: Dynamics, y: Blocks) -> Carry:
-        """The carry of the first `follow`."""
+        """The initial carry of `follow`."""
         return ()
 
     def follow(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
-        """The step of `advance`, after a step that left `carry`. Pure and traceable."""
+        """The step of `advance`, given the carry of the step before. Pure and traceable."""
         return StepAttempt(self.advance(field, t, y, h), carry, (), self.evaluations_of(field.dynamics))
 
     def sampled(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array) -> StepAttempt:
@@ -147,7 +147,7 @@ class Method(ABC):
     resume_evaluations: int = 1
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
-        """The carry of the first `attempt`: the rate at the start, unless a method overrides this."""
+        """The initial carry of `attempt`: the rate at the start, unless a method overrides this."""
         return rate
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
@@ -197,7 +197,7 @@ class Method(ABC):
 
 
 class ChartMethod(Method):
-    """A method of a tableau in a chart, the attributes `tableau` and `chart` of a subclass."""
+    """Base of methods of a tableau in a chart, the attributes `tableau` and `chart` of a subclass."""
 
     tableau: Any
     chart: Any
@@ -253,7 +253,7 @@ class Stepper:
 
     @property
     def beside_loops(self) -> Stepper:
-        """This stepper for functions outside of the kernel of a loop."""
+        """This stepper for functions outside the kernel of a loop."""
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
 
     def clock(self, t: Any) -> Any:

@@ -1,4 +1,6 @@
-"""The options of an integration, one record for `integrate`, `integrate_phases`, `Phase` and `simulator`; its check."""
+"""The options of an integration: one record for `integrate`, `integrate_phases`, `Phase` and `simulator`, with its
+checks.
+"""
 
 from __future__ import annotations
 
@@ -43,7 +45,7 @@ _FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class StepOptions:
-    """How steps are taken; `tx.integrate` says what each field means."""
+    """Options of steps; `tx.integrate` says what each field means."""
 
     dt: Any = None
     steps: int | None = None
@@ -61,7 +63,7 @@ class StepOptions:
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class FlightOptions(StepOptions):
-    """What an integration of one phase and of several have in common."""
+    """Options that an integration of one phase and of several have in common."""
 
     t0: Any = 0.0
     u: Any = None
@@ -75,7 +77,7 @@ class FlightOptions(StepOptions):
 
 @dataclasses.dataclass(frozen=True, eq=False, kw_only=True)
 class Options(FlightOptions):
-    """What `tx.integrate` takes besides the system and the start."""
+    """The options of `tx.integrate`."""
 
     t1: Any
     jumps: Any = None
@@ -91,7 +93,7 @@ class Options(FlightOptions):
 def with_options(
     record: Callable[P, Any],
 ) -> Callable[[Callable[[First, Second, Any], Result]], Callable[Concatenate[First, Second, P], Result]]:
-    """Makes a function of two arguments and a record one of two arguments and the fields of the record."""
+    """Turn a function of two arguments and a record into one of two arguments and the fields of the record."""
 
     def decorate(function: Callable[..., Any]) -> Any:
         *leading, _ = inspect.signature(function).parameters.values()
@@ -135,7 +137,7 @@ class Plan(NamedTuple):
 
 
 def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
-    """The arguments of `integrate`, read and checked. Raises what it raises before anything is integrated."""
+    """Read and check the arguments of `integrate`. Raises its errors before anything is integrated."""
     need_compiled("integrate", dynamics)
     method = _method_of(dynamics, options)
     need_flag("dense", options.dense)
@@ -252,7 +254,7 @@ def _adaptive_steps(
 
 
 def need_flag(name: str, value: Any) -> None:
-    """Raise InputError for what is not True or False."""
+    """Raise InputError for a value that is not True or False."""
     if not isinstance(value, (bool, np.bool_)):
         raise InputError(f"{name} must be True or False, got {value!r}")
 
@@ -279,7 +281,7 @@ def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> N
 
 
 def need_element(name: str, group: Group, value: Any) -> None:
-    """Raise InputError where the start of a state is known and no element of its group."""
+    """Raise InputError for a known start of a state that is no element of its group."""
     if group.flat or is_traced(value):
         return
     defect = group.known_defect(np.asarray(value))

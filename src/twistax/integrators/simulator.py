@@ -1,4 +1,4 @@
-"""An integration that is read, checked and compiled once, and called often: little Python stands before the steps."""
+"""An integration that is checked and compiled once and called often, with little Python before the steps."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _OPTIONS = tuple(f.name for f in dataclasses.fields(Options) if f.name not in ("
 def simulator(
     dynamics: Dynamics, x0: Mapping[str, Any], *, u: Any = None, params: Any = None, throw: bool = True, **options: Any
 ) -> Simulator:
-    """An integration made once and called often: `fly = tx.simulator(...)`, then `fly(x0)`, `fly(x0, params={...})`.
+    """Compile an integration once for many calls: `fly = tx.simulator(...)`, then `fly(x0)`, `fly(x0, params={...})`.
 
     A call costs some tens of microseconds of Python beside the steps, where `tx.integrate`, which reads and checks all
     of its arguments anew, costs some hundreds. It checks what it is given, and returns the same `Solution`.
@@ -56,7 +56,7 @@ def simulator(
 
 @dataclasses.dataclass(frozen=True)
 class _Slot:
-    """Where a value stands among the arrays of the compiled loop."""
+    """The place of a value among the arrays of the compiled loop."""
 
     leaf: Any  # the state, control or parameter
     places: tuple[int, ...]
@@ -113,7 +113,7 @@ class Simulator:
         return f"<Simulator of {self.dynamics!r}>"
 
     def __call__(self, x0: Any = None, *, u: Any = None, params: Any = None) -> Solution:
-        """The solution from a start, with controls and parameters; what is left out is as it was made with.
+        """The solution from a start, with controls and parameters; those left out keep the values of the constructor.
 
         Where something is traced this is `tx.integrate`: `jit`, `vmap` and derivatives apply.
 

@@ -1,4 +1,4 @@
-"""Step sizes by tolerances: how large an error of a step may be, and the next step after it."""
+"""Step-size control: the allowed error of a step, and the length of the next step."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class ErrorHistory(NamedTuple):
 
 
 class Length(NamedTuple):
-    """A step to try."""
+    """The length of a step to try."""
 
     end: jax.Array  # the time of its end
     h: jax.Array  # its length
@@ -44,7 +44,7 @@ class Length(NamedTuple):
 
 @dataclasses.dataclass(frozen=True)
 class StepControl:
-    """A PID controller of the length of the steps. A value; the names are those of diffrax's PIDController.
+    """A PID controller of step lengths. A value; its fields have the names of diffrax's PIDController.
 
     With e_n the error of step n in units of what is allowed and k the power of h with which it falls,
 
@@ -103,7 +103,7 @@ class StepControl:
             raise ModelError(f"StepControl: {field} must be {what}" + ("" if value is None else f", got {value!r}"))
 
     def length(self, t: jax.Array, h: jax.Array, limit: jax.Array) -> Length:
-        """The next step: as planned, h, but no shorter than times are resolved, and up to the next limit at most."""
+        """The next step: the planned h, not shorter than the resolution of time, and at most up to the next limit."""
         room = limit - t
         least = jnp.maximum(8.0 * float(jnp.finfo(t.dtype).eps) * jnp.abs(t), self.dtmin or 0.0)
         planned = jnp.maximum(h, least)
@@ -117,7 +117,7 @@ class StepControl:
     def grown(
         self, square: jax.Array, past: ErrorHistory, rejected: jax.Array, order: int
     ) -> tuple[jax.Array, ErrorHistory]:
-        """The factor on h after a step that is taken, and the errors to remember. `square` is e_n squared."""
+        """The factor on h after an accepted step, and the errors to remember. `square` is e_n squared."""
         now = _log(square)
         p, i, d = self.pcoeff, self.icoeff, self.dcoeff
         exponent = -(p + i + d) * now + (p + 2.0 * d) * past.last - d * past.before
@@ -126,7 +126,7 @@ class StepControl:
         return jnp.clip(factor, self.factormin, most), ErrorHistory(now, past.last)
 
     def shrunk(self, square: jax.Array, order: int) -> jax.Array:
-        """The factor on h after a step that is taken back."""
+        """The factor on h after a rejected step."""
         return jnp.clip(self.safety * jnp.exp(-_log(square) / order), self.factormin, self.safety)
 
 
@@ -141,18 +141,18 @@ _FINEST = 10.0
 
 
 class Tolerances(NamedTuple):
-    """Allowed is atol + rtol * size, size the state's own or the scale it declares, but never less than round-off."""
+    """The allowed error atol + rtol * size, size the state's own or its declared scale, but not less than round-off."""
 
     rtol: Any  # ()
     atol: Any  # name -> () or (n,), in the order in which the state's deviations are held
     scale: Any  # name -> (n,), the sizes that states declare
 
     def scaled(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
-        """The entries of a difference of coordinates, each in units of what is allowed: (dimension,)."""
+        """The entries of a difference of coordinates in units of the allowed error: (dimension,)."""
         return _flat(local.deviation(e, after)) / self._allowed(local.sizes(before, after))
 
     def mean_square(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
-        """The mean square of `scaled`: up to one where a difference is allowed."""
+        """The mean square of `scaled`, at most one for an allowed difference."""
         return jnp.mean(jnp.square(self.scaled(local, e, before, after)))
 
     def square(self, local: StateCoordinates, errors: Sequence[Blocks], before: Blocks, after: Blocks) -> jax.Array:
@@ -192,7 +192,7 @@ def _flat(tree: Any) -> jax.Array:
 
 
 def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
-    """The tolerances a user gave, checked as far as they are known. Raises InputError."""
+    """The tolerances, checked as far as they are known. Raises InputError."""
     if rtol is None:
         raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
     relative = _numbers("rtol", rtol, dtype)
@@ -254,7 +254,7 @@ def _absolute(state: State, value: Any, dtype: Any) -> Any:
 
 
 def _held(state: State, array: Any) -> Any:
-    """Values by tangent entry, in the order in which the state's deviations are held."""
+    """Values by tangent entry, in the order of the state's deviations."""
     return state.group.to_linear_first(array.reshape(-1))
 
 

@@ -38,7 +38,7 @@ class Coefficients:
 
     @property
     def stages(self) -> int:
-        """How many there are, one for each node."""
+        """The number of stages."""
         return len(self.c)
 
     def _read(self, field: str, shape: tuple[int, ...] | None = None) -> NDArray[Any]:

@@ -51,16 +51,17 @@ class Controls:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Discretization:
-    """$x1 (+) d1$ is the end of an interval that started at $x (+) d$: $d1 = A d + B du + D_h dh + D_t dt$.
+    """The linearised step of an interval: if it starts at $x (+) d$ it ends at $x1 (+) d1$ with
+    $d1 = A d + B du + D_h dh + D_t dt$.
 
     Attributes:
         x1: the end of the interval, by state name.
         A: (n, n), rows and columns in the order of declaration of the states.
         B: (n, m), columns in the order of declaration of the controls, each read row by row.
-        h_derivative: (n,), with respect to the interval's length; what a free final time needs.
-        t_derivative: (n,), with respect to the time of its start; zero where the rates do not contain time.
-        hessian: (N, N), N = n + m + 2, the second derivatives of weights . d1 by (d, du, dh, dt), symmetric; None where
-            no weights were given.
+        h_derivative: (n,), with respect to the length of the interval; needed for a free final time.
+        t_derivative: (n,), with respect to the start time; zero if the rates do not contain time.
+        hessian: (N, N), N = n + m + 2, the second derivatives of weights . d1 by (d, du, dh, dt), symmetric; None
+            without weights.
     """
 
     x1: Arrays

@@ -23,7 +23,8 @@ from .modes import Mode, modes
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Linearization:
-    """$d' = A d + B du$, $dy = C d + D du$ to first order, with $x(t) (+) d$ the neighbour of the trajectory.
+    """The linearised system $d' = A d + B du$, $dy = C d + D du$ about a trajectory x(t), with $x(t) (+) d$ its
+    neighbour.
 
     Attributes:
         rate: the rates as one tangent vector, (n,).
@@ -56,8 +57,8 @@ class Linearization:
         Raises: InputError for an unknown name.
         """
         rows, columns, outs = (
-            _kept(f"keep: {kind}", own, wanted)
-            for kind, own, wanted in (
+            _kept(f"keep: {kind}", names, wanted)
+            for kind, names, wanted in (
                 ("states", self.states, states),
                 ("controls", self.controls, controls),
                 ("outputs", self.outputs, outputs),
@@ -70,7 +71,7 @@ class Linearization:
             self.B[np.ix_(rows, columns)],
             self.C[across],
             self.D[np.ix_(outs, columns)],
-            *(tuple(own[i] for i in kept) for own, kept in zip(
+            *(tuple(names[i] for i in kept) for names, kept in zip(
                 (self.states, self.controls, self.outputs), (rows, columns, outs)
             )),
         )  # fmt: skip
@@ -95,7 +96,7 @@ class Linearization:
             raise ModelError(
                 "to_control needs python-control.\n  fix: pip install twistax[control], or use A, B, C and D"
             ) from None
-        A, B, C, D = (np.asarray(each, np.float64) for each in (self.A, self.B, self.C, self.D))
+        A, B, C, D = (np.asarray(matrix, np.float64) for matrix in (self.A, self.B, self.C, self.D))
         names = self.outputs
         if not names:
             C, D, names = np.eye(len(A)), np.zeros_like(B), self.states
@@ -155,15 +156,15 @@ def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
 
 
 def around(
-    dynamics: Dynamics, outputs: tuple[str, ...], along: bool = False, params: tuple[str, ...] = ()
+    dynamics: Dynamics, outputs: tuple[str, ...], with_rates: bool = False, params: tuple[str, ...] = ()
 ) -> Callable[..., tuple[jax.Array, jax.Array]]:
-    """Rates, outputs and what outputs change by along the motion, and their derivatives about a point.
+    """Rates of the states, outputs and rates of the outputs along the motion, and their derivatives at a point.
 
     Kept with the system, compiled once for each precision.
 
     Args:
         outputs: which are computed too, in the order of the system.
-        along: whether their rates along the motion are, with controls held.
+        with_rates: whether the rates of the outputs are computed too, with controls that stay constant.
         params: parameters to differentiate by.
     Returns:
         f(t, x, u, params) -> values (k,) and derivatives (k, n + m + size of params), by right perturbations of the
@@ -184,11 +185,11 @@ def around(
                 return velocity
 
             def seen(s: jax.Array) -> jax.Array:
-                found = functions.evaluate("outputs", t + s, group.retract(x, s * velocity), u, p)
-                return jnp.concatenate([found[name].reshape(-1) for name in functions.families["outputs"]])
+                outputs = functions.evaluate("outputs", t + s, group.retract(x, s * velocity), u, p)
+                return jnp.concatenate([outputs[name].reshape(-1) for name in functions.families["outputs"]])
 
             now = jnp.zeros((), velocity.dtype)
-            both = jax.jvp(seen, (now,), (jnp.ones_like(now),)) if along else (seen(now),)
+            both = jax.jvp(seen, (now,), (jnp.ones_like(now),)) if with_rates else (seen(now),)
             return jnp.concatenate([velocity, *both])
 
         def evaluate(t: Any, x: Any, u: Any, p: Any) -> tuple[jax.Array, jax.Array]:
@@ -204,22 +205,22 @@ def around(
 
         return jax.jit(evaluate)
 
-    return dynamics._functions.loops.get(("around", outputs, along, params), make)
+    return dynamics._functions.loops.get(("around", outputs, with_rates, params), make)
 
 
-def _kept(place: str, own: Sequence[str], wanted: Iterable[str] | None) -> list[int]:
+def _kept(place: str, present: Sequence[str], wanted: Iterable[str] | None) -> list[int]:
     """The rows of what is asked for; a row that an earlier `keep` left out is not there."""
     if wanted is None:
-        return list(range(len(own)))
+        return list(range(len(present)))
     shapes: dict[str, tuple[int, ...]] = {}
-    for label in own:
+    for label in present:
         name, _, index = label.rstrip("]").partition("[")
         shapes[name] = (max(int(index) + 1, *shapes.get(name, (0,))),) if index else ()
     kept: list[int] = []
     for one in [wanted] if isinstance(wanted, str) else wanted:
         name, chosen = entry(place, one, shapes)
         wanted_labels = [label for i, label in enumerate(labels({name: shapes[name]})) if i in chosen]
-        kept += [own.index(label) for label in wanted_labels if label in own]
+        kept += [present.index(label) for label in wanted_labels if label in present]
     if len(set(kept)) < len(kept):
         raise InputError(f"{place} names something twice: {listed(wanted)}")
     return kept

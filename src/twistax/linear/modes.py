@@ -15,13 +15,13 @@ from ..errors import ModelError
 
 @dataclasses.dataclass(frozen=True)
 class Mode:
-    """A motion $d(t) = Re(shape e^(eigenvalue t))$.
+    """A mode of a linear system: the motion $d(t) = Re(shape e^(eigenvalue t))$.
 
     Attributes:
-        eigenvalue: in 1/s; of a conjugate pair the one with Im > 0.
-        shape: the eigenvector by name of state, its largest entry 1.
-        participation: by name of state, the share of it in the mode: |left eigenvector times shape|, entry by entry,
-            adding up to 1. It does not depend on the units of the states.
+        eigenvalue: in 1/s; for a complex pair the one with Im > 0.
+        shape: the eigenvector by name of state, scaled so that its largest entry is 1.
+        participation: participation factors by name of state: |left eigenvector times shape| entry by entry, scaled to
+            a sum of 1. They do not depend on the units of the states.
     """
 
     eigenvalue: complex

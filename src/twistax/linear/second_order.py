@@ -46,30 +46,30 @@ def second_order(
 
     def gap(*arrays: jax.Array) -> list[jax.Array]:
         """The tangent difference from an end that stays, and the end."""
-        found = end(*arrays[:count])
-        held = dict(zip(names, arrays[count:], strict=True))
-        return [dynamics.group.difference(held, found), *(found[name] for name in names)]
+        x_end = end(*arrays[:count])
+        base = dict(zip(names, arrays[count:], strict=True))
+        return [dynamics.group.difference(base, x_end), *(x_end[name] for name in names)]
 
     def make() -> Derived | None:
         closed = jax.make_jaxpr(gap)(*arrays, *(inputs.x[name] for name in names))
         all_places = [*places, ("h", "h"), *(("end", name) for name in names)]
         try:
-            found = WeightedHessian(Differentiated(closed, all_places, dynamics.group, _BY), weighted=1)
+            hessian = WeightedHessian(Differentiated(closed, all_places, dynamics.group, _BY), weighted=1)
         except REFUSALS:
             return None
-        program = found.beside_values({count + k: 1 + k for k in range(len(names))})
+        program = hessian.beside_values({count + k: 1 + k for k in range(len(names))})
         return functions.backend.derived(program)
 
     key = (functions.backend, method, substeps, places, inputs.dtype)
     derived = None if weights is None else functions.hessians.get(key, make)
     if derived is None:
         sizes, moved = along(dynamics.group, [*places, ("h", "h")], _BY, arrays)
-        found, zero = end(*arrays), jnp.zeros(sum(sizes.values()), h.dtype)
+        x_end, zero = end(*arrays), jnp.zeros(sum(sizes.values()), h.dtype)
 
-        def apart(z: jax.Array) -> jax.Array:
-            return gap(*moved(z), *(found[name] for name in names))[0]
+        def difference(z: jax.Array) -> jax.Array:
+            return gap(*moved(z), *(x_end[name] for name in names))[0]
 
-        hessian = None if weights is None else hessian_in_arrays(lambda z: weights @ apart(z), zero)
-        return found, jax.jacfwd(apart)(zero), hessian
+        hessian = None if weights is None else hessian_in_arrays(lambda z: weights @ difference(z), zero)
+        return x_end, jax.jacfwd(difference)(zero), hessian
     _, *ends, slopes, matrix = call_program(derived, *arrays, weights)
     return dict(zip(names, ends, strict=True)), slopes, matrix

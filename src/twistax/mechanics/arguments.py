@@ -1,4 +1,4 @@
-"""What the functions of this floor accept, and the one place where it is checked."""
+"""Checks of the arguments of the functions of mechanics, in one place."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ def of_shape(
     hint: str | None = None,
     unit: Quantity | None = None,
 ) -> Expr:
-    """The argument `name` of `owner` as an expression of the shape expected.
+    """The argument `name` of `owner` as an expression of an expected shape.
 
     Raises:
         InputError: it is a quantity of another unit.
@@ -79,13 +79,13 @@ def matrix(R: np.ndarray, p: np.ndarray) -> np.ndarray:
     return T
 
 
-def told(own: Any) -> str:
-    """A dataclass as text: what differs from its defaults."""
+def dataclass_repr(record: Any) -> str:
+    """The repr of a dataclass, with the fields that differ from their defaults."""
 
     def usual(field: Any) -> str | None:
         if field.default_factory is not dataclasses.MISSING:
             return repr(field.default_factory())
         return None if field.default is dataclasses.MISSING else repr(field.default)
 
-    texts = {field: repr(getattr(own, field.name)) for field in dataclasses.fields(own)}
-    return f"{type(own).__name__}({', '.join(f'{f.name}={text}' for f, text in texts.items() if text != usual(f))})"
+    texts = {field: repr(getattr(record, field.name)) for field in dataclasses.fields(record)}
+    return f"{type(record).__name__}({', '.join(f'{f.name}={text}' for f, text in texts.items() if text != usual(f))})"

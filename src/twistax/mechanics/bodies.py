@@ -85,9 +85,9 @@ class SpatialInertia:
                 "comes from somewhere and goes somewhere, with its momentum.\n"
                 "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
             )
-        moves = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
+        has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
         #: The parts whose centre or inertia changes; those of bodies that are merged stand side by side.
-        self._parts: tuple[MovingMass, ...] = (part,) if moves else ()
+        self._parts: tuple[MovingMass, ...] = (part,) if has_moving_part else ()
         #: The poses that `in_frame` has brought it by.
         self._poses: tuple[Expr, ...] = ()
 
@@ -121,14 +121,14 @@ class SpatialInertia:
         changing_parts: tuple[MovingMass, ...],
         poses: tuple[Expr, ...],
     ) -> SpatialInertia:
-        """Constants are folded, so that they are checked and print as numbers."""
+        """A body computed from this one. Constants are folded, so that they are checked and printed as numbers."""
         m, c, tensor = canonicalize_all(parts)
         body = cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical, mass_leaves=True)
         body._parts, body._poses = changing_parts, poses
         return body
 
     def with_rates(self, rates: Mapping[Any, ExprLike]) -> SpatialInertia:
-        """The same body, where the rates of further states are known; those that it has stay.
+        """The same body with rates of further states; rates that it already has stay.
 
         Args:
             rates: as of the constructor.
@@ -140,12 +140,12 @@ class SpatialInertia:
 
     @property
     def _moving(self) -> tuple[MovingMass, ...]:
-        """The masses that move in the body: the parts that change while their mass stays."""
+        """The masses that move inside the body: parts that change at constant mass."""
         return tuple(part for part in self._parts if part.mass_stays)
 
     @property
     def inner_motion(self) -> InnerMotion | None:
-        """What masses that move in the body do to it; None where nothing moves.
+        """The effect of masses that move inside the body on its motion; None if nothing moves.
 
         Raises: ModelError for rates that are not known, or a body that `in_frame` brought by a pose that changes.
         """
@@ -255,7 +255,7 @@ class SpatialInertia:
         return self._derived(described, self.physical, masses, (*self._poses, T_ab))
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
-        """Both bodies, rigidly joined, described in one frame; also written `a + b`. Bring them there by `in_frame`.
+        """The rigid union of two bodies described in one frame (see `in_frame`); also written `a + b`.
 
         Raises: ModelError if other is no SpatialInertia.
         """
@@ -269,9 +269,9 @@ class SpatialInertia:
                 return self._derived(parts, physical, changing_parts, poses)
         m = self.mass + other.mass
         c = (self.mass * self.center_of_mass + other.mass * other.center_of_mass) / m
-        apart = self.center_of_mass - other.center_of_mass
+        offset = self.center_of_mass - other.center_of_mass
         reduced = self.mass * other.mass / m
-        tensor = self.inertia + other.inertia + _steiner(reduced, apart)
+        tensor = self.inertia + other.inertia + _steiner(reduced, offset)
         return self._derived((m, c, tensor), physical, changing_parts, poses)
 
     def __add__(self, other: object) -> SpatialInertia:
@@ -293,7 +293,9 @@ class SpatialInertia:
 
 
 def power(F: ExprLike, V: ExprLike) -> Expr:
-    """$F . V$ (), W, of a wrench (6,) on a body with twist (6,), both in one frame. The same in every frame.
+    """The power $F . V$ (), W, of a wrench F (6,) on a body with twist V (6,), both expressed in the same frame.
+
+    The value does not depend on that frame.
 
     Raises: ShapeError if an argument is not of shape (6,).
     """
@@ -313,7 +315,7 @@ def _velocities(owner: str, V: ExprLike) -> tuple[Expr, Expr]:
 
 
 def _steiner(m: Expr, c: Expr) -> Expr:
-    """-m [c]x [c]x = m (|c|^2 I - c c^T): what a mass adds about a point at distance c."""
+    """The parallel-axis term -m [c]x [c]x = m (|c|^2 I - c c^T) of a mass at distance c."""
     return m * (Dot(c, c) * np.eye(3) - Outer(c, c))
 
 
@@ -337,7 +339,7 @@ def _need(holds: Any, demand: str) -> None:
 
 
 def _check(mass: np.ndarray | None, center: np.ndarray | None, tensor: np.ndarray | None) -> None:
-    """Raise ModelError for what no real body has, as far as it is known."""
+    """Raise ModelError if known numbers cannot be the inertia of a real body."""
     if mass is not None:
         _need(np.isfinite(mass) and mass > 0.0, f"a positive, finite mass in kg, got {mass}")
     if center is not None:

@@ -1,4 +1,4 @@
-"""Chains with numbers: the arm of a Panda, and a chain of equal links of any length."""
+"""Example chains: the Panda arm, and a chain of equal links of any length."""
 
 from __future__ import annotations
 

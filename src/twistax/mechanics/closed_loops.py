@@ -34,7 +34,7 @@ from .mechanism import Mechanism, Positions
 
 @dataclasses.dataclass(frozen=True)
 class ClosedLoops:
-    """The equations of the loops of a mechanism in one state. Expressions, made when they are asked for.
+    """The equations of a mechanism's loops in one state, as expressions that are made when first read.
 
     Args:
         mechanism: with one loop or more.
@@ -52,12 +52,12 @@ class ClosedLoops:
 
     @functools.cached_property
     def gaps(self) -> Expr:
-        """How far all loops are from closed (m,)."""
+        """The closure residuals of all loops (m,)."""
         return Concat(*(loop.gap(T) for loop, T in zip(self.mechanism.loops, self.poses, strict=True)))
 
     @functools.cached_property
     def jacobian(self) -> Expr:
-        """G (m, n)."""
+        """The closure Jacobian G (m, n)."""
         rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             first, second = (frame_jacobian(self.mechanism, name, self.q) for name in (loop.frame, loop.other))
@@ -67,33 +67,33 @@ class ClosedLoops:
 
     @functools.cached_property
     def velocities(self) -> Expr:
-        """G qd (m,): zero where the loops stay closed."""
+        """The closure velocities G qd (m,), zero while the loops stay closed."""
         return self.jacobian @ self.mechanism.coordinates("closed loops", "qd", self.qd)
 
     @functools.cached_property
     def drift(self) -> Expr:
-        """c (m,): what G qdd + c is besides G qdd."""
+        """The velocity term c (m,) of the closure accelerations G qdd + c."""
         rates = self._twist_rates()
-        found: list[Expr] = []
+        rows: list[Expr] = []
         for loop, T in zip(self.mechanism.loops, self.poses, strict=True):
             V = [self.mechanism.twist(name, self.q, self.qd) for name in (loop.frame, loop.other)]
             A = [self._of_frame(name, rates) for name in (loop.frame, loop.other)]
             seen = AdjointAction(T, V[0], inverse=True)
             # Ad_T^-1 changes by -ad of the relative twist.
             rate = A[1] - AdjointAction(T, A[0], inverse=True) + Adjoint(V[1] - seen, seen)
-            found.append(loop.constraint_basis.T @ rate)
-        return Concat(*found)
+            rows.append(loop.constraint_basis.T @ rate)
+        return Concat(*rows)
 
     def _twist_rates(self) -> list[Expr]:
-        """The rates (6,) of the twists of all segments while no joint accelerates."""
-        mechanism, found = self.mechanism, list[Expr]()
+        """The rates (6,) of the twists of all segments at zero joint accelerations."""
+        mechanism, twist_rates = self.mechanism, list[Expr]()
         qd = mechanism.coordinates("closed loops", "qd", self.qd)
         steps, twists = mechanism.transforms(self.q), mechanism.twists(self.q, self.qd)
         for segment, T, V in zip(mechanism.segments, steps, twists, strict=True):
             turned = Adjoint(V, mechanism.along(segment, qd))
             before = segment.before
-            found.append(turned if before < 0 else AdjointAction(T, found[before], inverse=True) + turned)
-        return found
+            twist_rates.append(turned if before < 0 else AdjointAction(T, twist_rates[before], inverse=True) + turned)
+        return twist_rates
 
     def _of_frame(self, name: str, rates: list[Expr]) -> Expr:
         at = self.mechanism.frame(name)
@@ -115,7 +115,7 @@ class ClosedLoops:
 
     @functools.cached_property
     def corrections(self) -> tuple[Expr, Expr]:
-        """What to add to positions, as velocities (n,), and to velocities (n,): one step of Newton's to closed loops.
+        """Corrections of positions, as velocities (n,), and of velocities (n,): one Newton step towards closed loops.
 
         The shortest steps, measured by the mass matrix; so what is added to the velocities takes energy to second order
         only.
@@ -175,11 +175,11 @@ def closed_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> tuple[Expr, dict[str, Expr]]:
-    """The accelerations (n,) of a mechanism with loops, and the wrench (6,) that each puts on its second frame.
+    """The accelerations (n,) of a mechanism with closed loops, and the constraint wrench (6,) of each loop.
 
-    The wrenches are those on `other`, about its origin in its axes, by the names of the loops. On `frame` the loop
-    puts their opposite. Where closures say one thing twice, or a planar linkage is closed in space, the wrenches are
-    the shortest that give the motion, by the measure of `loops.Metric`.
+    The wrench acts on the frame `other`, about its origin in its axes, by the name of the loop; its opposite acts on
+    `frame`. If closures are redundant, for example a planar linkage that is closed in space, the wrenches are not
+    unique: the result is the smallest set, in the norm of `loops.Metric`, that gives the motion.
 
     Args:
         mechanism: with one loop or more.
@@ -189,11 +189,11 @@ def closed_dynamics(
         ModelError: positions or frames that are not known; no loops.
     """
     motion = _motion("closed_dynamics", mechanism, q, qd, tau, wrenches)
-    found, at = dict[str, Expr](), 0
+    constraint_wrenches, row = dict[str, Expr](), 0
     for loop in mechanism.loops:
-        found[loop.name] = loop.constraint_basis @ motion.multipliers[at : at + loop.rows]
-        at += loop.rows
-    return motion.accelerations, found
+        constraint_wrenches[loop.name] = loop.constraint_basis @ motion.multipliers[row : row + loop.rows]
+        row += loop.rows
+    return motion.accelerations, constraint_wrenches
 
 
 def _motion(
@@ -218,23 +218,25 @@ def loop_diagnostics(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """How far the closures determine motion and wrenches in a posture, each a scalar (), by name.
+    """How well the loop closures determine the motion and the constraint wrenches at a configuration, scalars () by
+    name.
 
-    With d the distances of rows of $G_s = D G E^-1$ from those chosen before, by the measure of `loops.Metric`:
+    With $G_s = D G E^-1$ the closure rows in the norm of `loops.Metric`, and d the distance of each row from the span
+    of the rows selected before it:
 
-    - `rank`: how many rows of the closures are independent here, of all m.
-    - `redundant`: m less the rank: how many of the things that the closures say follow from others here.
-    - `reciprocal_condition`: $d_min / max(d_max, 1)$ of the rows chosen, from 1 down to the tolerance: how far the
-      posture is from a singular one, where a row begins to depend on the others. It is 1 where no row is chosen.
-    - `misalignment`: the largest d of a row that was left out, over the same: what closures say twice and not quite
-      alike, such as axes that are not parallel to the last digit.
-    - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the measure of `loops.Metric`: what
-      round-off leaves of the equations, and what misalignment makes of redundant wrenches, both over the smallest
+    - `rank`: number of independent rows, of all m.
+    - `redundant`: m minus the rank: number of closure rows that follow from others at this configuration.
+    - `reciprocal_condition`: $d_min / max(d_max, 1)$ over the selected rows, from 1 down to the tolerance: small near a
+      singular configuration, where a row begins to depend on the others. It is 1 if no row is selected.
+    - `misalignment`: the largest d of a row that was left out, over the same: how far redundant closures contradict
+      each other, for example by axes that are not exactly parallel.
+    - `wrench_error`: an estimate, N, of the error of all loop wrenches together, in the norm of `loops.Metric`: the
+      residual from round-off plus the effect of misalignment on redundant wrenches, both divided by the smallest
       distance.
 
     Args:
         mechanism: with one loop or more.
-        q, qd, tau, wrenches: as for `forward_dynamics`; of the last two `wrench_error` depends alone.
+        q, qd, tau, wrenches: as for `forward_dynamics`; only `wrench_error` depends on the last two.
     Raises: as `closed_dynamics`.
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, for ranks by pivots.
     """
@@ -251,9 +253,11 @@ def loop_wrench(
     frame: str | None = None,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """$F = [f; tau]$ (6,), N and N m, that a closure puts on its second frame, in any frame; its own unless given.
+    """The constraint wrench $F = [f; tau]$ (6,), N and N m, of a loop on its frame `other`, expressed in any frame, by
+    default in `other`.
 
-    With tau of `mechanism.system(outputs=lambda qdd, tau: ...)` it is that of the motion. Without, motors are off.
+    Pass the tau of `mechanism.system(outputs=lambda qdd, tau: ...)` for the wrench during the motion; without it the
+    motors give no force.
 
     Raises: as `closed_dynamics`; ModelError for a loop that is not known.
     """
@@ -272,22 +276,25 @@ def loop_wrenches(
     *,
     wrenches: Wrenches | None = None,
 ) -> dict[str, Expr]:
-    """All that the closures put on the tree, by frame, with `wrenches`: for the `wrenches` of functions of the tree.
+    """The constraint wrenches of all loops plus `wrenches`, by frame: pass them as `wrenches=` to functions of the
+    tree.
 
-    With them `joint_wrench` and `inverse_dynamics` are those of the mechanism with closed loops. Raises as
+    With them `joint_wrench` and `inverse_dynamics` hold for the mechanism with closed loops. Raises as
     `closed_dynamics` does.
     """
     forces = closed_dynamics(mechanism, q, qd, tau, wrenches=wrenches)[1]
-    found: dict[str, ExprLike] = dict(wrenches or {})
+    total: dict[str, ExprLike] = dict(wrenches or {})
     for loop, T in zip(mechanism.loops, ClosedLoops(mechanism, q, qd).poses, strict=True):
         F = forces[loop.name]
-        for name, own in ((loop.other, F), (loop.frame, -(SE3AdjointDual(T) @ F))):
-            found[name] = found[name] + own if name in found else own
-    return found  # type: ignore[return-value]
+        for name, F_frame in ((loop.other, F), (loop.frame, -(SE3AdjointDual(T) @ F))):
+            total[name] = total[name] + F_frame if name in total else F_frame
+    return total  # type: ignore[return-value]
 
 
 def loop_gap(mechanism: Mechanism, loop: str, q: Positions | None = None) -> Expr:
-    """How far a loop is from closed (m,), m and rad. Raises ShapeError; ModelError for a loop that is not known."""
+    """The closure residual (m,) of a loop, m and rad; zero if it is closed. Raises ShapeError; ModelError for an
+    unknown loop.
+    """
     of = loop_of(mechanism, loop)
     return of.gap(mechanism.pose(of.other, q, relative_to=of.frame))
 
@@ -301,7 +308,7 @@ def loop_of(mechanism: Mechanism, name: str) -> Loop:
 
 
 def redundant_rows(mechanism: Mechanism) -> int:
-    """How many rows of G depend on others, in a posture drawn at random; parameters have their values, or one."""
+    """The number of redundant rows of G at a random configuration; parameters have their values, or one."""
     rows = ClosedLoops(mechanism).rows
     lengths = np.linalg.svd(numbers(rows.scaled), compute_uv=False)
     return int(np.sum(lengths <= max(mechanism.loop_metric.tolerance, 1e-5) * lengths[0])) + max(

@@ -28,13 +28,13 @@ _ZERO = Constant(np.zeros(3))
 
 @dataclasses.dataclass(frozen=True)
 class GivenForces:
-    """Forces at points of contact that an optimiser chooses. Made by `given_forces`.
+    """Contact forces as decision variables of an optimal control problem. Made by `given_forces`.
 
     Attributes:
-        controls: by frame the Control "force_<frame>" (3,), N in the base's axes.
+        controls: the Control "force_<frame>" (3,) of each frame, N in the base's axes.
         wrenches: for `wrenches=` of `system` and of the dynamics.
-        cones: the friction cones |f_t| <= mu f_z, for `constraints=` of `system`, by name.
-        at_rest: the velocities (3,) of the points are zero, likewise, m/s.
+        cones: the friction cones |f_t| <= mu f_z, by name, for `constraints=` of `system`.
+        at_rest: the constraints that the contact points have zero velocity (3,), m/s, by name.
     """
 
     controls: dict[str, Control]
@@ -44,40 +44,41 @@ class GivenForces:
 
 
 def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float) -> GivenForces:
-    """Controls for the forces at frames that touch the ground, and what holds of them and of the frames.
+    """Contact forces at frames that touch the ground, as controls, with the friction cones and no-slip constraints.
 
     Args:
         mechanism: a tree or a chain.
-        frames: names; the points are their origins.
-        friction: mu, not negative.
-    Raises: ModelError: a frame that is not known; a friction that is no such number.
+        frames: names of the frames; the contact points are their origins.
+        friction: the friction coefficient mu, not negative.
+    Raises: ModelError: a frame that is not known; a friction that is no number, or negative.
     """
     checked("given_forces", mechanism)
     mu = float(number("given_forces: friction", friction, "a number not below zero", lambda m: m >= 0.0, ModelError))
-    found = GivenForces({}, {}, {}, {})
+    contact = GivenForces({}, {}, {}, {})
     for name in [frames] if isinstance(frames, str) else frames:
-        f = found.controls[name] = Control(f"force_{name}", (3,))
-        found.wrenches[name] = _at_origin(mechanism, name, None, f)
-        found.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
-        found.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
-    return found
+        f = contact.controls[name] = Control(f"force_{name}", (3,))
+        contact.wrenches[name] = _at_origin(mechanism, name, None, f)
+        contact.cones[f"friction of {name}"] = Norm(f[:2]) <= mu * f[2]
+        contact.at_rest[f"rest of {name}"] = frame_twist(mechanism, name, axes=ALIGNED)[:3] == np.zeros(3)
+    return contact
 
 
 @dataclasses.dataclass(frozen=True)
 class Ground:
-    """A soft, level ground: a smooth force on every point below it, and almost none above.
+    """A compliant, level ground: a smooth contact force on every point below it, and almost none on points above it.
 
-    With the depth d of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, which is smooth and about max(d, 0), the
-    normal force is $n = stiffness s(d) g(1 + damping d')$, g a smooth max(., 0), and friction is
-    $-mu n v / sqrt(|v|^2 + slip^2)$ along the ground. It is stiff: fly it by `tx.ImplicitRKMK` with Radau.
+    With d the penetration depth of a point and $s(d) = (d + sqrt(d^2 + sharpness^2)) / 2$, a smooth max(d, 0), the
+    normal force is $n = stiffness s(d) g(1 + damping d')$, with g a smooth max(., 0). The friction is
+    $-mu n v / sqrt(|v|^2 + slip^2)$, with v the tangential velocity. The equations are stiff: integrate them with
+    `tx.ImplicitRKMK` and a Radau tableau.
 
     Attributes:
         stiffness: N/m, positive.
-        damping: s/m, not negative: how much harder the ground is pushed into than left.
-        friction: mu, not negative.
+        damping: s/m, not negative: the factor of the penetration rate in the normal force (Hunt and Crossley).
+        friction: friction coefficient mu, not negative.
         height: z of the ground in the base, m.
-        sharpness: m, positive: how near to the ground the force begins.
-        slip: m/s, positive: the speed at which friction has come to 71 % of mu n.
+        sharpness: m, positive: the height over the ground at which the force begins.
+        slip: m/s, positive: the sliding speed at which friction reaches 71 % of mu n.
     Raises: ModelError for other values.
     """
 
@@ -97,31 +98,31 @@ class Ground:
         number("Ground: height", self.height, error=ModelError)
 
     def force(self, place: Expr, velocity: Expr) -> Expr:
-        """On a point at a place (3,) with a velocity (3,), both in the base: (3,), N."""
-        depth, sinking = self.height - place[2], -velocity[2]
-        firm = _positive(1.0 + self.damping * sinking, 1e-3)
-        normal = self.stiffness * _positive(depth, self.sharpness) * firm
-        along = velocity[:2]
-        rubbing = (-self.friction) * normal * along / Sqrt(Dot(along, along) + self.slip**2)
-        return Concat(rubbing, normal)
+        """The force (3,), N, on a point at `place` (3,) that moves with `velocity` (3,), all in axes of the base."""
+        depth, penetration_rate = self.height - place[2], -velocity[2]
+        damping_factor = _positive(1.0 + self.damping * penetration_rate, 1e-3)
+        normal = self.stiffness * _positive(depth, self.sharpness) * damping_factor
+        v = velocity[:2]  # tangential
+        friction = (-self.friction) * normal * v / Sqrt(Dot(v, v) + self.slip**2)
+        return Concat(friction, normal)
 
     def wrenches(
         self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
     ) -> dict[str, Expr]:
-        """What the ground does to the origins of frames, for `wrenches=` of `system` and of the dynamics.
+        """The wrenches of the ground on the origins of frames, for `wrenches=` of `system` and of the dynamics.
 
         Raises: ModelError for a frame that is not known; ShapeError for positions of another shape.
         """
-        found: dict[str, Expr] = {}
+        wrenches: dict[str, Expr] = {}
         for name in [frames] if isinstance(frames, str) else frames:
             velocity = frame_twist(mechanism, name, q, qd, axes=ALIGNED)[:3]
             f = self.force(mechanism.pose(name, q)[:3, 3], velocity)
-            found[name] = _at_origin(mechanism, name, q, f)
-        return found
+            wrenches[name] = _at_origin(mechanism, name, q, f)
+        return wrenches
 
 
 def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:
-    """The wrench (6,) of a force (3,) in the base's axes, at a frame's origin, in its axes."""
+    """The wrench (6,), in the axes of a frame, of a force (3,) at its origin in the base's axes."""
     return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
 
 

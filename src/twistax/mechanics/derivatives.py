@@ -46,7 +46,7 @@ _NOTHING = Constant(np.zeros(6))
 
 
 class ForceDerivatives(NamedTuple):
-    """Of the forces of the joints (n,): by right perturbations of the positions, by velocities, by accelerations."""
+    """Derivatives of joint forces (n,): by right perturbations of positions, by velocities, by accelerations."""
 
     q: Expr
     qd: Expr
@@ -54,7 +54,7 @@ class ForceDerivatives(NamedTuple):
 
 
 class AccelerationDerivatives(NamedTuple):
-    """Of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
+    """Derivatives of the accelerations (n,): by right perturbations of the positions, by velocities, by forces."""
 
     q: Expr
     qd: Expr
@@ -69,19 +69,20 @@ def inverse_dynamics_derivatives(
     *,
     wrenches: Wrenches | None = None,
 ) -> ForceDerivatives:
-    """The derivatives (n, n) of `inverse_dynamics`; that by accelerations is the mass matrix.
+    """The derivatives (n, n) of `inverse_dynamics` with respect to positions, velocities and accelerations.
 
-    Columns are freedoms, in the order of velocities: of a ball, a free and a planar joint those of its body velocity.
+    The derivative with respect to accelerations is the mass matrix. Columns follow the order of the velocities; a
+    position on a group is varied by a right perturbation, in the order of its body velocity.
 
-    Args: as for `inverse_dynamics`. Wrenches move with their frames and are held fixed in their axes.
+    Args: as for `inverse_dynamics`. A wrench is constant in the axes of its frame.
     Raises: as `inverse_dynamics` does.
     """
     owner = "inverse_dynamics_derivatives"
     rates = checked(owner, mechanism).coordinates(owner, "qdd", np.zeros(mechanism.dofs) if qdd is None else qdd)
-    found = _Perturbed(owner, mechanism, q, qd, rates, wrenches)
-    by_q, by_qd = found.by_motion()
-    through = found.by_acceleration
-    return ForceDerivatives(by_q + through(found.moved), by_qd + through(found.hastened), found.mass_matrix)
+    perturbed = _Perturbed(owner, mechanism, q, qd, rates, wrenches)
+    by_q, by_qd = perturbed.by_motion()
+    through = perturbed.by_acceleration
+    return ForceDerivatives(by_q + through(perturbed.moved), by_qd + through(perturbed.hastened), perturbed.mass_matrix)
 
 
 def forward_dynamics_derivatives(
@@ -92,9 +93,10 @@ def forward_dynamics_derivatives(
     *,
     wrenches: Wrenches | None = None,
 ) -> AccelerationDerivatives:
-    """The derivatives (n, n) of `forward_dynamics`; that by forces is the inverse of the mass matrix.
+    """The derivatives (n, n) of `forward_dynamics` with respect to positions, velocities and joint forces.
 
-    Columns are freedoms, as for `inverse_dynamics_derivatives`.
+    The derivative with respect to forces is the inverse of the mass matrix. Columns are as for
+    `inverse_dynamics_derivatives`.
 
     Args, Raises: as for `forward_dynamics`; wrenches as for `inverse_dynamics_derivatives`.
     """
@@ -105,23 +107,24 @@ def forward_dynamics_derivatives(
             "  fix: tx.compile(mechanism.system()).jacobian, by the chain rule"
         )
     qdd = forward_dynamics(checked(owner, mechanism), q, qd, tau, wrenches=wrenches)
-    found = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
-    by_q, by_qd = found.by_motion()
-    M, n = found.mass_matrix, mechanism.dofs
-    moved, hastened = found.free_root(found.moved), found.free_root(found.hastened)
+    perturbed = _Perturbed(owner, mechanism, q, qd, qdd, wrenches)
+    by_q, by_qd = perturbed.by_motion()
+    M, n = perturbed.mass_matrix, mechanism.dofs
+    moved, hastened = perturbed.free_root(perturbed.moved), perturbed.free_root(perturbed.hastened)
     if moved is None or hastened is None:
-        by_q, by_qd = by_q + found.by_acceleration(found.moved), by_qd + found.by_acceleration(found.hastened)
+        by_q = by_q + perturbed.by_acceleration(perturbed.moved)
+        by_qd = by_qd + perturbed.by_acceleration(perturbed.hastened)
     V = InverseFactor(M)
     both = -(V @ (V.T @ Hstack(by_q, by_qd)))
-    own_q, own_qd = both[:, :n], both[:, n:]
+    qdd_by_q, qdd_by_qd = both[:, :n], both[:, n:]
     if moved is not None and hastened is not None:
-        own_q, own_qd = own_q - moved, own_qd - hastened
-    return AccelerationDerivatives(own_q, own_qd, InversePositive(M))
+        qdd_by_q, qdd_by_qd = qdd_by_q - moved, qdd_by_qd - hastened
+    return AccelerationDerivatives(qdd_by_q, qdd_by_qd, InversePositive(M))
 
 
 @dataclasses.dataclass(frozen=True)
 class _Freedom:
-    """What a unit of one freedom does. Six-vectors are in the frame of its tree's first segment."""
+    """The effect of a unit of one freedom. Six-vectors are in the frame of the first segment of its tree."""
 
     place: int  # of its segment
     entry: int  # of the velocities
@@ -138,7 +141,7 @@ class _Segment(NamedTuple):
 
 
 class _Perturbed:
-    """A motion with all that small changes of it do to the forces."""
+    """A motion, and the change of the joint forces under small perturbations of it."""
 
     def __init__(
         self,
@@ -160,15 +163,15 @@ class _Perturbed:
             T = segment.link.transform(place)
             known = self._first(i, segment, T) if segment.before < 0 else self._next(i, segment, T, moving)
             moving.append(known)
-        self._spreads = [Spread.of(s, own.T, own.V) for s, own in zip(segments, moving, strict=True)]
+        self._spreads = [Spread.of(s, motion.T, motion.V) for s, motion in zip(segments, moving, strict=True)]
         self._F: list[Expr] = []
         pushes = outside(owner, mechanism, wrenches)
-        for segment, own, spread, pushed in zip(segments, moving, self._spreads, pushes, strict=True):
-            F, inner = spread.inertia(own.A) + AdjointDual(own.V, spread.inertia(own.V)), segment.inner_motion
+        for segment, motion, spread, pushed in zip(segments, moving, self._spreads, pushes, strict=True):
+            F, inner = spread.inertia(motion.A) + AdjointDual(motion.V, spread.inertia(motion.V)), segment.inner_motion
             if inner is not None:
-                w = own.T[:3, :3].T @ angular(own.V)
-                F = F + CoadjointAction(own.T, inner.wrench(w))
-            self._F.append(F if pushed is None else F - CoadjointAction(own.T, pushed))
+                w = motion.T[:3, :3].T @ angular(motion.V)
+                F = F + CoadjointAction(motion.T, inner.wrench(w))
+            self._F.append(F if pushed is None else F - CoadjointAction(motion.T, pushed))
         for i in reversed(range(len(segments))):
             before = segments[i].before
             if before >= 0:
@@ -179,8 +182,8 @@ class _Perturbed:
 
     def _first(self, i: int, segment: Segment, T: Expr) -> _Segment:
         """A segment on the base: in its own frame, with the velocity of its origin taken away."""
-        own, ratio = self.mechanism.along(segment, self._qd), _ratio(segment)
-        w, v = angular(own), linear(own)
+        V, ratio = self.mechanism.along(segment, self._qd), _ratio(segment)
+        w, v = angular(V), linear(V)
         up = AdjointAction(T, acceleration_of_base(self.mechanism.gravity), inverse=True)
         A = up + twist(linear=Cross(w, v), angular=ZERO) + self.mechanism.along(segment, self._qdd)
         for k, a in enumerate(segment.freedoms):
@@ -201,90 +204,93 @@ class _Perturbed:
             V = V + S * rate
         for S, rate, a in zip(motions, rates, segment.freedoms, strict=True):
             P = Adjoint(before.V, S)
-            own = P if len(motions) == 1 else Adjoint(V, S)  # one motion does not change by its own turning
+            Q = P if len(motions) == 1 else Adjoint(V, S)  # one motion does not change by its own turning
             moved = Adjoint(before.A, S) + Adjoint(before.V, P), angular(P)
-            self._freedoms.append(_Freedom(i, a, ratio, S, moved, (P + own, angular(S))))
-            A = A + S * _times(ratio, self._qdd[a]) + own * rate
+            self._freedoms.append(_Freedom(i, a, ratio, S, moved, (P + Q, angular(S))))
+            A = A + S * _times(ratio, self._qdd[a]) + Q * rate
         return _Segment(frame, V, A)
 
     # ---- all pairs of freedoms ---------------------------------------------------------------------------------------
 
     @functools.cached_property
     def _tree(self) -> list[tuple[int, int, Constant]]:
-        """Of each freedom j: the first of its joint, the end of those beyond, and which of those before are on its way.
+        """For each freedom j: the first freedom of its joint, the end of its subtree, and a mask of its ancestors among
+        the freedoms before it.
 
         Branches stand one after the other: what is beyond j stands together.
         """
-        segments, own = self.mechanism.segments, [each.place for each in self._freedoms]
+        segments, places = self.mechanism.segments, [freedom.place for freedom in self._freedoms]
         reached = np.eye(len(segments), dtype=bool)
         for i, segment in enumerate(segments):
             if segment.before >= 0:
                 reached[i] |= reached[segment.before]
-        found = []
-        for place in own:
-            first = own.index(place)
-            end = first + sum(bool(reached[i, place]) for i in own)
-            found.append((first, end, Constant(np.array([reached[place, i] for i in own[:first]], bool))))
-        return found
+        subtrees = []
+        for place in places:
+            first = places.index(place)
+            end = first + sum(bool(reached[i, place]) for i in places)
+            subtrees.append((first, end, Constant(np.array([reached[place, i] for i in places[:first]], bool))))
+        return subtrees
 
     @functools.cached_property
     def _motions(self) -> Expr:
-        """S of all freedoms, one a row (N, 6)."""
-        return Stack(*(each.S for each in self._freedoms))
+        """S of all freedoms, as rows (N, 6)."""
+        return Stack(*(freedom.S for freedom in self._freedoms))
 
     @functools.cached_property
     def _felt(self) -> Expr:
-        """I S of all freedoms, one a row: what a force feels of an acceleration (N, 6)."""
-        return Stack(*(self._spreads[each.place].inertia(each.S) for each in self._freedoms))
+        """I S of all freedoms, as rows (N, 6): the wrench of a unit acceleration."""
+        return Stack(*(self._spreads[freedom.place].inertia(freedom.S) for freedom in self._freedoms))
 
     @functools.cached_property
     def _turned(self) -> Expr:
-        """The angular parts of B' S of all freedoms, one a row (N, 3)."""
-        return Stack(*(self._spreads[each.place].coupled_back(each.S) for each in self._freedoms))
+        """The angular parts of B' S of all freedoms, as rows (N, 3)."""
+        return Stack(*(self._spreads[freedom.place].coupled_back(freedom.S) for freedom in self._freedoms))
 
     def by_motion(self) -> tuple[Expr, Expr]:
-        """The derivatives of the forces by positions and velocities, but for what enters by `moved`, `hastened`."""
+        """The derivatives of the forces by positions and velocities, without the parts of `moved` and `hastened`."""
         by_q, by_qd = list[Expr](), list[Expr]()
-        for each, place in zip(self._freedoms, self._tree, strict=True):
-            spread, (first, end, _) = self._spreads[each.place], place
-            for columns, (x, b) in ((by_q, each.moved), (by_qd, each.hastened)):
+        for freedom, place in zip(self._freedoms, self._tree, strict=True):
+            spread, (first, end, _) = self._spreads[freedom.place], place
+            for columns, (x, b) in ((by_q, freedom.moved), (by_qd, freedom.hastened)):
                 carried = spread.inertia(x) + spread.coupled(b)
                 if columns is by_q:
-                    carried = carried + AdjointDual(each.S, self._F[each.place])
+                    carried = carried + AdjointDual(freedom.S, self._F[freedom.place])
                 columns.append(self._column(place, self._felt[first:end] @ x + self._turned[first:end] @ b, carried))
-        found, turning = self._gathered(by_qd), turning_by_velocities(self.mechanism, self._qd)
-        return self._gathered(by_q), found if turning is None else found + turning
+        rate_columns, turning = self._gathered(by_qd), turning_by_velocities(self.mechanism, self._qd)
+        return self._gathered(by_q), rate_columns if turning is None else rate_columns + turning
 
     @functools.cached_property
     def mass_matrix(self) -> Expr:
-        """M (n, n), with the rotors."""
+        """The mass matrix M (n, n), with the rotors."""
         columns: list[Expr] = []
-        for k, (each, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
-            column = self._column(place, self._felt[place[0] : place[1]] @ each.S, self._felt[k])
-            rotor = self.mechanism.segments[each.place].link.drive.rotor
+        for k, (freedom, place) in enumerate(zip(self._freedoms, self._tree, strict=True)):
+            column = self._column(place, self._felt[place[0] : place[1]] @ freedom.S, self._felt[k])
+            rotor = self.mechanism.segments[freedom.place].link.drive.rotor
             columns.append(column if rotor is None else column + rotor * np.eye(len(self._freedoms))[k])
         return self._gathered(columns)
 
     def _column(self, place: tuple[int, int, Constant], beyond: Expr, carried: Expr) -> Expr:
-        """Of forces of all joints (N,): of those beyond a freedom, and what those before feel of a wrench."""
-        first, end, way = place
+        """One column of joint forces (N,): `beyond` for the subtree of a freedom, and for its ancestors the force of
+        the wrench `carried`.
+        """
+        first, end, on_path = place
         parts = [beyond, Constant(np.zeros(len(self._freedoms) - end))]
         if first:
-            parts.insert(0, Where(way, self._motions[:first] @ carried, Constant(np.zeros(first))))
+            parts.insert(0, Where(on_path, self._motions[:first] @ carried, Constant(np.zeros(first))))
         return Concat(*parts)
 
     def _gathered(self, columns: list[Expr]) -> Expr:
-        """Followers with their leaders: from rows and columns of joints to those of the velocities (n, n)."""
+        """From rows and columns of joints to those of the velocities (n, n): followers add to their leaders."""
         pairs = Stack(*columns).T
         G = np.zeros((len(self._freedoms), self.mechanism.dofs))
-        for row, each in enumerate(self._freedoms):
-            G[row, each.entry] = each.ratio
+        for row, freedom in enumerate(self._freedoms):
+            G[row, freedom.entry] = freedom.ratio
         return pairs if np.array_equal(G, np.eye(len(G))) else Constant(G.T) @ pairs @ Constant(G)
 
     # ---- by the acceleration of the first segments -------------------------------------------------------------------
 
     def by_acceleration(self, changes: dict[int, Expr]) -> Expr:
-        """The derivatives of the forces by what changes the accelerations of the first segments."""
+        """The change of the forces by a change of the accelerations of the first segments."""
         N, columns = len(self._freedoms), list[Expr]()
         for number, (first, end, _) in enumerate(self._tree):
             felt = self._felt[first:end] @ changes.get(number, _NOTHING)
@@ -292,18 +298,18 @@ class _Perturbed:
         return self._gathered(columns)
 
     def free_root(self, changes: dict[int, Expr]) -> Expr | None:
-        """The same changes as accelerations of a free first joint (n, n); None where another one is first."""
+        """The same change as accelerations of a free first joint (n, n); None if the first joint is another one."""
         segments, n = self.mechanism.segments, self.mechanism.dofs
-        firsts = [segment for segment in segments if segment.before < 0]
-        if any(len(segment.freedoms) < 6 or segment.link.drive.rotor is not None for segment in firsts):
+        roots = [root for root in segments if root.before < 0]
+        if any(len(root.freedoms) < 6 or root.link.drive.rotor is not None for root in roots):
             return None
         columns: list[Expr] = [Constant(np.zeros(n))] * n
         for number, change in changes.items():
-            own = segments[self._freedoms[number].place]
+            root = segments[self._freedoms[number].place]
             # H of six freedoms is square: the accelerations are H^-1 of the change.
-            basis = own.link.joint.actuation_basis.T
+            basis = root.link.joint.actuation_basis.T
             spread = np.zeros((n, 6))
-            spread[list(own.freedoms), range(6)] = 1.0
+            spread[list(root.freedoms), range(6)] = 1.0
             columns[self._freedoms[number].entry] = Constant(spread) @ (basis @ change)
         return Stack(*columns).T
 

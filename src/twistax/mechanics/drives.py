@@ -1,4 +1,4 @@
-"""What a joint has beside its geometry: rotor, friction, spring, gear, and limits."""
+"""Drives: rotor, friction, spring, gear and limits of a joint."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ..checks import reals
 from ..errors import ModelError
 from ..expr import Constant, Expr, Tanh, to_expr
 from ..expr.fields import ExprLike
-from .arguments import constant, told
+from .arguments import constant, dataclass_repr
 
 #: Numbers only: they become bounds of states and controls.
 _LIMITS = ("lower", "upper", "speed")
@@ -23,26 +23,26 @@ _NOT_NEGATIVE = ("armature", "damping", "friction", "stiffness", "speed")
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Drive:
-    """Motor, friction, spring and limits of a joint; every freedom of the joint has the same.
+    """Motor, friction, spring and limits of a joint. All freedoms of the joint share the same values.
 
     The generalised force on a freedom with position q, velocity v and control u is
 
         $gear u - damping v - friction tanh(v / speed) - stiffness (q - rest)$.
 
     Attributes:
-        armature: inertia of the rotor as the joint feels it, $gear^2$ times its own: kg m2 about an axis, kg along one.
-            That of a planar or free joint has a momentum in the child's axes, which turn.
-        damping: N m s/rad or N s/m.
-        friction: what dry friction comes to when sliding, N m or N; at rest the force is smooth.
-        friction_speed: where it has come to 76 % of that, rad/s or m/s, positive.
-        stiffness, rest: of a spring, N m/rad or N/m, and the position where it gives no force. That of a ball feels
-            Log R. A free joint has none.
-        gear: force of the joint for each unit of control.
-        lower, upper: bounds of the position; None for none.
-        speed: largest absolute velocity; None for none.
-        effort: largest absolute control, or the pair of the least and the largest control; None for none.
+        armature: reflected inertia of the rotor, $gear^2$ times the rotor's inertia: kg m2 about an axis, kg along an
+            axis. For a planar or free joint its momentum is in the child's axes, which turn.
+        damping: viscous friction, N m s/rad or N s/m.
+        friction: dry (Coulomb) friction while sliding, N m or N. The force is smooth in the velocity and zero at rest.
+        friction_speed: velocity at which dry friction reaches 76 % of that value, rad/s or m/s, positive.
+        stiffness, rest: of a spring: its stiffness, N m/rad or N/m, and the position without force. For a ball joint
+            the deflection is Log R. A free joint has no spring.
+        gear: joint force per unit of control.
+        lower, upper: bounds of the position, or None.
+        speed: largest absolute velocity, or None.
+        effort: largest absolute control, or a pair of the smallest and the largest control, or None.
 
-        Limits are numbers. The others are numbers or expressions; the armature does not change with the motion.
+        Limits are numbers. The other values are numbers or expressions; the armature must not change with the motion.
     Raises:
         ModelError: something other than a number or scalar expression; a negative value where that means nothing;
             bounds that exclude each other; an armature that depends on time, states or controls.
@@ -80,7 +80,7 @@ class Drive:
             raise ModelError(f"Drive expects friction_speed to be positive, got {self.friction_speed}")
 
     def __repr__(self) -> str:
-        return told(self)
+        return dataclass_repr(self)
 
     @staticmethod
     def _check(name: str, value: Any, shape: tuple[int, ...]) -> None:
@@ -93,7 +93,7 @@ class Drive:
 
     @property
     def efforts(self) -> tuple[float | None, float | None]:
-        """The least and the largest control; None for none."""
+        """The smallest and the largest control, or None."""
         if self.effort is None:
             return None, None
         ends = reals("Drive: effort", self.effort, ModelError)
@@ -107,7 +107,7 @@ class Drive:
         return None if _is_zero(self.armature) else to_expr(self.armature)
 
     def passive(self, position: Expr | None, velocity: Expr) -> Expr | None:
-        """What damping, friction and spring do to one freedom (); None without any."""
+        """The force () of damping, friction and spring on one freedom; None without any."""
         terms: list[Expr] = []
         if not _is_zero(self.damping):
             terms.append(-(to_expr(self.damping) * velocity))
@@ -118,12 +118,11 @@ class Drive:
         return sum(terms[1:], terms[0]) if terms else None
 
     def stored(self, position: Expr) -> Expr:
-        """$k (q - q_0)^2 / 2$ (), J, in the spring of one freedom."""
+        """The energy $k (q - q_0)^2 / 2$ (), J, of the spring of one freedom."""
         return 0.5 * (to_expr(self.stiffness) * (position - self.rest) ** 2)
 
     @property
     def sprung(self) -> bool:
-        """Whether it has a spring."""
         return not _is_zero(self.stiffness)
 
 

@@ -35,21 +35,22 @@ def inverse_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The forces of the joints (n,) that give a mechanism the accelerations qdd: N for a slide, N m for a turn.
+    """The joint forces (n,) that cause accelerations qdd, by the recursive Newton-Euler algorithm (RNEA): N for a
+    slide, N m for a turn.
 
-    The recursive Newton-Euler algorithm (RNEA). From base to tips the motion, from tips to base
+    A pass from the base to the tips computes twists W and accelerations B; a pass from the tips to the base computes
 
         $F = M B + ad*_W(M W) + X - F_given + sum Ad*_T F_after, tau = H^T F$
 
-    with X what masses that move within bodies take, see `inner_motion`.
+    with X the wrench of masses that move inside their bodies, see `inner_motion`.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 5.
 
     Args:
         mechanism: a tree or a chain.
-        q, qd: positions and velocities (n,); the mechanism's own states unless given.
-        qdd: accelerations (n,), the rates of qd; zero unless given.
-        wrenches: what acts on the mechanism from outside.
+        q, qd: positions and velocities (n,); the states of the mechanism by default.
+        qdd: accelerations (n,), the rates of qd; zero by default.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known.
@@ -70,17 +71,17 @@ def carried_wrenches(
     *,
     of_velocities: bool = False,
 ) -> list[Expr]:
-    """F (6,) of every segment, in its frame: what its joint has to give; or of that only what vanishes with qd."""
+    """F (6,) of every segment, in its frame: the wrench through its joint; or only the part that vanishes with qd."""
     moving = motion(mechanism, mechanism.positions(owner, q), mechanism.coordinates(owner, "qd", qd))
     accelerations: list[Expr] = []
     needed: list[Expr] = []
-    for each, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
-        before = each.segment.before
+    for state, pushed in zip(moving, outside(owner, mechanism, wrenches), strict=True):
+        before = state.segment.before
         base = acceleration_of_base(ZERO if of_velocities else mechanism.gravity)
-        B = each.carried(base if before < 0 else accelerations[before])
-        accelerations.append(B + mechanism.along(each.segment, qdd))
-        own = each.gyroscopic if of_velocities else each.needed
-        needed.append(_less(each.inertia @ accelerations[-1] + own, pushed))
+        B = state.carried(base if before < 0 else accelerations[before])
+        accelerations.append(B + mechanism.along(state.segment, qdd))
+        bias = state.gyroscopic if of_velocities else state.needed
+        needed.append(_less(state.inertia @ accelerations[-1] + bias, pushed))
     for i in reversed(range(len(moving))):
         if moving[i].segment.before >= 0:
             needed[moving[i].segment.before] += CoadjointAction(moving[i].T, needed[i])
@@ -88,7 +89,7 @@ def carried_wrenches(
 
 
 def _gathered(mechanism: Mechanism, needed: list[Expr], qd: Expr, qdd: Expr) -> Expr:
-    """H' F of all joints, followers with their leaders, and what the rotors take (n,)."""
+    """The joint forces H' F (n,) plus those of the rotors; forces of followers add to those of their leaders."""
     tau: list[list[Expr]] = [[] for _ in range(mechanism.dofs)]
     for segment, F in zip(mechanism.segments, needed, strict=True):
         for k, i in enumerate(segment.freedoms):
@@ -102,7 +103,7 @@ def _gathered(mechanism: Mechanism, needed: list[Expr], qd: Expr, qdd: Expr) -> 
 def bias_forces(
     mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None, *, wrenches: Wrenches | None = None
 ) -> Expr:
-    """b (n,) of $M qdd + b = tau$: gravity, Coriolis and centrifugal forces, less the wrenches, N or N m.
+    """The bias b (n,) in $M qdd + b = tau$: gravity, Coriolis and centrifugal forces minus external wrenches, N or N m.
 
     Raises as `inverse_dynamics` does.
     """
@@ -110,9 +111,9 @@ def bias_forces(
 
 
 def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """$g(q) = b(q, 0)$ (n,), N or N m: the forces of the joints that hold the mechanism at rest.
+    """The joint forces $g(q) = b(q, 0)$ (n,), N or N m, that hold the mechanism at rest.
 
-    Those of masses that move within bodies are in it.
+    They include the forces of masses that move inside their bodies.
 
     Raises as `inverse_dynamics` does.
     """
@@ -121,7 +122,8 @@ def gravity_forces(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def coriolis_forces(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """$c(q, qd) = C(q, qd) qd$ (n,), N or N m: Coriolis and centrifugal forces, all that vanishes at rest.
+    """Coriolis and centrifugal forces $c(q, qd) = C(q, qd) qd$ (n,), N or N m: the part of the bias that vanishes at
+    rest.
 
     Raises as `inverse_dynamics` does.
     """
@@ -138,18 +140,21 @@ def forward_dynamics(
     *,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """The accelerations (n,) of a mechanism whose joints have the forces tau: m/s2 for a slide, rad/s2 for a turn.
+    """The joint accelerations (n,) under joint forces tau, by the articulated-body algorithm (ABA): m/s2 for a slide,
+    rad/s2 for a turn.
 
-    It solves $M(q) qdd + b(q, qd) = tau$. The articulated-body algorithm (ABA), Featherstone, Rigid Body Dynamics
-    Algorithms (2008), chapter 7. From tips to base it finds what a segment and all that hangs on it need for
-    the acceleration B of the segment, the wrench I B + b; from base to tips the accelerations. Where joints mimic
-    others the equations of the mass matrix are solved instead, and with them those of closed loops where there are any.
+    It solves $M(q) qdd + b(q, qd) = tau$ in O(n). A pass from the tips to the base computes for each segment the
+    articulated inertia I and bias b, so that the wrench on the segment is I B + b at an acceleration B of the segment;
+    a pass from the base to the tips computes the accelerations. If joints mimic others, or loops are closed, the
+    equations of the mass matrix are solved instead.
+
+    Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 7.
 
     Args:
         mechanism: a tree or a chain.
-        q, qd: positions and velocities (n,); the mechanism's own states unless given.
-        tau: forces of the joints (n,), N for a slide, N m for a turn; zero unless given.
-        wrenches: what acts on the mechanism from outside.
+        q, qd: positions and velocities (n,); the states of the mechanism by default.
+        tau: joint forces (n,), N for a slide, N m for a turn; zero by default.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: positions or frames that are not known; a joint that moves no mass.
@@ -167,8 +172,8 @@ def forward_dynamics(
     turning = turning_of_rotors(mechanism, rates)
     forces = forces if turning is None else forces - turning
     moving = motion(mechanism, mechanism.positions(owner, q), rates)
-    I = [each.inertia for each in moving]
-    b = [_less(each.needed, out) for each, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
+    I = [state.inertia for state in moving]
+    b = [_less(state.needed, out) for state, out in zip(moving, outside(owner, mechanism, wrenches), strict=True)]
     hinges: list[_Hinge] = []
     for i in reversed(range(len(moving))):
         hinges.append(_Hinge(moving[i], I[i], b[i], forces))
@@ -194,16 +199,18 @@ rnea, aba = inverse_dynamics, forward_dynamics
 
 
 def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """The inertia M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, forces of the joints $M qdd + b(q, qd)$.
+    """The mass matrix M (n, n) of a mechanism: kinetic energy $qd.M qd / 2$, joint forces $M qdd + b(q, qd)$.
 
-    The composite-rigid-body algorithm (CRBA). From tips to base I_c, the inertia of a segment with all that hangs on it
-    as if it were rigid; $M_ij = H_j^T Ad* I_c H_i$ for every j between the base and i. Rotors add to the diagonal.
+    Its entries are in kg, kg m and kg m2.
+
+    The composite-rigid-body algorithm (CRBA): with I_c the inertia of a segment and all segments it carries, as one
+    rigid body, $M_ij = H_j^T Ad* I_c H_i$ for every j between the base and i. Rotors add to the diagonal.
 
     Source: Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 6.
 
     Args:
-        mechanism: a tree or a chain; gravity has no part in it.
-        q: positions; the mechanism's own states unless given.
+        mechanism: a tree or a chain; gravity does not matter.
+        q: positions; the states of the mechanism by default.
     Raises: ShapeError, ModelError: positions of another shape or name.
     """
     checked("mass_matrix", mechanism)
@@ -217,29 +224,29 @@ def mass_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
         M[a][b].append(value if ratio == 1.0 else ratio * value)
 
     for i, segment in enumerate(mechanism.segments):
-        rotor, own = segment.link.drive.rotor, segment.ratio
+        rotor, gear = segment.link.drive.rotor, segment.ratio
         for k, a in enumerate(segment.freedoms):
             F = I[i] @ segment.link.joint.motion_subspace[:, k]
             for other, c in enumerate(segment.freedoms[: k + 1]):
                 value: Expr = Dot(segment.link.joint.motion_subspace[:, other], F)
                 if c == a and rotor is not None:
                     value = value + rotor
-                add(a, c, value, own**2)
+                add(a, c, value, gear**2)
                 if c != a:
                     add(c, a, value, 1.0)
             j = i
             while mechanism.segments[j].before >= 0:
                 F, j = CoadjointAction(T[j], F), mechanism.segments[j].before
-                ahead = mechanism.segments[j]
-                for other, c in enumerate(ahead.freedoms):
-                    value = Dot(ahead.link.joint.motion_subspace[:, other], F)
-                    add(a, c, value, own * ahead.ratio)
-                    add(c, a, value, own * ahead.ratio)
+                ancestor = mechanism.segments[j]
+                for other, c in enumerate(ancestor.freedoms):
+                    value = Dot(ancestor.link.joint.motion_subspace[:, other], F)
+                    add(a, c, value, gear * ancestor.ratio)
+                    add(c, a, value, gear * ancestor.ratio)
     return Block([[sum(terms[1:], terms[0]) if terms else _NOTHING for terms in row] for row in M])
 
 
 def composite_inertias(mechanism: Mechanism, positions: list[Expr]) -> list[Expr]:
-    """I_c (6, 6) of each segment with all that hangs on it, as if it were rigid, in its frame."""
+    """I_c (6, 6) of each segment with its whole subtree as one rigid body, in its frame."""
     I = [inertia_of(segment) for segment in mechanism.segments]
     for i in reversed(range(len(I))):
         link, before = mechanism.segments[i].link, mechanism.segments[i].before
@@ -260,25 +267,25 @@ def checked(owner: str, mechanism: Mechanism) -> Mechanism:
 
 
 def outside(owner: str, mechanism: Mechanism, wrenches: Wrenches | None) -> list[Expr | None]:
-    """The sum of the outer wrenches on each segment, in its frame; None without any."""
-    found: list[Expr | None] = [None] * len(mechanism.segments)
+    """The sum of the external wrenches on each segment, in its frame; None without any."""
+    outer_wrenches: list[Expr | None] = [None] * len(mechanism.segments)
     if wrenches is not None and not isinstance(wrenches, Mapping):
         raise ModelError(f"{owner} expects wrenches as a mapping from names of frames, got {type(wrenches).__name__}")
     for name, value in (wrenches or {}).items():
         at = mechanism.frame(name)
         F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
         if at.segment >= 0:
-            F, before = CoadjointAction(at.T, F), found[at.segment]
-            found[at.segment] = F if before is None else before + F
-    return found
+            F, before = CoadjointAction(at.T, F), outer_wrenches[at.segment]
+            outer_wrenches[at.segment] = F if before is None else before + F
+    return outer_wrenches
 
 
-def _less(needed: Expr, given: Expr | None) -> Expr:
-    return needed if given is None else needed - given
+def _less(needed: Expr, applied: Expr | None) -> Expr:
+    return needed if applied is None else needed - applied
 
 
 class _Hinge:
-    """A joint with all that hangs on it, which needs the wrench I B + b. Its freedoms are eliminated one by one."""
+    """A joint with its subtree, on which the wrench I B + b acts. Its freedoms are eliminated one by one."""
 
     def __init__(self, moving: Moving, I: Expr, b: Expr, forces: Expr) -> None:
         self.moving, self.freedoms = moving, list[_Freedom]()
@@ -289,7 +296,7 @@ class _Hinge:
         self.rigid = None if self.freedoms else (I, b)
 
     def felt_before(self) -> tuple[Expr, Expr]:
-        """What it adds to I and b of the segment before, in its frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
+        """Its contribution to I and b of the segment before, in that frame: Ad*_T I_a Ad_T^-1 and Ad*_T (b_a + I_a c).
 
         c is what B gets from the velocities.
         """
@@ -303,7 +310,7 @@ class _Hinge:
 
 
 class _Freedom:
-    """One freedom of a joint, the column H of its motions, on bodies that need the wrench I B + b.
+    """One freedom of a joint, with motion column H, on bodies with the wrench I B + b.
 
     With U = I H and D = H' U + the rotor's inertia it accelerates by (tau - H' b - U' B) / D, B that of the segment but
     for this freedom's. Without a rotor U / D is h* + U_R / D, with h* the working wrench and U_R what the bearing
@@ -326,7 +333,7 @@ class _Freedom:
         return F - self.working * Dot(self.H, F)
 
     def acceleration(self, B: Expr) -> Expr:
-        """The acceleration () where the segment has the acceleration B (6,) but for this freedom's."""
+        """Its acceleration () if the segment has the acceleration B (6,) apart from it."""
         return self.left / self.D - Dot(self.share, B)
 
     def eliminated(self) -> tuple[Expr, Expr]:

@@ -1,4 +1,4 @@
-"""Symmetric 6x6 inertias [M H; H' J] in other frames, with what is equal by symmetry computed once."""
+"""Symmetric 6x6 inertias [M H; H' J] in other frames; equal entries are computed once."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _LAST_ROW = _LAST_COLUMN.T
 
 
 def mirrored(I: Expr) -> Expr:
-    """A symmetric matrix (n, n) of the entries on and above the diagonal of I."""
+    """A symmetric matrix (n, n) from the entries of I on and above the diagonal."""
     return Where(Constant(np.triu(np.ones(I.shape, dtype=bool))), I, I.T)
 
 
@@ -32,7 +32,7 @@ def in_frame(T: Expr, I: Expr) -> Expr:
 
 
 def _turned_about_axis(R: AxisRotation, I: Expr) -> Expr:
-    """The blocks R M R', R H R', R J R' of a turn about a fixed axis, together."""
+    """The blocks R M R', R H R', R J R' for a rotation about a fixed axis."""
     C = Constant(rotation_to(R.axis))
 
     def turned(X: Expr) -> Expr:

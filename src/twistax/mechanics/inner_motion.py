@@ -37,7 +37,7 @@ class MovingMass(NamedTuple):
     rates: Mapping[str, Expr]
 
     def knowing(self, rates: Mapping[str, Expr]) -> MovingMass:
-        """With further rates; those that are there stay."""
+        """A copy with further rates; present ones stay."""
         return self._replace(rates={**rates, **self.rates})
 
     @property
@@ -66,7 +66,7 @@ class MovingMass(NamedTuple):
 
 
 class InnerMotion(NamedTuple):
-    """What the parts of a body that move in it do to it: six-vectors at its origin, in its axes."""
+    """The effect of the moving parts of a body on its motion: six-vectors at its origin, in its axes."""
 
     momentum: Expr  # [m c'; c x m c'] (6,)
     energy: Expr  # m |c'|^2 / 2 ()
@@ -74,27 +74,27 @@ class InnerMotion(NamedTuple):
     turning: Expr  # X_1 (6, 3)
 
     def wrench(self, w: Expr) -> Expr:
-        """X (6,): what it takes beyond what a rigid body would take."""
+        """X (6,): the wrench in addition to that of a rigid body."""
         return self.still + self.turning @ w
 
 
 def momentum_of(parts: tuple[MovingMass, ...]) -> tuple[Expr, Expr] | None:
-    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None where none moves."""
-    found: list[tuple[Expr, Expr]] = []
+    """The momentum (6,) of the parts of a body relative to it, and their kinetic energy (); None if none moves."""
+    momenta_and_energies: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity = part.rate(part.center_of_mass)
         if velocity is not None:
             p = part.mass * velocity
-            found.append((wrench(force=p, torque=Cross(part.center_of_mass, p)), 0.5 * Dot(p, velocity)))
-    if not found:
+            momenta_and_energies.append((wrench(force=p, torque=Cross(part.center_of_mass, p)), 0.5 * Dot(p, velocity)))
+    if not momenta_and_energies:
         return None
-    momenta, energies = zip(*found, strict=True)
+    momenta, energies = zip(*momenta_and_energies, strict=True)
     return sum(momenta[1:], momenta[0]), sum(energies[1:], energies[0])
 
 
 def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
-    """What the parts of a body do to it; None where nothing changes."""
-    found: list[tuple[Expr, Expr]] = []
+    """The effect of the parts of a body on it; None if nothing changes."""
+    terms: list[tuple[Expr, Expr]] = []
     for part in parts:
         velocity, tensor_rate = part.rate(part.center_of_mass), part.rate(part.inertia)
         still, turning = list[Expr](), list[Expr]()
@@ -109,9 +109,9 @@ def motion_of(parts: tuple[MovingMass, ...]) -> InnerMotion | None:
             turning.append(Vstack(Constant(np.zeros((3, 3))), tensor_rate))
         if turning:
             zero = Constant(np.zeros(6))
-            found.append((sum(still[1:], still[0]) if still else zero, sum(turning[1:], turning[0])))
-    if not found:
+            terms.append((sum(still[1:], still[0]) if still else zero, sum(turning[1:], turning[0])))
+    if not terms:
         return None
     momentum, energy = momentum_of(parts) or (Constant(np.zeros(6)), Constant(0.0))
-    stills, turnings = zip(*found, strict=True)
+    stills, turnings = zip(*terms, strict=True)
     return InnerMotion(momentum, energy, sum(stills[1:], stills[0]), sum(turnings[1:], turnings[0]))

@@ -24,7 +24,7 @@ _ZERO = Constant(np.zeros(6))
 
 @dataclasses.dataclass(frozen=True)
 class Axes:
-    """How a twist is written. `BODY`, `WORLD` and `ALIGNED` are all there are.
+    """The axes and the reference point of a twist: one of `BODY`, `WORLD` and `ALIGNED`.
 
     Attributes:
         name: for messages.
@@ -47,7 +47,7 @@ ALIGNED = Axes("ALIGNED")
 def frame_twist(
     mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
-    """The velocity (6,) of a frame seen from the base, $[v; w] = J qd$ in m/s and rad/s, in the axes wanted.
+    """The velocity (6,) of a frame relative to the base, $[v; w] = J qd$ in m/s and rad/s, in the chosen axes.
 
     Raises:
         ShapeError: positions or velocities of another shape.
@@ -58,7 +58,7 @@ def frame_twist(
 
 
 def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None, axes: Axes = BODY) -> Expr:
-    """J (6, n) with $J qd = [v; w]$ the velocity of a frame, m/s and rad/s, in the axes wanted.
+    """The Jacobian J (6, n) of a frame: $J qd = [v; w]$ is its velocity, m/s and rad/s, in the chosen axes.
 
     Raises as `frame_twist` does.
     """
@@ -73,7 +73,9 @@ def frame_jacobian(mechanism: Mechanism, frame: str, q: Positions | None = None,
 def frame_jacobian_rate(
     mechanism: Mechanism, frame: str, q: Positions | None = None, qd: ExprLike | None = None, axes: Axes = BODY
 ) -> Expr:
-    """The rate of `frame_jacobian` (6, n): $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that does."""
+    """The time derivative J' (6, n) of `frame_jacobian`: $J qdd + J' qd$ is the rate of `frame_twist`. Raises as that
+    does.
+    """
     path = _Path("frame_jacobian_rate", mechanism, frame, q)
     _known(axes)
     twists, V = mechanism.twists(q, qd), mechanism.twist(frame, q, qd)
@@ -88,9 +90,9 @@ def frame_jacobian_rate(
     if axes is WORLD:
         return rate
     # The point that it is about moves as well: of [v - p x w; w] the term p' x w.
-    moves = linear(AdjointAction(_to(axes, path.pose), V))
+    v = linear(AdjointAction(_to(axes, path.pose), V))
     dragged = path.gathered(
-        lambda j, H: twist(linear=Cross(moves, angular(AdjointAction(path.poses[j], H))), angular=Constant(np.zeros(3)))
+        lambda j, H: twist(linear=Cross(v, angular(AdjointAction(path.poses[j], H))), angular=Constant(np.zeros(3)))
     )
     return AdjointAction(_about(path.pose), rate, inverse=True) - dragged
 
@@ -109,13 +111,13 @@ def _to(axes: Axes, T: Expr) -> Expr:
 
 def _known(axes: Axes) -> Axes:
     """The axes themselves. Raises ModelError for anything else."""
-    if not any(axes is each for each in (BODY, WORLD, ALIGNED)):
+    if not any(axes is known for known in (BODY, WORLD, ALIGNED)):
         raise ModelError(f"axes must be BODY, WORLD or ALIGNED of twistax.mechanics, got {axes!r}")
     return axes
 
 
 class _Path:
-    """From a frame to the base."""
+    """The path from a frame to the base."""
 
     def __init__(self, owner: str, mechanism: Mechanism, frame: str, q: Positions | None) -> None:
         checked(owner, mechanism)
@@ -133,12 +135,12 @@ class _Path:
         return self._between[j]
 
     def gathered(self, column: Callable[[int, Expr], Expr]) -> Expr:
-        """(6, n): of every freedom on the path the column of its motions H in segment j."""
-        found: list[list[Expr]] = [[] for _ in range(self.mechanism.dofs)]
+        """(6, n): the column of each freedom on the path, from its motion H in segment j."""
+        columns: list[list[Expr]] = [[] for _ in range(self.mechanism.dofs)]
         for j in self._between:
             segment = self.mechanism.segments[j]
             ratio = 1.0 if segment.link.mimic is None else segment.link.mimic.ratio
             for k, a in enumerate(segment.freedoms):
-                one = column(j, segment.link.joint.motion_subspace[:, k])
-                found[a].append(one if segment.link.mimic is None else ratio * one)
-        return Stack(*(sum(each[1:], each[0]) if each else _ZERO for each in found)).T
+                motion = column(j, segment.link.joint.motion_subspace[:, k])
+                columns[a].append(motion if segment.link.mimic is None else ratio * motion)
+        return Stack(*(sum(terms[1:], terms[0]) if terms else _ZERO for terms in columns)).T

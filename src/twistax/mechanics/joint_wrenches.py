@@ -1,4 +1,4 @@
-"""The wrench that a joint carries, in any frame: its coscrew."""
+"""The wrench that a joint carries, in any frame."""
 
 from __future__ import annotations
 
@@ -19,18 +19,19 @@ def joint_wrench(
     frame: str | None = None,
     wrenches: Wrenches | None = None,
 ) -> Expr:
-    """F = [f; tau] (6,) that a joint puts on the link it carries, motor and bearing together.
+    """The wrench F = [f; tau] (6,), N and N m, that a joint exerts on the link it carries: motor and bearing together.
 
-    It is what `inverse_dynamics` sums up: the segment's own M B + ad*_W(M W), and all that hangs on it. Take
-    `joint.actuation(F)` for the motor's part and `joint.reaction(F)` for that of the bearing. In the motion of a system
-    it is `mechanism.system(outputs=lambda qdd, tau: {"load": joint_wrench(mechanism, joint, qdd=qdd)})`.
+    It is the F of `inverse_dynamics`: the inertial wrench of the segment, $M B + ad*_W(M W)$, and the wrenches of all
+    segments that it carries. `joint.actuation(F)` is the part of the motor, `joint.reaction(F)` that of the bearing.
+    For the wrench during a motion use
+    `mechanism.system(outputs=lambda qdd, tau: {"load": joint_wrench(mechanism, joint, qdd=qdd)})`.
 
     Args:
         mechanism: a tree or a chain.
-        joint: its name. A Fixed joint has to be kept, `keep=`, to be asked.
-        q, qd, qdd: positions, velocities and accelerations; qdd zero unless given.
-        frame: the frame it is written in, about its origin in its axes; that of the joint's link unless given.
-        wrenches: what acts on the mechanism from outside.
+        joint: name of the joint. A Fixed joint must be named in `keep=` of the mechanism.
+        q, qd, qdd: positions, velocities and accelerations; qdd zero by default.
+        frame: the frame in whose axes and about whose origin F is expressed; by default that of the joint's link.
+        wrenches: external wrenches (6,) by name of frame, in the axes of the frame.
     Raises:
         ShapeError: an argument of another shape.
         ModelError: a joint or frame that is not known.

@@ -79,7 +79,7 @@ class Joint(Subspaces, ABC):
             self.velocity = State(f"{name}_velocity", (self.dofs,))
 
     def _fix(self, motion: Any, actuation_basis: Any) -> None:
-        """The subspaces of numbers."""
+        """Compute the subspaces, as numbers."""
         H = self._motion(motion)
         self.dofs = H.shape[1]
         if self.group is not None and self.group.dimension != self.dofs:
@@ -130,11 +130,13 @@ class Joint(Subspaces, ABC):
         return velocity
 
     def deflection(self, position: Expr) -> Expr | None:
-        """What a spring feels of the position (k,): the coordinates themselves; None where there is no spring."""
+        """The deflection (k,) of a spring: by default the coordinates; None if there is no spring."""
         return position if self.group is None else None
 
     def velocity_of(self, position: Expr, rate: Expr) -> Expr:
-        """The velocity that gives a rate of the position: the reverse of `rate`, by its matrix unless written anew."""
+        """The velocity from a rate of the position: the inverse of `rate`, by solving with its matrix unless a subclass
+        overrides it.
+        """
         if type(self).rate is Joint.rate:
             return rate
         columns = [self.rate(position, Constant(unit)) for unit in np.eye(self.dofs)]
@@ -156,7 +158,7 @@ class Joint(Subspaces, ABC):
 
     @property
     def rates(self) -> dict[State | str, ExprLike]:
-        """The kinematics {position: its rate}, for the rates of a System; empty where nothing moves."""
+        """The kinematics {position: its rate}, for the rates of a System; empty for a fixed joint."""
         if self.position is None or self.velocity is None:
             return {}
         return {self.position: self.rate(self.position, self.velocity)}
@@ -182,14 +184,14 @@ def _direction(owner: str, axis: Any) -> Any:
 
 
 def _screw(linear: Any, angular: Any) -> Any:
-    """H of one freedom, of numbers where both halves are."""
+    """H of one freedom; numbers if both halves are numbers."""
     if isinstance(linear, Expr) or isinstance(angular, Expr):
         return twist(linear=linear, angular=angular)[:, None]
     return np.concatenate([linear, angular])
 
 
 def _across(a: Expr) -> Expr:
-    """Two unit vectors (3, 2) at right angles to a unit vector and to each other.
+    """Two orthonormal vectors (3, 2) perpendicular to a unit vector.
 
     Source: T. Duff and others, Building an Orthonormal Basis, Revisited (2017).
     """
@@ -218,7 +220,7 @@ class Fixed(Joint):
 
 
 class Revolute(Joint):
-    """One turn about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
+    """Rotation about a fixed axis a through the joint's origin: $H = [0; a]$, $T_pc = [Rot(a, q), 0; 0, 1]$, q in rad.
 
     Args:
         name: of the joint.
@@ -243,7 +245,7 @@ class Revolute(Joint):
 
 
 class Prismatic(Joint):
-    """One translation along a fixed axis a: $H = [a; 0]$, $T_pc = [I, q a; 0, 1]$, q in m.
+    """Translation along a fixed axis a: $H = [a; 0]$, $T_pc = [I, q a; 0, 1]$, q in m.
 
     Args:
         name, axis: as for `Revolute`.
@@ -289,7 +291,7 @@ class Helical(Joint):
 
 
 class Cylindrical(Joint):
-    """A slide along a fixed axis a and a turn about it: $H = [a, 0; 0, a]$, q = [way in m, angle in rad].
+    """Translation along a fixed axis a and rotation about it: $H = [a, 0; 0, a]$, q = [distance in m, angle in rad].
 
     Args:
         name, axis: as for `Revolute`.
@@ -309,10 +311,10 @@ class Cylindrical(Joint):
 
 
 class Planar(Joint):
-    """All motions in the parent's plane through the origin with normal z: q = [x, y, angle], in m and rad.
+    """Motion in a plane of the parent, through the origin with normal z: q = [x, y, angle], in m and rad.
 
-    The velocity is [v_x, v_y, w] in the CHILD's axes, so that H is constant there: x' and y' are it, turned by the
-    angle. Mount the joint with z along the normal that is wanted.
+    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: x' and y' are v_x and v_y turned by the
+    angle. Mount the joint with z along the normal of the plane.
 
     Args:
         name: of the joint.
@@ -336,7 +338,7 @@ class Planar(Joint):
 
 
 class Spherical(Joint):
-    """All turns about the joint's origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
+    """A ball joint, rotation about its origin: $H = [0; I]$, $T_pc = [R, 0; 0, 1]$.
 
     The position is R (3, 3) on SO(3), the velocity the body rate w (3,) in rad/s, $R' = R [w]x$.
 
@@ -360,7 +362,7 @@ class Spherical(Joint):
 
 
 class Free(Joint):
-    """All motions: $H = I$, T_pc is the position itself, on SE(3); the velocity is the body twist [v; w] (6,).
+    """A joint with six freedoms: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w] (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 

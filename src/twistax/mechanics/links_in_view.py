@@ -1,4 +1,4 @@
-"""What the links of a mechanism look like, and where they are along a motion."""
+"""The shapes of a mechanism's links and their poses along a motion, for the view."""
 
 from __future__ import annotations
 
@@ -36,14 +36,14 @@ def links_in_view(mechanism: Mechanism, xs: Mapping[str, Any], params: Mapping[s
         if value is None:
             raise InputError(f"show: the mechanism has the state {name!r}, this motion has: {listed(xs, name)}")
     count = len(next(iter(xs.values())))
-    own = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves_of(*frames.values()))}
+    used_params = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves_of(*frames.values()))}
     function = lower(frames)
-    found = jax.jit(jax.vmap(lambda x: function(0.0, x, params=own), axis_size=count))(
+    poses_at_times = jax.jit(jax.vmap(lambda x: function(0.0, x, params=used_params), axis_size=count))(
         {name: np.asarray(value) for name, value in x.items()}
     )
     shapes = {link.name: tuple(link.shapes) or _of_inertia(link, params) for link in mechanism.links}
     shapes[mechanism.base] = mechanism.shapes
-    return [Body(n, np.asarray(found[n]), shapes.get(n, ()), axes=False, trail=False) for n in frames]
+    return [Body(n, np.asarray(poses_at_times[n]), shapes.get(n, ()), axes=False, trail=False) for n in frames]
 
 
 def _of_inertia(link: Link, params: Mapping[str, Any]) -> tuple[Shape, ...]:
@@ -54,7 +54,7 @@ def _of_inertia(link: Link, params: Mapping[str, Any]) -> tuple[Shape, ...]:
     leaves = leaves_of(*parts)
     if any(isinstance(leaf, State) for leaf in leaves):
         return ()
-    own = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves)}
-    found: list[Array] = [np.asarray(value, dtype=np.float64) for value in lower(parts)(0.0, {}, params=own)]
-    mass, center, inertia = found
+    used_params = {n: p for n, p in params.items() if any(leaf.name == n for leaf in leaves)}
+    values: list[Array] = [np.asarray(value, dtype=np.float64) for value in lower(parts)(0.0, {}, params=used_params)]
+    mass, center, inertia = values
     return (Ellipsoid.of_inertia(float(mass), center, inertia),) if inertia.any() and mass > 0.0 else ()

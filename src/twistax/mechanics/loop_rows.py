@@ -48,12 +48,12 @@ _AT_ONCE = 12
 
 
 def solved(A: Expr, b: Expr) -> Expr:
-    """A^-1 b of a positive definite matrix: small ones entry by entry, large ones by LAPACK, which compiles at once."""
+    """A^-1 b for a positive definite A: small ones as scalars, large ones by LAPACK, which compiles faster."""
     return SolvePositive(A, b) if A.shape[0] <= _SMALL else Solve(A, b)
 
 
 class LoopRows:
-    """The rows G (m, n) of all closures of a mechanism in one posture."""
+    """The closure rows G (m, n) of a mechanism at one configuration."""
 
     def __init__(self, mechanism: Mechanism, G: Expr) -> None:
         self.G, self._metric = G, mechanism.loop_metric
@@ -65,32 +65,32 @@ class LoopRows:
 
     @functools.cached_property
     def scaled(self) -> Expr:
-        """G_s (m, n)."""
+        """The scaled rows G_s (m, n)."""
         return Constant(self.measures[:, None]) * self.G * (1.0 / self.speeds)
 
     @functools.cached_property
     def gram(self) -> Expr:
-        """G_s G_s' (m, m)."""
+        """The Gram matrix G_s G_s' (m, m)."""
         return mirrored(self.scaled @ self.scaled.T)
 
     @functools.cached_property
     def independent(self) -> Expr:
-        """Which rows are chosen, and the distances of all, (2, m)."""
+        """Which rows are selected, and the distances of all rows, (2, m)."""
         blocks = () if len(self.measures) <= _AT_ONCE else self._blocks
         return IndependentRows(self.gram, float(self._metric.tolerance), blocks, UNIT)
 
     @property
     def chosen(self) -> Expr:
-        """1 for rows that are chosen, 0 for others (m,)."""
+        """(m,) 1 for selected rows, 0 for others."""
         return self.independent[0]
 
     def solve(self, A: Expr, r: Expr) -> Expr:
-        """The x, zero but for rows that are chosen, for which A x = r holds in these: A (m, m), r (m,) or (m, k)."""
+        """The solution x of A x = r within the selected rows, zero elsewhere: A (m, m), r (m,) or (m, k)."""
         wanted = self.chosen * r if len(r.shape) == 1 else self.chosen[:, None] * r
         return solved(self._of_chosen(A), wanted)
 
     def shortest(self, mu: Expr) -> Expr:
-        """lambda (m,) of multipliers mu (m,) of rows that are chosen."""
+        """The smallest lambda (m,) equivalent to multipliers mu (m,) of the selected rows."""
         if len(self.measures) == 1:
             return mu
         X = solved(self._of_chosen(self.gram), self.chosen[:, None] * self.gram) * self._felt
@@ -98,33 +98,35 @@ class LoopRows:
 
     @property
     def _felt(self) -> Expr:
-        """1 for rows that are chosen or long, 0 for what is shorter than the tolerance, and smooth between (m,)."""
+        """(m,) weights of the rows: 1 for selected or long rows, 0 for rows shorter than the tolerance, smooth in
+        between.
+        """
         m = len(self.measures)
         squares = Concat(*(self.gram[i, i] for i in range(m)))
         least = (self._metric.tolerance**2) * (UNIT**2 + Sum(squares))
         return self.chosen + (1.0 - self.chosen) * squares / (squares + least)
 
     def _of_chosen(self, A: Expr) -> Expr:
-        """A (m, m) with rows and columns of the identity where rows are left out."""
+        """A (m, m) with rows and columns of the identity in place of those that are not selected."""
         k = self.chosen
         return Outer(k, k) * A + (1.0 - k) * np.eye(A.shape[0])
 
 
 def characteristic_length(mechanism: Mechanism) -> float:
-    """l of the metric, m; of the mechanism unless it is given. Parameters have their values there."""
+    """The length l of the metric, m, by default from the mechanism with its parameter values."""
     if mechanism.loop_metric.length is not None:
         return float(mechanism.loop_metric.length)
     places = [numbers(link.mount[:3, 3]) for link in mechanism.links]
     on_base = [link.parent in (None, mechanism.base) for link in mechanism.links]
     # Where the mechanism stands is not its size: places on the base are seen from the first of them.
     origin = places[on_base.index(True)]
-    apart = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
-    apart = [length for length in apart if length > 0.0]
-    return float(np.mean(apart)) if apart else 1.0
+    distances = [float(np.linalg.norm(place - origin * at)) for place, at in zip(places, on_base, strict=True)]
+    distances = [length for length in distances if length > 0.0]
+    return float(np.mean(distances)) if distances else 1.0
 
 
 def numbers(expr: Expr) -> np.ndarray:
-    """The value of an expression where parameters have their values, or one, and states are drawn at random."""
+    """The value of an expression at random states and the values of the parameters, or one."""
     if isinstance(expr, Constant):
         return expr.value
     rng, x, params = np.random.default_rng(0), dict[str, Any](), dict[str, Any]()
@@ -135,8 +137,8 @@ def numbers(expr: Expr) -> np.ndarray:
             params[leaf.name] = jnp.asarray(np.ones(leaf.shape) if leaf.value is None else leaf.value)
     inputs = Inputs(jnp.zeros(()), x, {}, params, jnp.zeros(()).dtype)
     with jax.ensure_compile_time_eval():
-        (found,) = evaluate_all([expr], lambda leaf: leaf.read(inputs))
-    return np.asarray(found, np.float64)
+        (value,) = evaluate_all([expr], lambda leaf: leaf.read(inputs))
+    return np.asarray(value, np.float64)
 
 
 def _lengths(wrenches: np.ndarray, length: float) -> np.ndarray:

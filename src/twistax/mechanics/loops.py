@@ -31,20 +31,19 @@ __all__ = ["Axis", "Loop", "Metric", "Point", "Pose"]
 
 @dataclasses.dataclass(frozen=True)
 class Metric:
-    """How rows of closures are compared with one another: which of them say what others say already.
+    """The norm in which closure rows and constraint wrenches are compared, to find redundant closures.
 
-    With a length l a rotation counts as l times its angle, a slide as its way, and a moment tau as a force tau / l. In
-    that measure, of lengths alone, rows of closures are independent that stand off the others by more than `tolerance`
-    times the longest, or times one, a row of a joint that moves alone, where all are shorter. What others say twice has
-    no part in the motion. The wrenches of closures are the shortest that
-    give it: the least sum of $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter: a link may be as light as it
-    likes.
+    A length l makes units equal: a rotation counts as l times its angle, a translation as its distance, and a moment
+    tau as a force tau / l. A closure row is independent if its distance from the span of the others exceeds `tolerance`
+    times the longest row; the longest row counts as at least one, the row of a joint that moves alone. Redundant rows
+    do not change the motion. Constraint wrenches are the smallest that give the motion: the least sum of
+    $|f|^2 + |tau / l|^2$ over all closures. Masses do not enter, so links may be arbitrarily light.
 
     Attributes:
-        length: l (), m; None: the mean distance of the joints of the mechanism from those before, of joints on the base
-            from the first of these. For closures of mechanisms that are much smaller, give their size.
-        tolerance: (), between 0 and 1. Angles to which the axes of a model are rounded lie below it. In single
-            precision it is 2e-3 at least.
+        length: l (), m; None for the mean distance between successive joints (for joints on the base, from the first of
+            them). Set it for closures of mechanisms that are much smaller than that.
+        tolerance: (), between 0 and 1. Choose it above the rounding of the angles of the model's axes. In single
+            precision it is at least 2e-3.
     Raises: ModelError for a length that is not positive, or a tolerance out of its range.
     """
 
@@ -58,12 +57,12 @@ class Metric:
 
 
 class Loop(ABC):
-    """A bearing between two frames of a mechanism, each known by the name of a link or a joint, or the base's.
+    """A loop closure: a bearing between two frames of a mechanism, beyond its tree.
 
     Args:
         name: of the closure, unique within the mechanism.
-        frame, other: names of the two frames. Put frames where they are wanted by links on `Fixed` joints.
-        wrenches: W (6, m), what it carries, in the axes of `other`.
+        frame, other: names of the two frames: of a link, a joint, or the base. Add frames by links on `Fixed` joints.
+        wrenches: W (6, m), a basis of the constraint wrenches, in the axes of `other`.
     Raises: ModelError for no name, or one frame twice.
     """
 
@@ -81,16 +80,16 @@ class Loop(ABC):
 
     @property
     def rows(self) -> int:
-        """m."""
+        """The number m of its closure rows."""
         return self.constraint_basis.shape[1]
 
     @abstractmethod
     def gap(self, T: Expr) -> Expr:
-        """How far the loop is from closed (m,), m and rad."""
+        """The closure residual (m,), m and rad."""
 
 
 class Point(Loop):
-    """The origins of two frames stay together, a ball-and-socket: the gap is R'p (3,), m.
+    """A ball-and-socket between two frames: their origins coincide. The closure residual is $R^T p$ (3,), m.
 
     Args:
         name, frame, other: as for `Loop`.
@@ -105,9 +104,9 @@ class Point(Loop):
 
 
 class Axis(Loop):
-    """The origins stay together and an axis of one frame along that of the other, a hinge.
+    """A hinge between two frames: their origins coincide, and an axis of one is parallel to that of the other.
 
-    With U (3, 2) two directions across the axis a, the gap is $[R^T p; U^T (R^T a x a)]$ (5,).
+    With U (3, 2) two directions perpendicular to the axis a, the closure residual is $[R^T p; U^T (R^T a x a)]$ (5,).
 
     Args:
         name, frame, other: as for `Loop`.
@@ -129,7 +128,7 @@ class Axis(Loop):
 
 
 class Pose(Loop):
-    """Two frames stay together, a weld: the gap is [R'p; Log R] (6,).
+    """A weld between two frames: they coincide. The closure residual is $[R^T p; Log R]$ (6,).
 
     Args:
         name, frame, other: as for `Loop`.
@@ -144,7 +143,7 @@ class Pose(Loop):
 
 
 def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]) -> None:
-    """Raise ModelError for loops of a mechanism that are none, or join a body with itself; for two of one name.
+    """Raise ModelError for something that is no loop, for a loop that joins a body with itself, or for two of one name.
 
     Args:
         segment: the number of the segment that a frame is fixed to.

@@ -1,4 +1,4 @@
-"""Mechanisms: a tree of links on a base, its coordinates and its frames, and where all of them are."""
+"""Mechanisms: a tree of links on a base, its coordinates, its frames and their kinematics."""
 
 from __future__ import annotations
 
@@ -108,14 +108,14 @@ class Mechanism:
 
     @functools.cached_property
     def redundant_closures(self) -> int:
-        """How many of the things that the loops say follow from others, in whatever posture. Looked at in one."""
+        """The number of closure rows that follow from others at a random configuration."""
         from .closed_loops import redundant_rows
 
         return redundant_rows(self) if self.loops else 0
 
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
-        """What else there is to say about the model."""
+        """Remarks on the model, for example what a file has that is not used."""
         if not self.redundant_closures:
             return self._notes
         rows = sum(loop.rows for loop in self.loops)
@@ -151,19 +151,19 @@ class Mechanism:
         """
         for name in changes.keys() - {"links", *self._given}:
             known = ["drives", "links", *self._given]
-            raise ModelError(f"Mechanism.replace knows no {name!r}; it knows: {listed(known, name)}")
+            raise ModelError(f"Mechanism.replace has no argument {name!r}; it takes: {listed(known, name)}")
         if drives and "links" in changes:  # they go into the new ones
             return self.replace(**changes).replace(drives=drives)
         joints = {link.joint.name: link for link in self.links}
         for name, drive in (drives or {}).items():
             if name not in joints:
-                raise ModelError(f"Mechanism.replace knows no joint {name!r}; it knows: {listed(joints, name)}")
+                raise ModelError(f"Mechanism.replace: there is no joint {name!r}; there are: {listed(joints, name)}")
             joints[name] = dataclasses.replace(joints[name], drive=drive)
         return Mechanism(**{"links": joints.values(), **self._given, **changes})
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:
-        """The mass of every segment that has one, with all that is fixed to it, by the segment's number."""
+        """The body of every segment that has mass, with all that is fixed to it, by the index of the segment."""
         return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
 
     # ---- coordinates -------------------------------------------------------------------------------------------------
@@ -219,13 +219,13 @@ class Mechanism:
 
     def freedoms(self, joints: Collection[str]) -> list[int]:
         """The entries of the velocities that belong to the joints named, each once. Raises ModelError."""
-        found: list[int] = []
+        entries: list[int] = []
         for name in [joints] if isinstance(joints, str) else joints:
-            found += [i for i in self.segment_of(name).freedoms if i not in found]
-        return found
+            entries += [i for i in self.segment_of(name).freedoms if i not in entries]
+        return entries
 
     def segment_of(self, joint: str) -> Segment:
-        """The segment that a joint carries. Raises ModelError for a name that no joint has, or a merged one."""
+        """The segment that a joint carries. Raises ModelError for an unknown name, or a merged joint."""
         for segment in self.segments:
             if segment.link.joint.name == joint:
                 return segment
@@ -246,30 +246,32 @@ class Mechanism:
             ShapeError: a vector of another length, an element of another shape.
             ModelError: elements of joints on groups that are missing, or others that are not known.
         """
-        given: Any = self.q if q is None else q
-        if not isinstance(given, Mapping):
+        places: Any = self.q if q is None else q
+        if not isinstance(places, Mapping):
             if self._grouped:
                 raise ModelError(
-                    f"{owner} expects q as a mapping, got {short(given)}: positions of {listed(self._grouped)} are on "
+                    f"{owner} expects q as a mapping, got {short(places)}: positions of {listed(self._grouped)} are on "
                     f'groups.\n  fix: {{"q": vector, {next(iter(self._grouped))!r}: element}}'
                 )
-            given = {"q": given}
+            places = {"q": places}
         wanted = {*self._grouped, *(["q"] if self._width else [])}
-        if set(given) != wanted:
-            raise ModelError(f"{owner} expects positions of {listed(sorted(wanted))}, got {listed(given)}")
+        if set(places) != wanted:
+            raise ModelError(f"{owner} expects positions of {listed(sorted(wanted))}, got {listed(places)}")
         hint = "one entry for each coordinate; of a chain one entry for each link, from base to tip"
-        vector = of_shape(owner, "q", given["q"], (self._width,), hint) if self._width else Constant(np.zeros(0))
-        return [self._position(owner, segment, vector, given) for segment in self.segments]
+        vector = of_shape(owner, "q", places["q"], (self._width,), hint) if self._width else Constant(np.zeros(0))
+        return [self._position(owner, segment, vector, places) for segment in self.segments]
 
-    def _position(self, owner: str, segment: Segment, vector: Expr, given: Mapping[str, ExprLike]) -> Expr:
+    def _position(self, owner: str, segment: Segment, vector: Expr, places: Mapping[str, ExprLike]) -> Expr:
         joint, mimic = segment.link.joint, segment.link.mimic
         if joint.group is not None:
-            return of_shape(owner, f"the position of {joint.name!r}", given[joint.name], joint.group.shape)
-        own = vector[segment.coordinates]
-        return own if mimic is None else mimic.ratio * own + mimic.offset
+            return of_shape(owner, f"the position of {joint.name!r}", places[joint.name], joint.group.shape)
+        coordinates = vector[segment.coordinates]
+        return coordinates if mimic is None else mimic.ratio * coordinates + mimic.offset
 
     def along(self, segment: Segment, velocities: Expr) -> Expr:
-        """H qd (6,): the part of the joint of a segment in velocities or accelerations (n,), in the segment's frame."""
+        """H qd (6,): the twist of a segment's joint for velocities (n,), or its part of accelerations, in the segment's
+        frame.
+        """
         H = segment.link.joint.motion_subspace
         if not segment.freedoms:
             return Constant(np.zeros(6))
@@ -295,19 +297,19 @@ class Mechanism:
 
     def poses(self, q: Positions | None = None) -> list[Expr]:
         """T (4, 4) of each segment in the base. Raises ShapeError."""
-        found: list[Expr] = []
+        poses: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):
-            found.append(T if segment.before < 0 else Compose(found[segment.before], T))
-        return found
+            poses.append(T if segment.before < 0 else Compose(poses[segment.before], T))
+        return poses
 
     def twists(self, q: Positions | None = None, qd: ExprLike | None = None) -> list[Expr]:
         """V (6,) of each segment, in its frame: $V_i = Ad_T^-1 V_before + H qd_i$. Raises ShapeError."""
         rates = self.coordinates(f"{type(self).__name__}.twists", "qd", qd)
-        found: list[Expr] = []
+        twists: list[Expr] = []
         for segment, T in zip(self.segments, self.transforms(q), strict=True):
-            own = self.along(segment, rates)
-            found.append(own if segment.before < 0 else AdjointAction(T, found[segment.before], inverse=True) + own)
-        return found
+            V, before = self.along(segment, rates), segment.before
+            twists.append(V if before < 0 else AdjointAction(T, twists[before], inverse=True) + V)
+        return twists
 
     def pose(self, frame: str, q: Positions | None = None, *, relative_to: str | None = None) -> Expr:
         """T (4, 4): maps coordinates of a frame to those of the base, or of another frame. Raises ModelError."""

@@ -15,6 +15,7 @@ from ..expr.transformations.rate import rates_by_name
 from ..system import System
 from .closed_loops import ClosedLoops
 from .dynamics import Wrenches, forward_dynamics
+from .labels import labels_of
 from .mechanism import Mechanism
 from .system_slopes import slopes_of_accelerations
 
@@ -28,7 +29,7 @@ def system_of(
     outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None,
     constraints: Asked | Iterable[Asked] | Mapping[str, Asked],
 ) -> System:
-    """What `Mechanism.system` does."""
+    """Implements `Mechanism.system`."""
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
     further = rates_by_name(rates or {})
@@ -41,8 +42,8 @@ def system_of(
     for segment, place in zip(mechanism.segments, places, strict=True):
         drive, mimic, deflection = segment.link.drive, segment.link.mimic, segment.link.joint.deflection(place)
         for k, i in enumerate(segment.freedoms):
-            own = segment.scaled(mechanism.qd[i])
-            passive = drive.passive(None if deflection is None else deflection[k], own)
+            rate = segment.scaled(mechanism.qd[i])
+            passive = drive.passive(None if deflection is None else deflection[k], rate)
             if passive is not None:
                 tau[i] = tau[i] + segment.scaled(passive)
             if command is not None and mimic is None and i in driven:
@@ -72,11 +73,12 @@ def system_of(
         constraints=constraints,
         corrections=corrections,
         slopes={mechanism.qd: slopes} if slopes else None,
+        labels=labels_of(mechanism, driven if command is not None else []),
     )
 
 
 def _with_rates(mechanism: Mechanism, rates: Mapping[str, Expr]) -> Mechanism:
-    """A copy whose bodies know the rates of states that they depend on."""
+    """A copy whose bodies have the rates of the states that they depend on."""
     links = [
         link if link.body is None else dataclasses.replace(link, body=link.body.with_rates(rates))
         for link in mechanism.links
@@ -88,14 +90,14 @@ def _kinematics(mechanism: Mechanism, places: list[Expr], qd: Expr) -> dict[Any,
     """The rates of all positions at velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")
-    found: dict[Any, Expr] = {}
+    group_rates: dict[Any, Expr] = {}
     rows: list[Expr] = []
     for segment, place in zip(mechanism.segments, places, strict=True):
         if segment.link.mimic is not None or not segment.freedoms:
             continue
-        own = qd[segment.freedoms[0] : segment.freedoms[-1] + 1]
+        joint_rate = qd[segment.freedoms[0] : segment.freedoms[-1] + 1]
         if segment.link.joint.group is None:
-            rows.append(segment.link.joint.rate(place, own))
+            rows.append(segment.link.joint.rate(place, joint_rate))
         else:
-            found[place] = segment.link.joint.rate(place, own)
-    return {vector: Concat(*rows), **found} if rows else found
+            group_rates[place] = segment.link.joint.rate(place, joint_rate)
+    return {vector: Concat(*rows), **group_rates} if rows else group_rates

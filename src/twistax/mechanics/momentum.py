@@ -27,9 +27,10 @@ def _sum(terms: list[Expr], empty: Expr = _NOTHING) -> Expr:
 
 
 def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """The sum of $V.M V / 2$ over all bodies (), J, plus that of rotors and of masses that move in bodies.
+    """The kinetic energy (), J: the sum of $V.M V / 2$ over all bodies, plus that of rotors and of masses that move
+    inside bodies.
 
-    Raises ShapeError; ModelError for masses that move by rates that are not known.
+    Raises ShapeError; ModelError if the rates of moving masses are not known.
     """
     twists = checked("kinetic_energy", mechanism).twists(q, qd)
     terms = [body.kinetic_energy(twists[i]) for i, body in mechanism.bodies.items()]
@@ -37,8 +38,8 @@ def kinetic_energy(mechanism: Mechanism, q: Positions | None = None, qd: ExprLik
     for segment in mechanism.segments:
         rotor = segment.link.drive.rotor
         for i in segment.freedoms if rotor is not None else ():
-            own = segment.scaled(rates[i])
-            terms.append(0.5 * (rotor * own * own))
+            rotor_rate = segment.scaled(rates[i])
+            terms.append(0.5 * (rotor * rotor_rate * rotor_rate))
     return _sum(terms)
 
 
@@ -64,10 +65,10 @@ def spring_energy(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 def total_mass(mechanism: Mechanism) -> Expr:
     """The mass of all bodies that move (), kg. Raises ModelError if no body moves."""
-    found = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
-    if not found:
+    masses = [body.mass for body in checked("total_mass", mechanism).bodies.values()]
+    if not masses:
         raise ModelError("total_mass expects a mechanism with bodies, got rotors only")
-    return _sum(found)
+    return _sum(masses)
 
 
 def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
@@ -81,9 +82,10 @@ def center_of_mass(mechanism: Mechanism, q: Positions | None = None) -> Expr:
 
 
 def spatial_momentum(mechanism: Mechanism, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-    """[p; L] (6,) of all bodies about the BASE's origin, in its axes: the sum of Ad*_T M V. Raises ShapeError.
+    """The momentum [p; L] (6,) of all bodies about the BASE's origin, in the base's axes: the sum of Ad*_T M V. Raises
+    ShapeError.
 
-    Where nothing but gravity acts from outside, L changes by the moment of gravity and p by its force.
+    Without external wrenches other than gravity, L changes by the moment of gravity and p by its force.
     """
     poses, twists = checked("spatial_momentum", mechanism).poses(q), mechanism.twists(q, qd)
     terms: list[Expr] = [CoadjointAction(poses[i], body.momentum(twists[i])) for i, body in mechanism.bodies.items()]
@@ -97,9 +99,9 @@ def centroidal_momentum(mechanism: Mechanism, q: Positions | None = None, qd: Ex
 
 
 def centroidal_matrix(mechanism: Mechanism, q: Positions | None = None) -> Expr:
-    """A (6, n) kg and kg m, with $A qd$ the centroidal momentum; columns $Ad*_T I_c H$, about the centre of mass.
+    """The centroidal momentum matrix A (6, n), kg and kg m: $A qd$ is the centroidal momentum; columns $Ad*_T I_c H$.
 
-    Masses that move in bodies have a further momentum relative to their bodies, which $A qd$ does not contain.
+    Masses that move inside bodies have an additional momentum relative to their bodies, which $A qd$ does not contain.
 
     Raises ShapeError.
     """

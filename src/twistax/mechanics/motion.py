@@ -61,12 +61,12 @@ class Moving:
 
     @property
     def needed(self) -> Expr:
-        """The wrench (6,) that the body takes where its B is zero."""
+        """The wrench (6,) on the body at B = 0."""
         inner = self.segment.inner_motion
         return self.gyroscopic if inner is None else self.gyroscopic + inner.still
 
     def carried(self, B_before: Expr) -> Expr:
-        """The acceleration (6,) of the segment while its joint has none."""
+        """The acceleration (6,) of the segment at zero joint acceleration."""
         return AdjointAction(self.T, B_before + self.centripetal, inverse=True) + self.coriolis
 
 
@@ -81,7 +81,7 @@ def acceleration_of_base(gravity: Expr) -> Expr:
 
 
 def motion(mechanism: Mechanism, positions: list[Expr], qd: Expr) -> list[Moving]:
-    """From base to tips: the angular velocities and what follows from them."""
+    """The outward pass: angular velocities and the terms that follow from them."""
     moving: list[Moving] = []
     for segment, position in zip(mechanism.segments, positions, strict=True):
         T = segment.link.transform(position)

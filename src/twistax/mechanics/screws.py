@@ -23,7 +23,7 @@ from .arguments import of_shape, pose
 
 
 class Subspaces:
-    """Wrenches split by the subspaces of a joint, in one frame."""
+    """Projections of wrenches onto the subspaces of a joint, in one frame."""
 
     motion_subspace: Expr
     actuation_basis: Expr
@@ -49,18 +49,20 @@ class Subspaces:
 
         Raises: ShapeError if F is not of shape (6,).
         """
-        whole = of_shape("reaction of a joint", "the wrench F", F, (6,))
-        return whole - self.actuation_basis @ (self.motion_subspace.T @ whole)
+        wrench = of_shape("reaction of a joint", "the wrench F", F, (6,))
+        return wrench - self.actuation_basis @ (self.motion_subspace.T @ wrench)
 
 
 @dataclasses.dataclass(frozen=True)
 class Screws(Subspaces):
-    """The subspaces of a joint in one frame, and the wrenches split by them. Six-vectors are [v; w] and [f; tau].
+    """Motion and force subspaces of a joint in one frame, and projections of wrenches onto them. Six-vectors are [v; w]
+    and [f; tau].
 
     Attributes:
         motion_subspace: H (6, k); the twist of the child relative to the parent is H @ velocity.
         actuation_basis: h* (6, k), the wrench of a unit actuator on the child; $h*^T H = I$.
-        constraint_basis: H-bar* (6, 6 - k), a basis of what does no work on the joint's motions; $H^T Hbar* = 0$.
+        constraint_basis: H-bar* (6, 6 - k), a basis of the wrenches that do no work on the joint's motions;
+            $H^T Hbar* = 0$.
     """
 
     motion_subspace: Expr

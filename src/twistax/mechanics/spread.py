@@ -22,7 +22,7 @@ from .tree import Segment
 
 
 class Spread(NamedTuple):
-    """How mass is spread about the origin of a frame, and how it moves."""
+    """The mass distribution about the origin of a frame, and its motion."""
 
     mass: Expr  # ()
     moment: Expr  # h (3,)
@@ -32,13 +32,13 @@ class Spread(NamedTuple):
 
     @classmethod
     def of(cls, segment: Segment, T: Expr, V: Expr) -> Spread:
-        """Of a segment's body, T its pose and V its twist in the frame."""
+        """The spread of a segment's body with pose T and twist V in the frame."""
         body, inner = segment.body, segment.inner_motion
         if body is None:
             return cls(*(Constant(np.zeros(shape)) for shape in ((), (3,), (3, 3), (3,), (3, 3))))
-        own = 0.5 * Trace(body.inertia) * np.eye(3) - body.inertia
+        second_about_center = 0.5 * Trace(body.inertia) * np.eye(3) - body.inertia
         R, c = T[:3, :3], Act(T, body.center_of_mass)
-        second, h = R @ own @ R.T + body.mass * Outer(c, c), body.mass * c
+        second, h = R @ second_about_center @ R.T + body.mass * Outer(c, c), body.mass * c
         v, w = linear(V), angular(V)
         turning, p = Dot(h, v) * np.eye(3) - Outer(v, h) - Hat(w) @ second, body.mass * v + Cross(w, h)
         if inner is not None:

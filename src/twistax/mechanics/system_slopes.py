@@ -1,4 +1,4 @@
-"""What a system of a mechanism knows of its derivatives: those of the accelerations, by the recursions."""
+"""Derivatives of the accelerations of a mechanism's system, by the recursions."""
 
 from __future__ import annotations
 
@@ -23,13 +23,13 @@ def slopes_of_accelerations(
     """
     if any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism))):
         return []
-    found = forward_dynamics_derivatives(mechanism, tau=forces, wrenches=wrenches)
+    derivatives = forward_dynamics_derivatives(mechanism, tau=forces, wrenches=wrenches)
     q, vector = mechanism.q, list[Expr]()
     slopes: list[tuple[ExprLike, ExprLike]] = []
     for segment, place in zip(mechanism.segments, mechanism.positions("system", None), strict=True):
         if segment.link.mimic is not None or not segment.freedoms:
             continue
-        columns = found.q[:, segment.freedoms[0] : segment.freedoms[-1] + 1]
+        columns = derivatives.q[:, segment.freedoms[0] : segment.freedoms[-1] + 1]
         if segment.link.joint.group is not None:
             slopes.append((place, columns))
         else:
@@ -37,14 +37,14 @@ def slopes_of_accelerations(
             vector += [columns[:, k] for k in range(segment.link.joint.dofs)]
     if vector:
         slopes.append((q if isinstance(q, State) else q["q"], Stack(*vector).T))
-    slopes += [(mechanism.qd, found.qd), (forces, found.tau)]
+    slopes += [(mechanism.qd, derivatives.qd), (forces, derivatives.tau)]
     for frame, wrench in (wrenches or {}).items():
-        slopes.append((wrench, found.tau @ frame_jacobian(mechanism, frame, axes=BODY).T))
+        slopes.append((wrench, derivatives.tau @ frame_jacobian(mechanism, frame, axes=BODY).T))
     return slopes
 
 
 def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
-    """From columns of velocities to columns of coordinates, whose rates may be another thing."""
+    """From columns of velocities to columns of coordinates, whose rates may differ from the velocities."""
     joint = segment.link.joint
     if type(joint).rate is Joint.rate:
         return columns
@@ -52,13 +52,13 @@ def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
 
 
 def _numbers(mechanism: Mechanism) -> list[Expr]:
-    """All that says how a mechanism is built."""
-    found: list[Expr] = [mechanism.gravity]
+    """All constants of a mechanism: geometry and inertia."""
+    numbers: list[Expr] = [mechanism.gravity]
     for segment in mechanism.segments:
         link, body = segment.link, segment.body
-        found += [link.mount, link.joint.motion_subspace]
-        found += [] if body is None else [body.mass, body.center_of_mass, body.inertia]
+        numbers += [link.mount, link.joint.motion_subspace]
+        numbers += [] if body is None else [body.mass, body.center_of_mass, body.inertia]
         inner = segment.inner_motion
-        found += [] if inner is None else [inner.still, inner.turning]
-        found += [] if link.drive.rotor is None else [link.drive.rotor]
-    return found
+        numbers += [] if inner is None else [inner.still, inner.turning]
+        numbers += [] if link.drive.rotor is None else [link.drive.rotor]
+    return numbers

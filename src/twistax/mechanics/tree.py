@@ -1,4 +1,4 @@
-"""Trees of bodies and joints: links as an engineer writes them, and what the recursions make of them.
+"""Trees of bodies and joints: the links of the user, and the segments of the recursions.
 
 Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 4, for trees; [v; w] here.
 """
@@ -18,7 +18,7 @@ from ..expr import Constant, Expr, canonicalize_all
 from ..expr.lie import Act, Compose, Pose
 from ..expr.lie.elements import parts_of_pose
 from ..view import Shape
-from .arguments import constant, pose, told
+from .arguments import constant, dataclass_repr, pose
 from .bodies import SpatialInertia
 from .drives import Drive
 from .inner_motion import InnerMotion
@@ -27,7 +27,7 @@ from .joints import Joint
 
 @dataclasses.dataclass(frozen=True)
 class Mimic:
-    """A joint that follows another: its position is ratio times that of the other, plus offset.
+    """A joint that follows another joint: its position is ratio times the position of that joint, plus offset.
 
     Attributes:
         joint: the name of the joint that leads.
@@ -48,24 +48,25 @@ class Mimic:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class Link:
-    """A body, the joint that carries it, and where that joint sits. The link's frame is the joint's child frame.
+    """A body, the joint that carries it, and the pose of that joint on the link before. The link's frame is the joint's
+    child frame.
 
-    A link on a `Fixed` joint is merged with the one it sits on; its frame stays known by its name. So a link on a Fixed
-    joint without a body is a frame and nothing else.
+    A link on a `Fixed` joint is merged with the link that it sits on; its frame keeps its name. So a link on a Fixed
+    joint without a body is nothing but a frame.
 
     Attributes:
-        joint: of any kind.
+        joint: a joint of any kind.
         body: mass, centre of mass and inertia in the link's frame; None for a link without mass.
-        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base; numbers, or an
+        mount: T (4, 4) of the joint's parent frame in the frame of the link before, or of the base: numbers, or an
             expression that does not change with the motion.
-        parent: the name of the link before; None for the base. In a `Chain` it is the one before in the list.
-        name: the link's; the joint's unless given.
-        drive: what the joint has beside its geometry: rotor, damping, friction, spring, gear and limits.
-        mimic: the joint it follows, if it does not move on its own.
-        shapes: what it looks like in its frame, for `solution.show`; the ellipsoid of its inertia unless given.
+        parent: the name of the link before; None for the base. In a `Chain` it is the link before in the list.
+        name: of the link; the name of the joint by default.
+        drive: rotor, damping, friction, spring, gear and limits of the joint.
+        mimic: the joint that this one follows, or None.
+        shapes: what `solution.show` draws for the link; by default the ellipsoid of its inertia.
     Raises:
-        ModelError: something else as joint, body, drive or mimic; a mount made of numbers and no pose, or one that
-            depends on time, states or controls; a follower with a position on a group.
+        ModelError: something else as joint, body, drive or mimic; a mount made of numbers that is not a pose, or one
+            that depends on time, states or controls; a follower with a position on a group.
         ShapeError: mount is not of shape (4, 4).
     """
 
@@ -101,21 +102,21 @@ class Link:
         return Pose(Compose(R, turn), Act(self.mount, shift))
 
     def __repr__(self) -> str:
-        return told(self)
+        return dataclass_repr(self)
 
 
 def shapes_of(owner: str, shapes: Any) -> tuple[Shape, ...]:
     """Shapes, or one, as a tuple. Raises ModelError for something else."""
-    found = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
-    wrong = [shape for shape in found if not isinstance(shape, Shape)]
+    sequence = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    wrong = [shape for shape in sequence if not isinstance(shape, Shape)]
     if wrong:
         raise ModelError(f"{owner} expects shapes, such as tx.view.Sphere(0.1), got {wrong[0]!r}")
-    return found
+    return sequence
 
 
 @dataclasses.dataclass(frozen=True)
 class Segment:
-    """A link with all that is fixed to it, as the recursions see it.
+    """A link with all that is fixed to it, one node of the recursions.
 
     Attributes:
         link: its mount is in the segment before.
@@ -133,23 +134,23 @@ class Segment:
 
     @property
     def ratio(self) -> float:
-        """Of a follower that to its leader, else 1."""
+        """The ratio of a follower to its leader, else 1."""
         return 1.0 if self.link.mimic is None else self.link.mimic.ratio
 
     @functools.cached_property
     def inner_motion(self) -> InnerMotion | None:
-        """What masses that move in the body do to it; None where nothing moves. Raises ModelError for unknown rates."""
+        """The effect of masses that move inside the body; None if nothing moves. Raises ModelError."""
         return None if self.body is None else self.body.inner_motion
 
     @property
     def moves_by_motor(self) -> bool:
-        """Whether its joint has a motor where nobody says which have: it is passive on a spring without an effort."""
+        """Whether its joint has a motor by default: it is passive if it has a spring and no effort."""
         drive, joint = self.link.drive, self.link.joint
         passive = drive.sprung and drive.effort is None
         return joint.dofs < 6 and self.link.mimic is None and not passive
 
     def scaled(self, value: Expr) -> Expr:
-        """The value times the ratio; of what moves by itself the value as it is."""
+        """The value times the ratio of a follower; the value itself for other joints."""
         return value if self.link.mimic is None else self.ratio * value
 
 
@@ -162,7 +163,7 @@ class Frame:
 
 
 def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
-    """The links, every one after the one it sits on; branches one after the other.
+    """The links, every one after its parent, branch by branch.
 
     Raises: ModelError for no links; something else among them; two of one name; a parent that is not there; a circle.
     """
@@ -205,7 +206,7 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
 def segments_of(
     links: tuple[Link, ...], keep: Collection[str], base: str
 ) -> tuple[tuple[Segment, ...], dict[str, Frame]]:
-    """The links that move, with those merged that do not, and the frame of every link.
+    """The segments of moving links, with fixed links merged, and the frame of every link.
 
     Raises: ModelError for a follower of something that does not move by itself with one freedom.
     """
@@ -241,7 +242,7 @@ def _folded(T: Expr) -> Expr:
 
 
 def _numbered(links: list[Link]) -> tuple[Mapping[str, tuple[int, ...]], Mapping[str, slice | None]]:
-    """Which entries of the velocity and of the position vector belong to each joint."""
+    """The entries of the velocity vector and of the position vector that belong to each joint."""
     freedoms: dict[str, tuple[int, ...]] = {}
     coordinates: dict[str, slice | None] = {}
     free, coordinate = 0, 0

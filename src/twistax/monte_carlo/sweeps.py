@@ -28,12 +28,14 @@ __all__ = ["Statistics", "Sweep", "sweep"]
 
 @dataclasses.dataclass(frozen=True)
 class Statistics:
-    """Moments and ends of each result over the members that did not fail, shaped as one member's results.
+    """Mean, standard deviation and extremes of each result over all members that did not fail.
+
+    Every array has the shape and the unit of the result of one member.
 
     Attributes:
-        count: how many members there are.
-        mean, std: the mean, and the standard deviation of the sample (n - 1).
-        least, most: the ends.
+        count: number of members that did not fail.
+        mean, std: the mean, and the sample standard deviation (divisor n - 1).
+        least, most: the smallest and the largest value.
     """
 
     count: int
@@ -96,7 +98,7 @@ class Sweep:
             raise InputError(f"percentiles expects numbers from 0 to 100, got {percent}")
         good = ended_well(self.codes)
         if not good.any():
-            raise InputError(f"percentiles has nothing to look at: all {self.count} members failed, see Sweep.failed")
+            raise InputError(f"percentiles expects members that did not fail; all {self.count} did, see Sweep.failed")
 
         def column(place: int) -> NDArray[Any]:
             return np.concatenate([self._chunks.read(k)[place] for k in range(self._plan.chunks)])[good].astype(float)
@@ -164,19 +166,19 @@ def sweep(
     instance("sweep: progress", progress, (bool, type(None)), "True, False or None", InputError)
     folder = None if directory is None else path_of("sweep", directory)
     chunks = Chunks(folder, plan.setup(), plan.chunks, plan.shapes_of, plan.compute)
-    shown = (sys.stderr.isatty() if progress is None else progress) and jax.process_index() == 0
-    line = Progress("sweep") if shown else None
+    first = jax.process_index() == 0
+    shown = sys.stderr.isatty() if progress is None else progress
+    line = Progress("sweep", shown=first and shown)
+    line.note("compiling and running the first chunk")
     of_process = range(jax.process_index(), plan.chunks, jax.process_count())
     missing = [k for k in of_process if k not in chunks]
     before = len(of_process) - len(missing)
-    for done, k in enumerate(missing, before + 1):
-        chunks.keep(k, plan.compute(k))
-        if line is not None:
+    with line:
+        for done, k in enumerate(missing, before + 1):
+            chunks.keep(k, plan.compute(k))
             line.done(done / len(of_process), f"{plan.count} members", before / len(of_process))
-    while not all(k in chunks for k in range(plan.chunks)):  # of other processes
-        time.sleep(0.05)
-    if line is not None:
-        line.close()
+        while not all(k in chunks for k in range(plan.chunks)):  # of other processes
+            time.sleep(0.05)
     return Sweep(plan, chunks)
 
 

@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 @weakly_kept
 class Written(Differentiable):
-    """A function of arrays, as JAX has it. Its derivatives are JAX's own.
+    """A function of arrays that JAX runs, with JAX's derivatives.
 
     Args:
         program: the function, of plain arrays.
@@ -49,44 +49,44 @@ class Written(Differentiable):
         return None
 
     def made(self, program: ClosedJaxpr) -> Written:
-        """Another function, which runs as this one does."""
+        """Another function that runs in the same way."""
         return Written(program)
 
     def _tangent(self, active: tuple[int, ...]) -> Written:
-        def tangent(given: list[Any], moved: list[Any]) -> list[Any]:
-            return list(jax.jvp(self._of(active, given), [given[k] for k in active], moved)[1])
+        def tangent(arguments: list[Any], tangents: list[Any]) -> list[Any]:
+            return list(jax.jvp(self._of(active, arguments), [arguments[k] for k in active], tangents)[1])
 
         return self._derivative(tangent, [self.program.jaxpr.invars[k].aval for k in active])
 
     def _cotangent(self, active: tuple[int, ...]) -> Written:
-        def cotangent(given: list[Any], back: list[Any]) -> list[Any]:
-            return list(jax.vjp(self._of(active, given), *(given[k] for k in active))[1](back))
+        def cotangent(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
+            return list(jax.vjp(self._of(active, arguments), *(arguments[k] for k in active))[1](cotangents))
 
         return self._derivative(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
 
     def transposed(self, linear: tuple[int, ...]) -> Written:
-        def back(given: list[Any], cotangents: list[Any]) -> list[Any]:
-            shapes = [jax.ShapeDtypeStruct(given[k].shape, given[k].dtype) for k in linear]
-            return list(jax.linear_transpose(self._of(linear, given), *shapes)(cotangents))
+        def back(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
+            shapes = [jax.ShapeDtypeStruct(arguments[k].shape, arguments[k].dtype) for k in linear]
+            return list(jax.linear_transpose(self._of(linear, arguments), *shapes)(cotangents))
 
         return self._derivative(back, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
 
-    def _of(self, active: tuple[int, ...], given: Sequence[Any]) -> Callable[..., list[jax.Array]]:
+    def _of(self, active: tuple[int, ...], arguments: Sequence[Any]) -> Callable[..., list[jax.Array]]:
         """The real results as a function of some of the arguments."""
 
-        def function(*own: jax.Array) -> list[jax.Array]:
-            values = list(given)
-            for k, value in zip(active, own, strict=True):
-                values[k] = value
-            found = self.function(*values)
-            return [found[k] for k in self.real]
+        def function(*given_values: jax.Array) -> list[jax.Array]:
+            merged = list(arguments)
+            for k, value in zip(active, given_values, strict=True):
+                merged[k] = value
+            results = self.function(*merged)
+            return [results[k] for k in self.real]
 
         return function
 
     def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Written:
-        own: list[Any] = [v.aval for v in self.program.jaxpr.invars]
-        count = len(own)
-        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*own, *more]]
+        avals: list[Any] = [v.aval for v in self.program.jaxpr.invars]
+        count = len(avals)
+        shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*avals, *more]]
         with of_one_device():
             closed = jax.make_jaxpr(lambda *values: derivative(list(values[:count]), list(values[count:])))(*shapes)
         return self.made(closed)
@@ -122,5 +122,5 @@ def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
         closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
     if closed.effects:
         return function(*arguments)
-    found: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
-    return found
+    result: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
+    return result

@@ -1,4 +1,6 @@
-"""What runs the functions of a system: JAX, as arrays, or XLA, as scalars; `native/backend.py` has machine code."""
+"""Backends, which run the functions of a system: JAX on arrays, XLA on scalars; `targets/llvm/backend.py` has machine
+code.
+"""
 
 from __future__ import annotations
 
@@ -44,7 +46,7 @@ ANY_SIZE = 10**9
 
 @dataclasses.dataclass(frozen=True)
 class Emission:
-    """A function and how it came about."""
+    """A function, and the reason why it runs as it does."""
 
     function: Callable[..., list[jax.Array]]  # pure and traceable
     program: ScalarProgram | None  # that it runs; None where it runs as arrays
@@ -52,13 +54,13 @@ class Emission:
 
 
 class Backend(ABC):
-    """Turns a function of arrays into the one that runs. A value: equal where it does the same."""
+    """Turns a function of arrays into the function that runs. A value: equal if it does the same."""
 
     #: Operations on scalars from which on a call runs as a kernel; None: never.
     least: int | None = None
 
     def __str__(self) -> str:
-        """Its name, and the options that are not the usual ones."""
+        """Its name, and the options that differ from the defaults."""
         options: tuple[dataclasses.Field[Any], ...] = dataclasses.fields(self) if dataclasses.is_dataclass(self) else ()
         changed = [f"{f.name}={getattr(self, f.name)}" for f in options if getattr(self, f.name) != f.default]
         return type(self).__name__ + (f"({', '.join(changed)})" if changed else "")
@@ -72,11 +74,11 @@ class Backend(ABC):
         """
 
     def derived(self, program: ScalarProgram) -> Derived:
-        """A program with its derivatives, to be called."""
+        """A program with its derivatives, for `call_program`."""
         return Derived(program)
 
     def in_loops(self) -> Backend:
-        """The backend of functions that an integrator puts into its loop."""
+        """The backend for functions inside the loop of an integrator."""
         return self
 
     def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
@@ -90,7 +92,7 @@ class Backend(ABC):
         return None
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
-        """A step of arrays to arrays as one program, to be differentiated in a loop; None: it runs as it is."""
+        """A step as one program, to be differentiated in a loop; None: it runs as it is."""
         return None
 
     def beside(self, function: Step, shapes: Shapes) -> Derived | None:
@@ -109,7 +111,7 @@ class Backend(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
-    """As written, in small arrays, by JAX."""
+    """Runs every function as it is written, as operations of JAX on small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(as_arrays(closed), None, "arrays, as written")
@@ -117,18 +119,19 @@ class JAX(Backend):
 
 @dataclasses.dataclass(frozen=True)
 class XLA(Backend):
-    """Scalars without structural zeros and ones, compiled by XLA, where a function is large enough to gain by it.
+    """Runs functions as scalars without structural zeros and ones, compiled by XLA, if the function is large enough to
+    gain by it.
 
-    By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; numbers are folded; x / d, y / d
-    share 1 / d. What has no scalar form is called as it is.
+    By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; constants are folded; x / d and y / d
+    share 1 / d. Functions without a scalar form are called as they are.
 
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
-        least: functions of fewer scalar operations, not counting what parameters alone determine, run as arrays: in
-            them XLA finds as much by itself.
-        largest: functions of more scalars run as arrays: the compiler would take long.
-        widest: functions with an array of more entries run as arrays: the processor's vectors do as well with it. Of
-            arrays between arguments and results that is so where they are not mostly zeros.
+        least: functions with fewer scalar operations, not counting those on parameters alone, run as arrays, where XLA
+            finds the same savings itself.
+        largest: functions with more scalars run as arrays, because they would take long to compile.
+        widest: functions with an array of more entries run as arrays, which use the processor's vectors as well. For
+            intermediate arrays this holds unless they are mostly zeros.
 
     Raises:
         ModelError: least, largest or widest is no whole number from 0 on.
@@ -200,14 +203,14 @@ class XLA(Backend):
 
 
 def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
-    """The backend that a user asked for, `auto` for "auto".
+    """The backend of a user's argument; `auto` for "auto".
 
     Raises:
         ModelError: it is not a backend.
     """
-    found = auto if isinstance(backend, str) and backend == "auto" else backend
-    instance("backend", found, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
-    return found
+    choice = auto if isinstance(backend, str) and backend == "auto" else backend
+    instance("backend", choice, Backend, '"auto", tx.XLA(), tx.Native() or tx.JAX()', ModelError)
+    return choice
 
 
 def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
@@ -229,23 +232,25 @@ def _steady(jaxpr: Jaxpr) -> bool:
 
 
 def array_operations(jaxpr: Any) -> Counter[str]:
-    """Operations by name, all entries of arrays and all iterations of loops counted; factorisations by their cube."""
-    found: Counter[str] = Counter()
+    """Operations by name, with all entries of arrays and all iterations of loops; factorisations count by the cube of
+    their size.
+    """
+    counts: Counter[str] = Counter()
     for eqn in jaxpr.eqns:
         entry = entry_of(eqn)
         inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
-        for each in inner:
-            for kind, count in array_operations(each.jaxpr).items():
-                found[kind] += count * (entry.repeats(eqn) if entry else 1)
+        for body in inner:
+            for kind, count in array_operations(body.jaxpr).items():
+                counts[kind] += count * (entry.repeats(eqn) if entry else 1)
         if entry is not None:
-            found.update(entry.operations(eqn))
+            counts.update(entry.operations(eqn))
         elif not inner:
-            found[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
-    return +found
+            counts[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
+    return +counts
 
 
 def _variables(jaxpr: Jaxpr) -> list[Any]:
-    """All that comes in, and all that is computed, also inside of calls and loops."""
+    """All inputs and computed variables, also inside calls and loops."""
     return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
 
 

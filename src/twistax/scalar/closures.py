@@ -1,4 +1,4 @@
-"""The traced values that a function closes over: found, and for a while replaced by others."""
+"""The traced values that a function closes over: collected, and replaced for a while."""
 
 from __future__ import annotations
 
@@ -22,20 +22,21 @@ def closed_over(function: Callable[..., Any]) -> list[Any]:
 
     Also those within pytrees, and within functions, that stand there. Attributes of other objects are not looked at.
     """
-    found: dict[int, Any] = {}
-    with replaced(function, lambda value: found.setdefault(id(value), value)):
-        return list(found.values())
+    traced: dict[int, Any] = {}
+    with replaced(function, lambda value: traced.setdefault(id(value), value)):
+        return list(traced.values())
 
 
 @contextlib.contextmanager
 def replaced(function: Callable[..., Any], by: Callable[[Any], Any]) -> Iterator[Callable[..., Any]]:
-    """The function with `by(value)` for each of these values, as long as this lasts: for one thread at a time."""
+    """The function with `by(value)` in place of each traced value, within a context: for one thread at a time."""
     with _LOCK, contextlib.ExitStack() as after:
         yield _changed(function, by, set(), after)
 
 
 def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contextlib.ExitStack) -> Any:
-    """A value with others in place of traced ones; itself where it holds none, and functions, whose variables change.
+    """A value with traced values replaced; the value itself if there are none, and for functions, whose variables
+    change.
 
     Args:
         seen: functions that were met: they may hold one another.
@@ -57,12 +58,12 @@ def _changed(value: Any, by: Callable[[Any], Any], seen: set[int], after: contex
         owner = inner(value.__self__)
         return value if owner is value.__self__ else types.MethodType(value.__func__, owner)
     if isinstance(value, functools.partial) and not isinstance(value, jax.tree_util.Partial):  # which is a pytree
-        held = (value.func, value.args, value.keywords)
-        new = inner(held)
-        return value if new is held else type(value)(new[0], *new[1], **new[2])
+        parts = (value.func, value.args, value.keywords)
+        new = inner(parts)
+        return value if new is parts else type(value)(new[0], *new[1], **new[2])
     leaves, structure = jax.tree.flatten(value)
     if leaves and leaves[0] is value:
         return by(value) if is_traced(value) else value
-    own = list(map(inner, leaves))
-    same = all(a is b for a, b in zip(leaves, own, strict=True))
-    return value if same else jax.tree.unflatten(structure, own)
+    changed = list(map(inner, leaves))
+    same = all(a is b for a, b in zip(leaves, changed, strict=True))
+    return value if same else jax.tree.unflatten(structure, changed)

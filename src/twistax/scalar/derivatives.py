@@ -25,7 +25,7 @@ Made = TypeVar("Made")
 def _alone(
     derivative: Callable[Concatenate[ScalarProgram, Own], Made],
 ) -> Callable[Concatenate[ScalarProgram, Own], Made]:
-    """What adds to the graph of a program, by one thread at a time."""
+    """A context in which one thread at a time adds to the graph of a program."""
 
     @functools.wraps(derivative)
     def locked(program: ScalarProgram, *args: Own.args, **kwargs: Own.kwargs) -> Made:
@@ -56,9 +56,9 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
     for k in active:
         inputs.append(_new_inputs(g, len(inputs), program.inputs[k]))
         seeds |= {node: {0: tangent} for node, tangent in zip(flat(program.inputs[k]), flat(inputs[-1]), strict=True)}
-    found = {node: row[0] for node, row in _carried(program, seeds).items()}
+    tangents = {node: row[0] for node, row in _carried(program, seeds).items()}
     outputs = tuple(
-        _gathered(g, found, own) for own, dtype in zip(program.outputs, program.types, strict=True) if is_real(dtype)
+        _gathered(g, tangents, a) for a, dtype in zip(program.outputs, program.types, strict=True) if is_real(dtype)
     )
     return ScalarProgram(g, tuple(inputs), outputs, tuple(filter(is_real, program.types)))
 
@@ -66,41 +66,44 @@ def tangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProg
 @_alone
 def cotangent_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
     """The transpose: (arguments, cotangents of the floating-point results) -> cotangents of the arguments `active`."""
-    g, found = program.graph, Cotangents(program.graph)
+    g, cotangents = program.graph, Cotangents(program.graph)
     inputs, weights = _with_cotangents(program)
     for i, c in zip(program.flat, weights, strict=True):
-        found.add(i, Cotangent(c, g.one))
-    _pull(g, program.live, found, program.depending(active))
-    return _by_arguments(program, inputs, found, active)
+        cotangents.add(i, Cotangent(c, g.one))
+    _pull(g, program.live, cotangents, program.depending(active))
+    return _by_arguments(program, inputs, cotangents, active)
 
 
 @_alone
 def contracted_program(program: ScalarProgram, active: Sequence[int]) -> ScalarProgram:
-    """What `cotangent_program` is, by way of all derivatives: for few arguments, or what has no reverse derivative."""
-    g, found = program.graph, Cotangents(program.graph)
+    """The result of `cotangent_program` by way of all derivatives: for few arguments, or functions without reverse
+    derivative.
+    """
+    g, cotangents = program.graph, Cotangents(program.graph)
     inputs, weights = _with_cotangents(program)
     columns = flat(*(program.inputs[k] for k in active))
     for (place, column), entry in jacobian(program, active).items():
-        found.add(columns[column], Cotangent(g.mul(entry, weights[place]), g.one))
-    return _by_arguments(program, inputs, found, active)
+        cotangents.add(columns[column], Cotangent(g.mul(entry, weights[place]), g.one))
+    return _by_arguments(program, inputs, cotangents, active)
 
 
 def _with_cotangents(program: ScalarProgram) -> tuple[list[Nodes], list[int]]:
-    """The arguments and new ones, cotangents of the real results; and for each entry of all results its cotangent."""
+    """The arguments and new ones for cotangents of real results, and the cotangent of each entry of all results."""
     g, inputs, weights = program.graph, list(program.inputs), list[int]()
-    for own, dtype in zip(program.outputs, program.types, strict=True):
+    for output, dtype in zip(program.outputs, program.types, strict=True):
         if is_real(dtype):
-            inputs.append(_new_inputs(g, len(inputs), own))
-        weights += flat(inputs[-1]) if is_real(dtype) else [g.zero] * own.size
+            inputs.append(_new_inputs(g, len(inputs), output))
+        weights += flat(inputs[-1]) if is_real(dtype) else [g.zero] * output.size
     return inputs, weights
 
 
 def _by_arguments(
-    program: ScalarProgram, inputs: Sequence[Nodes], found: Mapping[int, int], active: Sequence[int]
+    program: ScalarProgram, inputs: Sequence[Nodes], values: Mapping[int, int], active: Sequence[int]
 ) -> ScalarProgram:
-    """What was found of the entries of the arguments `active`, as a program."""
-    g, own = program.graph, [program.inputs[k] for k in active]
-    return ScalarProgram(g, tuple(inputs), tuple(_gathered(g, found, a) for a in own), tuple(map(g.dtype_of, own)))
+    """The values of the entries of the arguments `active`, as a program."""
+    g, arguments = program.graph, [program.inputs[k] for k in active]
+    outputs = tuple(_gathered(g, values, a) for a in arguments)
+    return ScalarProgram(g, tuple(inputs), outputs, tuple(map(g.dtype_of, arguments)))
 
 
 def jacobian(program: ScalarProgram, active: Sequence[int]) -> dict[tuple[int, int], int]:
@@ -133,22 +136,23 @@ def columns_of(
 
 
 def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
-    """node -> the tangents that it depends on, each a bit of a number; what may be zero all the same included."""
-    found = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
+    """node -> the tangents on which it may depend, as bits of a number."""
+    tangents_of = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
     for i in program.live:
-        if i not in found:
-            found[i] = functools.reduce(operator.or_, (found.get(a, 0) for a in program.graph.sources(i)), 0)
-    return found
+        if i not in tangents_of:
+            sources = program.graph.sources(i)
+            tangents_of[i] = functools.reduce(operator.or_, (tangents_of.get(a, 0) for a in sources), 0)
+    return tangents_of
 
 
 def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
-    """node -> the tangents that it must carry, each a bit of a number, so that some nodes have those they want."""
-    found = dict(wanted)
+    """node -> the tangents that it must carry for some nodes to have those they want, as bits of a number."""
+    tangents_of = dict(wanted)
     for i in reversed(program.live):
-        if tangents := found.get(i, 0):
+        if tangents := tangents_of.get(i, 0):
             for a in program.graph.sources(i):
-                found[a] = found.get(a, 0) | tangents
-    return found
+                tangents_of[a] = tangents_of.get(a, 0) | tangents
+    return tangents_of
 
 
 # ---- forward ---------------------------------------------------------------------------------------------------------
@@ -157,7 +161,7 @@ def needed(program: ScalarProgram, wanted: Mapping[int, int]) -> dict[int, int]:
 def _carried(
     program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]], wanted: Mapping[int, int] | None = None
 ) -> dict[int, dict[int, int]]:
-    """node -> (tangent -> its entry there), of all nodes that are needed, zeros left out."""
+    """node -> (tangent -> derivative), for all needed nodes, without zeros."""
     g = program.graph
     carried: dict[int, dict[int, int]] = {node: dict(row) for node, row in seeds.items()}
     called: set[int] = set()
@@ -172,18 +176,18 @@ def _carried(
         if operation is None or not touched:
             continue
         rows = [carried.get(a, {}) for a in arguments]
-        along = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
-        found = {c: v for c, v in zip(touched, along, strict=True) if v is not None and v != g.zero}
-        if found:
-            carried[i] = found
+        values = operation.tangents(g, arguments, i, [[row.get(column) for row in rows] for column in touched])
+        nonzero = {c: v for c, v in zip(touched, values, strict=True) if v is not None and v != g.zero}
+        if nonzero:
+            carried[i] = nonzero
     return carried
 
 
-def _allowed(columns: set[int], own: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
-    """Of columns those that some of the nodes may carry."""
+def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
+    """The columns that some of the nodes may carry."""
     if wanted is None:
         return sorted(columns)
-    mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in own), 0)
+    mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in reached_nodes), 0)
     return sorted(column for column in columns if mask >> column & 1)
 
 
@@ -193,11 +197,11 @@ def _carry_call(
     """The derivatives of the results of a call, column by column."""
     inputs = flat(*call.arguments)
     for column in _allowed({c for i in inputs for c in carried.get(i, ())}, flat(*call.results), wanted):
-        found = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
-        active = tuple(k for k, a in enumerate(call.arguments) if any(i in found for i in flat(a)))
-        along = _tangents(_function(g, call), active)
-        given = [*call.arguments, *(_gathered(g, found, call.arguments[k]) for k in active)]
-        for i, tangent in zip(flat(*call.results), flat(*JaxprReader(g).read(along, given)), strict=True):
+        seeds = {i: carried[i][column] for i in inputs if column in carried.get(i, ())}
+        active = tuple(k for k, a in enumerate(call.arguments) if any(i in seeds for i in flat(a)))
+        program = _tangents(_function(g, call), active)
+        arguments = [*call.arguments, *(_gathered(g, seeds, call.arguments[k]) for k in active)]
+        for i, tangent in zip(flat(*call.results), flat(*JaxprReader(g).read(program, arguments)), strict=True):
             if tangent != g.zero and jnp.issubdtype(g.dtypes[i], jnp.inexact):
                 carried.setdefault(i, {})[column] = tangent
 
@@ -206,8 +210,8 @@ def _carry_call(
 def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
     """The derivative of the function of a call: (arguments, tangents of the active ones)."""
 
-    def along(values: list[Any], tangents: list[Any]) -> list[Any]:
-        return jax.jvp(_of_some(called.jaxpr, active, values), [values[k] for k in active], tangents)[1]
+    def along(arguments: list[Any], tangents: list[Any]) -> list[Any]:
+        return jax.jvp(_of_some(called.jaxpr, active, arguments), [arguments[k] for k in active], tangents)[1]
 
     return jax.make_jaxpr(along)(list(called.arguments), [called.arguments[k] for k in active])
 
@@ -215,28 +219,28 @@ def _tangents(called: _Called, active: tuple[int, ...]) -> ClosedJaxpr:
 # ---- reverse ---------------------------------------------------------------------------------------------------------
 
 
-def _pull(g: ScalarGraph, live: Sequence[int], found: Cotangents, depending: Collection[int]) -> None:
-    """Add to `found` the cotangents of all nodes that depend on active inputs, last ones first."""
+def _pull(g: ScalarGraph, live: Sequence[int], cotangents: Cotangents, depending: Collection[int]) -> None:
+    """Add to `cotangents` those of all nodes that depend on active inputs, last ones first."""
     done: set[int] = set()
     for i in reversed(live):
-        if i not in found or i not in depending:
+        if i not in cotangents or i not in depending:
             continue
         call, operation, arguments = g.call_of(i), g.operation(i), g.arguments(i)
         pairs: Any = ()
         if operation is not None:
-            terms = [operation.cotangents(g, arguments, i, term) for term in found.of(i)]
-            pairs = [pair for own in terms for pair in zip(arguments, own, strict=True)]
+            terms = [operation.cotangents(g, arguments, i, term) for term in cotangents.of(i)]
+            pairs = [pair for by_argument in terms for pair in zip(arguments, by_argument, strict=True)]
         elif call is not None and id(call) not in done:
             # All results of a call stand before whatever reads them: their cotangents are complete.
             done.add(id(call))
-            pairs = _pulled_call(g, call, found, depending)
+            pairs = _pulled_call(g, call, cotangents, depending)
         for a, c in pairs:
             if c is not None and a in depending:
-                found.add(a, c)
+                cotangents.add(a, c)
 
 
 def _pulled_call(
-    g: ScalarGraph, call: Call, found: Mapping[int, int], depending: Collection[int]
+    g: ScalarGraph, call: Call, known_cotangents: Mapping[int, int], depending: Collection[int]
 ) -> list[tuple[int, Cotangent]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
@@ -245,8 +249,8 @@ def _pulled_call(
         for k, a in enumerate(call.arguments)
         if jnp.issubdtype(g.dtype_of(a), jnp.inexact) and any(i in depending for i in flat(a))
     )
-    given = [*call.arguments, *(_gathered(g, found, call.results[k]) for k in real)]
-    results = JaxprReader(g).read(_cotangents(_function(g, call), active, tuple(real)), given)
+    arguments = [*call.arguments, *(_gathered(g, known_cotangents, call.results[k]) for k in real)]
+    results = JaxprReader(g).read(_cotangents(_function(g, call), active, tuple(real)), arguments)
     cotangents = [Cotangent(c, g.one) for c in flat(*results)]
     return list(zip(flat(*(call.arguments[k] for k in active)), cotangents, strict=True))
 
@@ -257,8 +261,8 @@ def _cotangents(called: _Called, active: tuple[int, ...], real: tuple[int, ...])
 
     def back(values: list[Any], cotangents: list[Any]) -> list[Any]:
         moving = _of_some(called.jaxpr, active, values)
-        given = [values[k] for k in active]
-        return list(jax.vjp(lambda *some: [moving(*some)[k] for k in real], *given)[1](cotangents))
+        primals = [values[k] for k in active]
+        return list(jax.vjp(lambda *some: [moving(*some)[k] for k in real], *primals)[1](cotangents))
 
     return jax.make_jaxpr(back)(list(called.arguments), [called.results[k] for k in real])
 
@@ -268,7 +272,7 @@ def _cotangents(called: _Called, active: tuple[int, ...], real: tuple[int, ...])
 
 @dataclasses.dataclass(frozen=True)
 class _Called:
-    """The function of a call. Equal where the calls do the same, in whatever graph: its derivatives are traced once."""
+    """The function of a call. Equal for calls that do the same in any graph, so that derivatives are traced once."""
 
     key: Any
     arguments: tuple[jax.ShapeDtypeStruct, ...]
@@ -277,7 +281,7 @@ class _Called:
 
 
 def _function(g: ScalarGraph, call: Call) -> _Called:
-    arguments, results = (tuple(_shape(g, a) for a in own) for own in (call.arguments, call.results))
+    arguments, results = (tuple(_shape(g, a) for a in arrays) for arrays in (call.arguments, call.results))
     return _Called(call.key, arguments, results, call.jaxpr)
 
 
@@ -285,11 +289,11 @@ def _function(g: ScalarGraph, call: Call) -> _Called:
 
 
 def _of_some(jaxpr: ClosedJaxpr, active: Sequence[int], values: Sequence[Any]) -> Callable[..., Any]:
-    """A function of its arguments `active` alone."""
+    """A function of the arguments `active` only."""
 
     def function(*some: Any) -> Any:
-        given = dict(zip(active, some, strict=True))
-        return jaxpr_as_fun(jaxpr)(*(given.get(k, value) for k, value in enumerate(values)))
+        replaced = dict(zip(active, some, strict=True))
+        return jaxpr_as_fun(jaxpr)(*(replaced.get(k, value) for k, value in enumerate(values)))
 
     return function
 
@@ -298,10 +302,10 @@ def _new_inputs(g: ScalarGraph, argument: int, like: Nodes) -> Nodes:
     return nodes([g.input(argument, j, g.dtypes[i]) for j, i in enumerate(flat(like))], like.shape)
 
 
-def _gathered(g: ScalarGraph, found: Mapping[int, int], own: Nodes) -> Nodes:
-    """What was found of each node, else zero of its type."""
-    return nodes([found[i] if i in found else g.constant(0.0, g.dtypes[i]) for i in flat(own)], own.shape)
+def _gathered(g: ScalarGraph, values: Mapping[int, int], array: Nodes) -> Nodes:
+    """The value of each node of an array, zero of its type where there is none."""
+    return nodes([values[i] if i in values else g.constant(0.0, g.dtypes[i]) for i in flat(array)], array.shape)
 
 
-def _shape(g: ScalarGraph, own: Nodes) -> Any:
-    return jax.ShapeDtypeStruct(own.shape, g.dtype_of(own))
+def _shape(g: ScalarGraph, array: Nodes) -> Any:
+    return jax.ShapeDtypeStruct(array.shape, g.dtype_of(array))

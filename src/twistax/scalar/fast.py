@@ -1,4 +1,4 @@
-"""`fast`: any JAX function of small arrays as scalars, in kernels of its own where they can be had."""
+"""`fast`: a JAX function of small arrays as scalars, in kernels if possible."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ R = TypeVar("R")
 
 
 class Fast(Generic[P, R]):
-    """What `fast` made of a function: jitted, differentiable, batched as any JAX function."""
+    """The result of `fast`: a jitted function, differentiable and batched as any JAX function."""
 
     def __init__(self, function: Callable[P, R], backend: Backend, static: dict[str, Any]) -> None:
         functools.update_wrapper(self, function)
@@ -34,8 +34,8 @@ class Fast(Generic[P, R]):
         return jax.jit(functools.wraps(self._function)(traced), **self._static)
 
     def __call__(self, *args: P.args, **kwargs: P.kwargs) -> R:
-        found: R = self._jitted(*args, **kwargs)
-        return found
+        result: R = self._jitted(*args, **kwargs)
+        return result
 
     def __getattr__(self, name: str) -> Any:
         """`lower`, `trace` and `eval_shape` of the jitted function."""
@@ -54,15 +54,15 @@ class Fast(Generic[P, R]):
         reasons: list[str] = []
 
         def asking(*args: Any, **kwargs: Any) -> Any:
-            found, own = self._traced(args, kwargs)
-            reasons.extend(own)
-            return found
+            result, parts = self._traced(args, kwargs)
+            reasons.extend(parts)
+            return result
 
         self._jit(asking).trace(*args, **kwargs)
         return "\n".join(reasons)
 
     def _traced(self, args: tuple[Any, ...], kwargs: dict[str, Any]) -> tuple[R, list[str]]:
-        """The results for traced arguments, and how they came about."""
+        """The results for traced arguments, and a reason for each part."""
         leaves, structure = jax.tree.flatten((args, kwargs))
         places = [i for i, leaf in enumerate(leaves) if is_traced(leaf)]
         over = closed_over(self._function)
@@ -76,10 +76,10 @@ class Fast(Generic[P, R]):
         shapes: list[Any] = []
 
         def flat(*values: Any) -> list[Any]:
-            inside, own = dict(zip(map(id, over), values, strict=False)), list(leaves)
+            inside, filled = dict(zip(map(id, over), values, strict=False)), list(leaves)
             for i, value in zip(places, values[len(over) :], strict=True):
-                own[i] = value
-            args, kwargs = jax.tree.unflatten(structure, own)
+                filled[i] = value
+            args, kwargs = jax.tree.unflatten(structure, filled)
             with replaced(self._function, lambda value: inside.get(id(value), value)) as function:
                 results, shape = jax.tree.flatten(function(*args, **kwargs))
             shapes.append(shape)
@@ -89,25 +89,25 @@ class Fast(Generic[P, R]):
         plain = [jax.ShapeDtypeStruct(v.shape, v.dtype, weak_type=v.weak_type) for v in map(jax.typeof, values)]
         with of_one_device():
             closed = jax.make_jaxpr(functools.wraps(self._function)(flat))(*plain)
-            run, held = opened(closed)
-            if held:
-                others = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, held)]
-                closed = jax.make_jaxpr(run)(*others, *plain)
+            run, traced = opened(closed)
+            if traced:
+                shapes_of_traced = [jax.ShapeDtypeStruct(v.shape, v.dtype) for v in map(jax.typeof, traced)]
+                closed = jax.make_jaxpr(run)(*shapes_of_traced, *plain)
         function, reasons = _compiled(closed, self._backend)
-        found: R = jax.tree.unflatten(shapes[0], function(*held, *values))
-        return found, reasons
+        result: R = jax.tree.unflatten(shapes[0], function(*traced, *values))
+        return result, reasons
 
 
 class _Bound(functools.partial[Any]):
-    """A method of an object."""
+    """A bound method."""
 
     def explain(self, *args: Any, **kwargs: Any) -> str:
-        said: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
-        return said
+        text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
+        return text
 
 
 def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[Any]], list[str]]:
-    """A function of arrays, and how its parts run."""
+    """A function of arrays, and a reason for each of its parts."""
     variables = [*closed.jaxpr.invars, *(v for eqn in all_equations(closed.jaxpr) for v in eqn.outvars)]
     if closed.effects or any(map(is_key, variables)):
         run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))
@@ -115,8 +115,8 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if not has_loops(closed):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]
-    whole = Whole(closed, backend)
-    return functools.partial(call_program, whole), whole.parts[1]
+    program = Whole(closed, backend)
+    return functools.partial(call_program, program), program.parts[1]
 
 
 def fast(
@@ -149,7 +149,7 @@ def fast(
     Raises:
         ModelError: the function cannot be called; another backend.
     """
-    own = chosen(backend, Native() if installed() else XLA())
+    choice = chosen(backend, Native() if installed() else XLA())
     static = {"static_argnums": static_argnums, "static_argnames": static_argnames}
 
     def made(function: Callable[P, R]) -> Fast[P, R]:
@@ -157,6 +157,6 @@ def fast(
             raise ModelError(
                 f"fast expects a function, got {type(function).__name__}: fast(function), or @fast above it"
             )
-        return Fast(function, own, static)
+        return Fast(function, choice, static)
 
     return made if function is None else made(function)

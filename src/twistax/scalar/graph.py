@@ -32,12 +32,12 @@ _CONSTANT, _INPUT, _RESULT = "constant", "input", "result"
 
 
 class TooLarge(ModelError):
-    """A program beyond the size that scalars are good for."""
+    """A program that is too large for scalars."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Call:
-    """A function that the graph does not look into, with its arguments.
+    """A function that the graph treats as opaque, with its arguments.
 
     Attributes:
         jaxpr: the function, arrays to arrays.
@@ -133,8 +133,9 @@ class ScalarGraph:
         if called not in self._called:
             number, results = len(self.calls), []
             for k, aval in enumerate(v.aval for v in jaxpr.jaxpr.outvars):
-                own = [self._intern((_RESULT, number, k, place), np.dtype(aval.dtype)) for place in range(aval.size)]
-                results.append(nodes(own, aval.shape))
+                dtype = np.dtype(aval.dtype)
+                entries = [self._intern((_RESULT, number, k, place), dtype) for place in range(aval.size)]
+                results.append(nodes(entries, aval.shape))
             self._called[called] = Call(jaxpr, key, arguments, tuple(results), inline)
             self.calls.append(self._called[called])
         return self._called[called]
@@ -241,7 +242,7 @@ class ScalarGraph:
         return self.mul(factor, a) if divisor is None else self.div(a, divisor)
 
     def _signed(self, make: Callable[[int, int], int], operation: Operation, a: int, b: int) -> int:
-        """A product or a quotient, signs in front."""
+        """A product or a quotient, with its sign moved to the front."""
         first, second = self.nodes[a], self.nodes[b]
         if first[0] is _NEG:
             return self.neg(make(first[1], b))
@@ -259,7 +260,7 @@ class ScalarGraph:
         return self.node(_SELECT, c, a, b)
 
     def scaled(self, factor: int, cotangent: int) -> int:
-        """factor cotangent; zero where a branch that was not taken makes the cotangent zero, whatever the factor."""
+        """factor cotangent; zero where an untaken branch makes the cotangent zero, whatever the factor is."""
         entry = self.nodes[cotangent]
         if entry[0] is _NEG:
             return self.neg(self.scaled(factor, entry[1]))
@@ -273,12 +274,12 @@ class ScalarGraph:
         return self.mul(factor, cotangent)
 
     def may_be_cut(self, cotangent: int) -> bool:
-        """Whether a branch that was not taken makes a cotangent zero."""
+        """Whether an untaken branch makes a cotangent zero."""
         entry = self.nodes[cotangent]
         return entry[0] is _SELECT and self.zero in entry[2:]
 
     def joined(self, a: int, b: int) -> int:
-        """a + b of two cotangents; what the same branch makes zero stays together."""
+        """a + b of two cotangents, under one select if the same branch makes both zero."""
         first, second = self.nodes[a], self.nodes[b]
         if first[0] is _SELECT and second[0] is _SELECT and first[1] == second[1]:
             for k in (2, 3):
@@ -304,7 +305,7 @@ class ScalarGraph:
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
     def known(self, operation: Operation, *arguments: int) -> int | None:
-        """The node of an operation on other nodes, where there is one."""
+        """The node of an operation on other nodes, if there is one."""
         return self._known.get((operation, *arguments))
 
     def input_of(self, node: int) -> tuple[int, int] | None:
@@ -335,38 +336,39 @@ class ScalarGraph:
         return self.dtypes[int(array.reshape(-1)[0])] if array.size else self.dtype
 
     def live(self, outputs: Iterable[int], known: Container[int] = ()) -> list[int]:
-        """All nodes that the outputs need and that are not known, arguments first."""
-        found, waiting = set[int](), [*map(int, outputs)]
+        """All nodes that the outputs need and that are not known, in an order in which they can be computed."""
+        live, waiting = set[int](), [*map(int, outputs)]
         while waiting:
             node = waiting.pop()
-            if node not in found and node not in known:
-                found.add(node)
+            if node not in live and node not in known:
+                live.add(node)
                 waiting.extend(self.sources(node))
-        return sorted(found)
+        return sorted(live)
 
     def one_by_one(self, outputs: Sequence[int]) -> list[int]:
-        """The same, each output with what only it and later ones need: few numbers are waiting at any time.
+        """The live nodes output by output, each output with the nodes that only it and later ones need: few values are
+        live at a time.
 
         Of several arguments the one that takes most numbers at a time comes first (R. Sethi and J. Ullman 1970).
         """
         most: dict[int, int] = {}
         for node in self.live(outputs):
-            own = sorted((most[a] for a in self.sources(node)), reverse=True)
-            most[node] = max((number + k for k, number in enumerate(own)), default=1)
+            counts = sorted((most[a] for a in self.sources(node)), reverse=True)
+            most[node] = max((number + k for k, number in enumerate(counts)), default=1)
         return list(walk(outputs, lambda node: sorted(self.sources(node), key=lambda a: -most[a]), int))
 
     def _intern(self, key: tuple[Any, ...], dtype: np.dtype[Any], number: Any = None) -> int:
-        found = self._known.get(key)
-        if found is None:
-            found = len(self.nodes)
-            if found >= self.largest:
+        node = self._known.get(key)
+        if node is None:
+            node = len(self.nodes)
+            if node >= self.largest:
                 raise TooLarge(
                     f"the function takes more than {self.largest} scalars, too many to unroll.\n"
                     "  fix: compile with backend=tx.JAX(), and take its derivatives with jax.jacfwd"
                 )
-            self._known[key] = found
+            self._known[key] = node
             self.nodes.append(key)
             self.dtypes.append(dtype)
             self.numbers.append(number)
             self._arguments.append(key[1:] if isinstance(key[0], Operation) else ())
-        return found
+        return node

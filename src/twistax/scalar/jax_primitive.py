@@ -1,4 +1,4 @@
-"""Equations of JAX that twistax compiles: what JAX asks of them, and scalar programs with their derivatives."""
+"""Compiled functions as primitives of JAX: batching, lowering, and scalar programs with their derivatives."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ Rows: TypeAlias = Callable[..., list[jax.Array]]
 
 
 @dataclasses.dataclass(frozen=True)
-class Bodies:
-    """Of how many bodies the arguments of an equation are.
+class Batch:
+    """The batch axes of the arguments of an equation.
 
     Attributes:
-        depth: how many axes are of bodies; they come first.
-        shared: the arguments that do not have them: all bodies share one.
+        depth: the number of batch axes; they come first.
+        shared: the arguments without batch axes, which all members of the batch share.
     """
 
     depth: int = 0
@@ -58,14 +58,14 @@ class Bodies:
         return next((np.shape(a)[: self.depth] for k, a in enumerate(arguments) if k not in self.shared), ())
 
     def each(self, function: Callable[..., list[jax.Array]], arguments: Sequence[Any]) -> list[jax.Array]:
-        """A function of one body, of all of them at once."""
+        """A function of one member, applied to all of them at once."""
         axes = [None if k in self.shared else 0 for k in range(len(arguments))]
         for _ in range(self.depth):
             function = jax.vmap(function, in_axes=axes)
         return function(*arguments)
 
     def rows(self, function: Rows, arguments: Sequence[Any]) -> list[jax.Array]:
-        """A function of rows, of bodies whose axes are made one."""
+        """A function of rows, with all batch axes as one."""
         shape = self.shape(arguments)
         rows = math.prod(shape)
         flat = [
@@ -74,21 +74,21 @@ class Bodies:
         ]
         return [jnp.reshape(r, (*shape, *r.shape[1:])) for r in function(rows, *flat)]
 
-    def batched(self, arguments: Sequence[Any], axes: Sequence[int | None]) -> tuple[Bodies, list[Any]]:
-        """The same with one more axis, in front, that stands somewhere in some arguments, and those arguments."""
+    def batched(self, arguments: Sequence[Any], axes: Sequence[int | None]) -> tuple[Batch, list[Any]]:
+        """The batch with one more axis in front, and the arguments with that axis moved there."""
         size = next(a.shape[d] for a, d in zip(arguments, axes, strict=True) if d is not None)
-        whole = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
+        unbatched = {k for k, d in enumerate(axes) if d is None and (k in self.shared or self.depth == 0)}
         moved = [
-            a if k in whole else batching.bdim_at_front(a, d, size)
+            a if k in unbatched else batching.bdim_at_front(a, d, size)
             for k, (a, d) in enumerate(zip(arguments, axes, strict=True))
         ]
-        found = Bodies(self.depth + 1, frozenset(whole))
+        result = Batch(self.depth + 1, frozenset(unbatched))
         # Those that only the axes from before share are no longer the same for all.
-        shape = Bodies(self.depth + 1, self.shared | whole).shape(moved)
-        for k in self.shared - whole:
-            own = moved[k].shape[1:]
-            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *own), (*shape, *own))
-        return found, moved
+        shape = Batch(self.depth + 1, self.shared | unbatched).shape(moved)
+        for k in self.shared - unbatched:
+            entry = moved[k].shape[1:]
+            moved[k] = jnp.broadcast_to(moved[k].reshape(size, *(1 for _ in shape[1:]), *entry), (*shape, *entry))
+        return result, moved
 
 
 #: The platforms of JAX that kernels are made for. Which one an equation runs on is known where it is lowered.
@@ -96,7 +96,7 @@ PLATFORMS = ("cpu", "cuda")
 
 
 class Runner(Protocol):
-    """What runs programs in another way than by XLA, where a call has at least so many operations."""
+    """Runs programs without XLA, for calls with enough operations."""
 
     @property
     def least(self) -> int: ...
@@ -114,27 +114,27 @@ class Runner(Protocol):
 
 
 class Computed(ABC):
-    """What an equation computes. Compared and hashed by identity.
+    """The function of an equation. Compared and hashed by identity.
 
     Attributes:
         results: the shapes and types of the results.
-        function: from arguments to results of one body; pure and traceable.
+        function: from arguments to results of one member; pure and traceable.
     """
 
     results: Any
     function: Any
 
-    def by_xla(self, arguments: Sequence[Any], bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
-        """What XLA runs on a platform where there is no kernel; `inside` of a small call or not."""
-        return bodies.each(self.function, arguments)
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+        """The computation for XLA on a platform without a kernel, `inside` a small call or not."""
+        return batch.each(self.function, arguments)
 
     @abstractmethod
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What runs so many bodies at once on a platform instead."""
+        """What runs a batch of that many members on a platform instead."""
 
 
 class Differentiable(Computed):
-    """What an equation computes, with its derivatives, each made when it first runs.
+    """The function of an equation with its derivatives, each made when it is first needed.
 
     Attributes:
         origin: of one made by `tangent`: which one it is a derivative of, and along which arguments.
@@ -147,7 +147,7 @@ class Differentiable(Computed):
 
     @abstractmethod
     def primitive(self, inside: bool) -> Primitive:
-        """What JAX calls it; `inside` of a small call or not."""
+        """The primitive of JAX, `inside` a small call or not."""
 
     @abstractmethod
     def _tangent(self, active: tuple[int, ...]) -> Differentiable:
@@ -172,8 +172,8 @@ class Differentiable(Computed):
 
     def tangent(self, active: tuple[int, ...]) -> Differentiable:
         if active not in self._tangents:
-            found = self._tangents[active] = self._tangent(active)
-            found.origin = (self, active)
+            derivative = self._tangents[active] = self._tangent(active)
+            derivative.origin = (self, active)
         return self._tangents[active]
 
     def cotangent(self, active: tuple[int, ...]) -> Differentiable:
@@ -222,34 +222,34 @@ class Derived(Differentiable):
         return as_function(self.program, apart)
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What the runner runs for so many bodies at once on a platform; None: XLA does."""
+        """What the runner runs for a batch of that many members on a platform; None: XLA does."""
         if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
         return self.native(rows == 1, platform)
 
     def native(self, single: bool, platform: str = "cpu") -> Rows | None:
-        """What the runner runs, for one body or for more, however many operations there are."""
+        """What the runner runs, for one member or for more, however many operations there are."""
         if self.runner is not None and (single, platform) not in self._prepared:
             self._prepared[single, platform] = self.runner.prepare(self.program, single, platform)
         return self._prepared.get((single, platform))
 
-    def by_xla(self, arguments: Sequence[Any], bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
-        """On the CPU body after body, each loop compiled as one function, or `inside` of one."""
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+        """On the CPU member after member, each loop compiled as one function, or `inside` of one."""
         if platform != "cpu":
-            return super().by_xla(arguments, bodies, inside, platform)
+            return super().by_xla(arguments, batch, inside, platform)
         empty = not any(jnp.size(a) for a in arguments)
-        if bodies.depth == 0:
+        if batch.depth == 0:
             return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
         if empty:
-            return bodies.each(self.function, arguments)
+            return batch.each(self.function, arguments)
 
         def every(*flat: jax.Array) -> list[jax.Array]:
             def one(row: dict[int, jax.Array]) -> list[jax.Array]:
                 return self._apart(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
 
-            return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in bodies.shared})
+            return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in batch.shared})
 
-        return bodies.rows(lambda rows, *flat: small_call(every, *flat), arguments)
+        return batch.rows(lambda rows, *flat: small_call(every, *flat), arguments)
 
     def primitive(self, inside: bool) -> Primitive:
         joins = self.runner is None or (inside and not self.runner.alone)
@@ -285,52 +285,52 @@ NOT_LINEAR = (
 )
 
 #: No batch.
-_ONE = Bodies()
+_ONE = Batch()
 
 
-def call_program(program: Differentiable, *arguments: Any, bodies: Bodies = _ONE) -> list[Any]:
-    """The results of a program, of one body or of many; differentiable and batched as any JAX function."""
+def call_program(program: Differentiable, *arguments: Any, batch: Batch = _ONE) -> list[Any]:
+    """The results of a program, of one member or of many; differentiable and batched as any JAX function."""
     # A loop that is compiled as one small function needs no other one inside.
     inside = inside_small_call()
-    return program.primitive(inside).bind(*varying_alike(arguments), program=program, bodies=bodies, inside=inside)
+    return program.primitive(inside).bind(*varying_alike(arguments), program=program, batch=batch, inside=inside)
 
 
 # ---- what JAX asks of them -------------------------------------------------------------------------------------------
 
 
-def _by_xla(*arguments: Any, program: Computed, bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
-    return program.by_xla(arguments, bodies, inside, platform)
+def _by_xla(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+    return program.by_xla(arguments, batch, inside, platform)
 
 
-def by_kernel(*arguments: Any, program: Computed, bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
+def by_kernel(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
     """The kernel of a platform, where there is one."""
-    rows = math.prod(bodies.shape(arguments))
+    rows = math.prod(batch.shape(arguments))
     kernel = program.kernel(rows, platform) if rows else None
     if kernel is None:
-        return program.by_xla(arguments, bodies, inside, platform)
-    return bodies.rows(kernel, arguments)
+        return program.by_xla(arguments, batch, inside, platform)
+    return batch.rows(kernel, arguments)
 
 
-def _elsewhere(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[jax.Array]:
-    return bodies.each(program.function, arguments)
+def _elsewhere(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[jax.Array]:
+    return batch.each(program.function, arguments)
 
 
-def _abstract(*arguments: Any, program: Computed, bodies: Bodies, inside: bool) -> list[Any]:
-    batch, depth, shared = bodies.shape(arguments), bodies.depth, bodies.shared
+def _abstract(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[Any]:
+    sizes, depth, shared = batch.shape(arguments), batch.depth, batch.shared
     return [
-        placed_as(shaped_array((*batch, *shape), dtype), depth, shared, arguments) for shape, dtype in program.results
+        placed_as(shaped_array((*sizes, *shape), dtype), depth, shared, arguments) for shape, dtype in program.results
     ]
 
 
 def _jvp(
-    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, bodies: Bodies, inside: bool
+    primals: Sequence[Any], tangents: Sequence[Any], *, program: Differentiable, batch: Batch, inside: bool
 ) -> tuple[list[Any], list[Any]]:
-    results = call_program(program, *primals, bodies=bodies)
+    results = call_program(program, *primals, batch=batch)
     active = tuple(k for k, t in enumerate(tangents) if type(t) is not ad.Zero)
     # A tangent has the shape of its argument.
-    shared = {len(primals) + j for j, k in enumerate(active) if k in bodies.shared}
-    own = dataclasses.replace(bodies, shared=bodies.shared | shared)
-    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), bodies=own))
+    shared = {len(primals) + j for j, k in enumerate(active) if k in batch.shared}
+    tangent_batch = dataclasses.replace(batch, shared=batch.shared | shared)
+    moved = iter(call_program(program.tangent(active), *primals, *(tangents[k] for k in active), batch=tangent_batch))
     real = set(program.real)
     return results, [
         next(moved) if k in real else ad.Zero(jax.typeof(r).to_tangent_aval()) for k, r in enumerate(results)
@@ -338,7 +338,7 @@ def _jvp(
 
 
 def _transpose(
-    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, bodies: Bodies, inside: bool
+    cotangents: Sequence[Any], *arguments: Any, program: Differentiable, batch: Batch, inside: bool
 ) -> list[Any]:
     """The cotangents of the arguments that JAX asks for, in which the program is linear."""
     linear = [k for k, a in enumerate(arguments) if ad.is_undefined_primal(a)]
@@ -347,21 +347,21 @@ def _transpose(
     if program.origin is not None and min(linear) >= count:
         origin, active = program.origin
         back = origin.cotangent(tuple(active[k - count] for k in linear))
-        given = list(arguments[:count])
+        primals = list(arguments[:count])
     else:
         back = program.transposed(tuple(linear))
-        given = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
-    own = dataclasses.replace(bodies, shared=frozenset(k for k in bodies.shared if k < len(given)))
+        primals = [jnp.zeros(a.aval.shape, a.aval.dtype) if ad.is_undefined_primal(a) else a for a in arguments]
+    transposed_batch = dataclasses.replace(batch, shared=frozenset(k for k in batch.shared if k < len(primals)))
     weights = [ad.instantiate_zeros(cotangents[k]) for k in program.real]
     result: list[Any] = [None] * len(arguments)
-    for k, value in zip(linear, call_program(back, *given, *weights, bodies=own), strict=True):
-        every = range(bodies.depth if k in bodies.shared else 0)
+    for k, value in zip(linear, call_program(back, *primals, *weights, batch=transposed_batch), strict=True):
+        every = range(batch.depth if k in batch.shared else 0)
         result[k] = jnp.sum(value, every) if every else value
     return result
 
 
 class _Held:
-    """Keeps a program alive; on disk, where compiled code may go, it is nothing."""
+    """Keeps a program alive as long as compiled code; pickled it is empty."""
 
     def __init__(self, program: Computed | None = None) -> None:
         self.program = program
@@ -371,37 +371,37 @@ class _Held:
 
 
 def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms: Sequence[str] = PLATFORMS) -> None:
-    """Tell JAX how an equation runs, for one body or for batches of them.
+    """Register with JAX how an equation runs, alone or in a batch.
 
     Args:
-        run: on these platforms; it is told on which. Elsewhere it is the function of the program.
+        run: runs it on these platforms, and takes the platform as a keyword. On others the program's function runs.
     """
 
     @functools.lru_cache(32)  # what is jitted keeps its program
-    def compiled(**own: Any) -> Any:
-        return jax.jit(functools.partial(primitive.bind, **own))
+    def compiled(**params: Any) -> Any:
+        return jax.jit(functools.partial(primitive.bind, **params))
 
-    def evaluate(*arguments: jax.Array, **own: Any) -> list[jax.Array]:
+    def evaluate(*arguments: jax.Array, **params: Any) -> list[jax.Array]:
         debugging: Any = jax.config
         if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
-            return _elsewhere(*arguments, **own)
+            return _elsewhere(*arguments, **params)
         # As every operation of JAX: compiled also where functions are not.
         with jax.disable_jit(False):
-            found: list[jax.Array] = compiled(**own)(*arguments)
-        return found
+            results: list[jax.Array] = compiled(**params)(*arguments)
+        return results
 
     def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
-        def lowered(context: Any, *arguments: Any, **own: Any) -> Any:
+        def lowered(context: Any, *arguments: Any, **params: Any) -> Any:
             # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
             module = context.module_context
             if not module.lowering_parameters.for_export:
-                module.add_keepalive(_Held(own["program"]))
+                module.add_keepalive(_Held(params["program"]))
 
             # JAX keeps what it traced as long as the function: a new one each time.
             def once(*a: Any) -> list[jax.Array]:
-                return function(*a, **own)
+                return function(*a, **params)
 
-            depth, shared = own["bodies"].depth, own["bodies"].shared
+            depth, shared = params["batch"].depth, params["batch"].shared
             run = on_axes(once, depth, shared, context) if depth else None
             if run is None:
                 run = shared_out(once, depth, shared) if depth and is_shared_out(context) else once
@@ -410,23 +410,25 @@ def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms:
 
         return lowered
 
-    def batch(arguments: Sequence[Any], axes: Sequence[Any], bodies: Bodies, **own: Any) -> tuple[list[Any], list[int]]:
-        bodies, moved = bodies.batched(arguments, axes)
-        results = primitive.bind(*moved, **{**own, "inside": False, "bodies": bodies})
+    def batching_rule(
+        arguments: Sequence[Any], axes: Sequence[Any], batch: Batch, **params: Any
+    ) -> tuple[list[Any], Any]:
+        batch, moved = batch.batched(arguments, axes)
+        results = primitive.bind(*moved, **{**params, "inside": False, "batch": batch})
         return results, [0] * len(results)
 
     needs_devices(primitive)
     primitive.multiple_results = True
     primitive.def_impl(evaluate)
     primitive.def_abstract_eval(_abstract)
-    batching.primitive_batchers[primitive] = batch
+    batching.primitive_batchers[primitive] = batching_rule
     mlir.register_lowering(primitive, lower(_elsewhere))
     for platform in platforms:
         mlir.register_lowering(primitive, lower(functools.partial(run, platform=platform)), platform=platform)
 
 
-def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bodies: Bodies, inside: bool) -> Any:
-    """Taylor series: those of the operations on scalars, `as_function` has barriers, which have none."""
+def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, batch: Batch, inside: bool) -> Any:
+    """Taylor series, from those of the operations on scalars: the barriers of `as_function` have none."""
     form = emitted_form(program.program)
     if form.calls:
         names = called_names(form.calls)
@@ -436,13 +438,13 @@ def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bod
         values = form.computed(
             lambda argument, place: jnp.reshape(arguments[argument], -1)[place],
             lambda value, dtype: jnp.asarray(value, dtype),
-            lambda operation, _, *own: operation.array(*own),
+            lambda operation, _, *entries: operation.array(*entries),
         )
         flat = [[values[i] for i in nodes.reshape(-1).tolist()] for nodes in form.outputs]
-        return [jnp.stack(own).reshape(nodes.shape) for own, nodes in zip(flat, form.outputs, strict=True)]
+        return [jnp.stack(entries).reshape(nodes.shape) for entries, nodes in zip(flat, form.outputs, strict=True)]
 
     def every(*arguments: jax.Array) -> list[jax.Array]:
-        return bodies.each(function, arguments)
+        return batch.each(function, arguments)
 
     return jet.jet(every, tuple(primals), tuple(series), factorial_scaled=False)
 
@@ -453,7 +455,7 @@ _taylor_rules: dict[Any, Any] = jet.jet_rules
 def differentiable(
     primitive: Primitive, run: Callable[..., list[jax.Array]] = by_kernel, platforms: Sequence[str] = PLATFORMS
 ) -> None:
-    """The same for an equation of a `Differentiable`."""
+    """Register a `Differentiable` with JAX."""
     define(primitive, run, platforms)
     ad.primitive_jvps[primitive] = _jvp
     ad.primitive_transposes[primitive] = _transpose

@@ -1,4 +1,4 @@
-"""Machine code of kernels on disk, for the next process: a file each, read only where it is this user's alone."""
+"""Machine code of kernels on disk, a file each, for later processes; read only if it belongs to this user alone."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ def version() -> str:
 
 
 def kept(key: str) -> bytes | None:
-    """The machine code that some process kept under a key; None where no file is kept, or none can be trusted."""
+    """The machine code of a key; None if there is no file, or none that can be trusted."""
     folder = _folder()
     if folder is None:
         return None
@@ -74,7 +74,7 @@ def keep(key: str, code: bytes) -> None:
 
 
 def _folder() -> Path | None:
-    """Where files are; None: nowhere, also where the system cannot say whose they are."""
+    """The folder of the files; None if there is none, or if its owner cannot be determined."""
     named, usual = os.environ.get(_VARIABLE, ""), os.environ.get("XDG_CACHE_HOME", "")
     if named.lower() == "off" or not hasattr(os, "getuid"):
         return None
@@ -89,33 +89,33 @@ def _opened(path: str, flags: int) -> int:
     return os.open(path, flags | os.O_NOFOLLOW)
 
 
-def _check_owner(found: os.stat_result, what: str) -> None:
-    """What others could have written is not run.
+def _check_owner(status: os.stat_result, what: str) -> None:
+    """Refuse files that other users could have written.
 
     Raises:
         PermissionError: it is another user's, or others may write to it.
     """
-    if found.st_uid != os.getuid():
+    if status.st_uid != os.getuid():
         raise PermissionError(None, f"{what} belongs to another user")
-    if found.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
+    if status.st_mode & (stat.S_IWGRP | stat.S_IWOTH):
         raise PermissionError(None, f"others may write to {what} (chmod go-w mends it)")
 
 
 def _checksum(key: str, code: bytes) -> bytes:
-    """Of the key too: a file under another name is no other kernel."""
+    """A checksum of content and key, so that a renamed file is refused."""
     return hashlib.sha256(key.encode() + b"\0" + code).digest()
 
 
 def _drop_oldest(folder: Path) -> None:
-    """Down to the most that there may be."""
-    found = []
+    """Delete the oldest files beyond the limit."""
+    files = []
     for entry in os.scandir(folder):
         if entry.name.startswith(_NAME):
             with contextlib.suppress(FileNotFoundError):
-                own = entry.stat(follow_symlinks=False)
-                found.append((own.st_mtime_ns, own.st_size, entry.path))
-    total = sum(size for _, size, _ in found)
-    for _, size, path in sorted(found):
+                status = entry.stat(follow_symlinks=False)
+                files.append((status.st_mtime_ns, status.st_size, entry.path))
+    total = sum(size for _, size, _ in files)
+    for _, size, path in sorted(files):
         if total <= _MOST:
             return
         with contextlib.suppress(FileNotFoundError):

@@ -1,4 +1,4 @@
-"""Equations of JAX that are loops: a step taken again and again, and loops of JAX, all iterations in one kernel."""
+"""Loops as primitives of JAX: a repeated step, and loops of JAX, with all iterations in one kernel."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import Primitive, varying_alike, weakly_kept
-from .jax_primitive import Bodies, Computed, Rows, Shapes, by_kernel, define
+from .jax_primitive import Batch, Computed, Rows, Shapes, by_kernel, define
 from .program import ScalarProgram
 from .small_call import need_outside
 from .targets.xla import as_function
@@ -27,17 +27,17 @@ MakeKernel: TypeAlias = Callable[[bool, str], "Rows | None"]
 #: A table, and the number of the next row.
 _Filled: TypeAlias = tuple[jax.Array, jax.Array]
 
-#: Of a batch the rows of each body are filled some at once: as many as one of so many steps would pass.
+#: Of a batch the rows of each member are filled some at once: as many as one of so many steps would pass.
 _STEPS = 64
 #: But no more than these, of which those that are not due yet are computed in vain.
 _AT_ONCE = 16
 
 
 class _Rolled(Computed):
-    """A loop and the kernels that take all of its iterations. Compared and hashed by identity.
+    """A loop with the kernels of all its iterations. Compared and hashed by identity.
 
     Args:
-        kernel: makes the kernel, for one body (True) or for many, on a platform; None where there is none.
+        kernel: makes the kernel, for one member (True) or for many, on a platform; None where there is none.
     """
 
     def __init__(self, kernel: MakeKernel) -> None:
@@ -71,10 +71,10 @@ class Filling(NamedTuple):
 
 
 def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
-    """What fills rows, from how far it is and a record.
+    """A function that fills rows, from the progress so far and a record.
 
-    Under vmap it is not the loop of one body with an axis more: where some bodies have come to their marks and others
-    not, JAX would select between whole tables for every row.
+    Under vmap it is not the loop of one member with another axis: where some members have reached their marks and
+    others have not, JAX would select between whole tables for every row.
     """
 
     @jax.custom_batching.custom_vmap
@@ -95,7 +95,7 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
     @jax.custom_batching.custom_vmap
     def many(reach: jax.Array, rows: Filling, record: Any) -> _Filled:
-        """The same of bodies, along the first axis of all arrays: some rows of each at once, as long as any is due."""
+        """The same for a batch, along the first axis of all arrays: some rows of each at once, while any is due."""
         count = rows.marks.shape[1]
         few = min(max(count // _STEPS, 1), _AT_ONCE)
 
@@ -118,9 +118,9 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
         return jax.lax.while_loop(due, fill_all, (rows.table, rows.number))
 
     def whole(size: int, mapped: Any, arguments: Any) -> Any:
-        """All arguments with the axis of bodies."""
+        """All arguments with the batch axis."""
         return jax.tree.map(
-            lambda own, a: a if own else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
+            lambda batched, a: a if batched else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
         )
 
     @one.def_vmap
@@ -129,10 +129,10 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
     @many.def_vmap
     def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        own = whole(size, mapped, arguments)
-        shape = own[0].shape
-        found = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), own))
-        table, number = (a.reshape(*shape, *a.shape[1:]) for a in found)
+        batched = whole(size, mapped, arguments)
+        shape = batched[0].shape
+        results = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), batched))
+        table, number = (a.reshape(*shape, *a.shape[1:]) for a in results)
         return (table, number), (True, True)
 
     return one
@@ -145,7 +145,7 @@ def _row_of(program: ScalarProgram) -> Row:
 
 @weakly_kept
 class Repeated(_Rolled):
-    """A step, taken again and again, and rows that are filled on the way.
+    """A repeated step, and rows that are filled on the way.
 
     Args:
         step: takes (k, *fixed, *state), gives (*state); or (*state, more), more whether another iteration follows; or
@@ -170,27 +170,27 @@ class Repeated(_Rolled):
         self._others: weakref.WeakValueDictionary[int, Repeated] = weakref.WeakValueDictionary()
 
     def of_length(self, length: int) -> Repeated:
-        """The same for so many rows, by the same kernels."""
-        found = self._others.get(length)
-        if found is None:
-            found = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
-        return found
+        """The same loop for another number of rows, with the same kernels."""
+        repeated = self._others.get(length)
+        if repeated is None:
+            repeated = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
+        return repeated
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        found = super().kernel(rows, platform)
-        return found if found is None or self.row is None else functools.partial(found, length=self._length)
+        kernel = super().kernel(rows, platform)
+        return kernel if kernel is None or self.row is None else functools.partial(kernel, length=self._length)
 
     @functools.cached_property
     def results(self) -> Shapes:
         number, *rest = [(a.shape, self._step.graph.dtype_of(a)) for a in self._step.inputs]
-        found = [*rest[len(rest) - self._state :], number]
+        results = [*rest[len(rest) - self._state :], number]
         if self.row is not None:
-            found += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
-        return found
+            results += [number, ((self._length, *self.row.outputs[0].shape), self.row.types[0])]
+        return results
 
     @functools.cached_property
     def function(self) -> Callable[..., list[jax.Array]]:
-        """A loop."""
+        """The loop as a function of JAX."""
         step, count = as_function(self._step), self._state
         row = None if self.row is None else _row_of(self.row)
 
@@ -202,19 +202,19 @@ class Repeated(_Rolled):
 
             def iteration(carried: tuple[jax.Array, jax.Array, Any]) -> tuple[jax.Array, jax.Array, Any]:
                 k, _, (state, rows) = carried
-                found = step(k, *fixed, *state)
+                results = step(k, *fixed, *state)
                 if row is not None:
-                    record = found[count + 1 :]
+                    record = results[count + 1 :]
                     rows = rows.up_to(record[0], row, record)
-                if len(found) > count:
-                    return k + 1, found[count], (found[:count], rows)
-                good = jnp.stack([jnp.isfinite(a).all() for a in found]).all()
-                kept = [jnp.where(good, new, old) for new, old in zip(found, state, strict=True)]
+                if len(results) > count:
+                    return k + 1, results[count], (results[:count], rows)
+                good = jnp.stack([jnp.isfinite(a).all() for a in results]).all()
+                kept = [jnp.where(good, new, old) for new, old in zip(results, state, strict=True)]
                 return k + good.astype(k.dtype), good, (kept, rows)
 
             start = (list(state), rows)
-            k, _, (found, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
-            return [*found, k, *([] if rows is None else [rows.number, rows.table])]
+            k, _, (final, rows) = jax.lax.while_loop(going, iteration, (first, jnp.asarray(True), start))
+            return [*final, k, *([] if rows is None else [rows.number, rows.table])]
 
         if row is None:
             return loop
@@ -222,15 +222,15 @@ class Repeated(_Rolled):
         def with_rows(
             _: jax.Array, first: jax.Array, stop: jax.Array, number: jax.Array, *rest: Any
         ) -> list[jax.Array]:
-            *own, marks, table = rest
-            return loop(first, stop, *own, rows=Filling(marks, table, number))
+            *arguments, marks, table = rest
+            return loop(first, stop, *arguments, rows=Filling(marks, table, number))
 
         return with_rows
 
 
 @dataclasses.dataclass(frozen=True)
 class Ring:
-    """How the arguments and results of one iteration go round.
+    """The order of the arguments and results of one iteration.
 
     A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
     A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
@@ -291,11 +291,11 @@ def repeat(
     if rows is not None:
         step = step.of_length(len(rows.marks))
         arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
-    results = _repeat_p.bind(*varying_alike(arguments), program=step, bodies=Bodies(), inside=False)
-    found, (k, *filled) = results[: len(state)], results[len(state) :]
-    return found, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
+    results = _repeat_p.bind(*varying_alike(arguments), program=step, batch=Batch(), inside=False)
+    final, (k, *filled) = results[: len(state)], results[len(state) :]
+    return final, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
 
 
 def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:
     """The results of a loop. Traceable, batched by vmap, not differentiable."""
-    return _repeat_p.bind(*varying_alike([jnp.int32(count), *arguments]), program=looped, bodies=Bodies(), inside=False)
+    return _repeat_p.bind(*varying_alike([jnp.int32(count), *arguments]), program=looped, batch=Batch(), inside=False)

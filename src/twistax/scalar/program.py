@@ -77,10 +77,10 @@ class ScalarProgram:
     def counts(self) -> dict[str, int]:
         """Operations by name; a function with a derivative of its own counts as one."""
         operations = (self.graph.operation(i) for i in self.live)
-        found = Counter(operation.name for operation in operations if operation is not None)
+        counts = Counter(operation.name for operation in operations if operation is not None)
         if self.calls:
-            found["call"] = len(self.calls)
-        return dict(sorted(found.items()))
+            counts["call"] = len(self.calls)
+        return dict(sorted(counts.items()))
 
     @property
     def operations(self) -> int:
@@ -89,11 +89,11 @@ class ScalarProgram:
 
     def depending(self, arguments: Sequence[int]) -> set[int]:
         """The nodes that are needed and depend on some of the arguments, and the arguments' own."""
-        found = set(flat(*(self.inputs[k] for k in arguments)))
+        dependent = set(flat(*(self.inputs[k] for k in arguments)))
         for i in self.live:
-            if any(j in found for j in self.graph.sources(i)):
-                found.add(i)
-        return found
+            if any(j in dependent for j in self.graph.sources(i)):
+                dependent.add(i)
+        return dependent
 
     @property
     def tables(self) -> list[Table]:

@@ -37,14 +37,14 @@ _PACKAGE = str(Path(__file__).parents[2]) + os.sep
 
 
 class _OwnDerivative:
-    """A function with a derivative of its own. Equal where both do the same; derivatives are only traced to compare.
+    """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
 
     Those of this package, by name and place, have one derivative, which is not traced for it.
     """
 
-    def __init__(self, name: str, own: ClosedJaxpr, equation: ClosedJaxpr) -> None:
+    def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
         self._alone = equation
-        source = source_of(own) or ""
+        source = source_of(body) or ""
         self._key = (name, source, _fingerprint(equation))
         self._named = f" at {_PACKAGE}" in source
 
@@ -75,12 +75,12 @@ class JaxprReader:
 
     Attributes:
         graph: where the scalars go.
-        whole: keep functions with a derivative of their own as calls; else they are unrolled.
+        keep_calls: whether functions with a custom derivative stay calls; else they are unrolled.
     """
 
-    def __init__(self, graph: ScalarGraph, whole: bool = True) -> None:
+    def __init__(self, graph: ScalarGraph, keep_calls: bool = True) -> None:
         self.graph = graph
-        self.whole = whole
+        self.keeps_calls = keep_calls
         self._literals: dict[Any, Nodes] = {}
         self._reading: list[Jaxpr] = []
 
@@ -113,17 +113,17 @@ class JaxprReader:
         """Whether all entries of arrays are numbers."""
         return all(self.graph.values(a) is not None for a in arrays)
 
-    def call(self, eqn: Any, arrays: Sequence[Nodes], own: ClosedJaxpr | None = None) -> list[Nodes]:
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]:
         """An equation as a call of a function.
 
         Args:
-            own: what it does, where it is a call only for its own derivative.
+            body: what it does, for a function that is called only because of its custom derivative.
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
-        key = object() if own is None else _OwnDerivative(eqn.primitive.name, own, equation)
-        return list(self.graph.call(equation, key, distinct.values(), own is not None).results)
+        key = object() if body is None else _OwnDerivative(eqn.primitive.name, body, equation)
+        return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
         self,
@@ -139,7 +139,7 @@ class JaxprReader:
             shared: divisors of which the reciprocal is taken once.
             order: of the nodes; as they are if None.
         """
-        old, new, whole = program.graph, self.graph, self.whole
+        old, new = program.graph, self.graph
         done: set[int] = set()
         for i in program.live if order is None else order:
             if i in known:
@@ -155,7 +155,7 @@ class JaxprReader:
                 arguments = [known[a] for a in old.arguments(i)]
                 if operation is _DIV and old.arguments(i)[1] in shared:
                     known[i] = new.mul(arguments[0], new.div(new.one, arguments[1]))
-                elif operation.written is not None and not whole:
+                elif operation.written is not None and not self.keeps_calls:
                     known[i] = operation.written(new)(*arguments)
                 else:
                     known[i] = operation.on(new)(*arguments)
@@ -163,22 +163,22 @@ class JaxprReader:
     def _copy_call(self, call: Call, known: dict[int, int]) -> None:
         arguments = [renamed(known, array) for array in call.arguments]
         # What was a call for its size may fit a graph that unrolls more.
-        if not self.whole and (call.inline or self.graph.limits != LIMITS):
+        if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):
             results = self.read(call.jaxpr, arguments)
         else:
             results = list(self.graph.call(call.jaxpr, call.key, arguments, call.inline).results)
         known.update(zip(flat(*call.results), flat(*results), strict=True))
 
     def _equation(self, eqn: Any, arrays: list[Nodes]) -> list[Nodes]:
-        entry, found = entry_of(eqn), None
+        entry, scalars = entry_of(eqn), None
         if any(map(is_key, (*eqn.invars, *eqn.outvars))) and eqn.primitive.name != "jit":
             return self.call(eqn, arrays)
         if entry is not None and (entry.any_type or not self._foreign(eqn)):
             try:
-                found = entry.scalars(self, eqn, *arrays)
+                scalars = entry.scalars(self, eqn, *arrays)
             except Unread as error:
                 say_unread(error)
-        return self.call(eqn, arrays) if found is None else found
+        return self.call(eqn, arrays) if scalars is None else scalars
 
     def _literal(self, literal: Any) -> Nodes:
         key = (literal.aval.dtype, np.shape(literal.val), np.asarray(literal.val).tobytes())
@@ -213,14 +213,14 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
         moved = _MOVED if eqn.primitive.name == "jit" else ()
-        own = [
+        params = [
             (k, v)
             for k, v in sorted(eqn.params.items())
             if not (k in moved or _holds_jaxprs(v) or (rules and callable(v)))
         ]
-        inner = tuple(_fingerprint(each) for each in inner_jaxprs(eqn))
+        inner = tuple(_fingerprint(jaxpr_inside) for jaxpr_inside in inner_jaxprs(eqn))
         ins, outs = tuple(map(name, eqn.invars)), tuple(map(name, eqn.outvars))
-        body.append((eqn.primitive.name, str(own), inner, ins, outs))
+        body.append((eqn.primitive.name, str(params), inner, ins, outs))
     consts = tuple((np.asarray(c).dtype.str, np.asarray(c).tobytes()) for c in program.consts)
     return (head, tuple(body), tuple(map(name, jaxpr.outvars)), consts)
 
@@ -257,10 +257,10 @@ def scalarize(
     closed = function if isinstance(function, ClosedJaxpr) else jax.make_jaxpr(function)(*shapes)
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
-    own = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
+    precision = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
     # Of the operations on scalars the angle of a point tells zeros apart.
     signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
-    graph = ScalarGraph(own, checked, largest, limits, signed_zeros)
+    graph = ScalarGraph(precision, checked, largest, limits, signed_zeros)
     inputs = tuple(
         nodes([graph.input(k, j, np.dtype(a.dtype)) for j in range(a.size)], a.shape) for k, a in enumerate(avals)
     )

@@ -1,4 +1,4 @@
-"""A function of arrays with loops in it, in parts: what is straight as scalars, loops as kernels of their own."""
+"""A function of arrays with loops, in parts: straight parts as scalars, loops as kernels."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ from ..jax_inside import (
 )
 from .array_primitive import Written, is_written
 from .backends import Backend, array_operations
-from .jax_primitive import Bodies
+from .jax_primitive import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
 from .small_call import small_call
@@ -44,7 +44,7 @@ _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "c
 
 @dataclasses.dataclass(frozen=True)
 class Part:
-    """Some equations of a function, and how they run.
+    """Some equations of a function, with the function that runs them.
 
     Attributes:
         inputs, outputs: variables of the jaxpr.
@@ -60,7 +60,7 @@ class Part:
 
 @weakly_kept
 class Whole(Written):
-    """A function of arrays, run in parts. Its derivatives are taken before it is parted.
+    """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:
         program: the function.
@@ -73,11 +73,11 @@ class Whole(Written):
 
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-        """What runs where there are kernels, and how it came about."""
+        """The function for platforms with kernels, and a reason for each part."""
         return emit_whole(self.program, self.backend)
 
-    def by_xla(self, arguments: Sequence[Any], bodies: Bodies, inside: bool, platform: str) -> list[jax.Array]:
-        return bodies.each(self.parts[0], arguments)
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+        return batch.each(self.parts[0], arguments)
 
     def made(self, program: ClosedJaxpr) -> Whole:
         return Whole(program, self.backend)
@@ -92,7 +92,7 @@ def has_loops(program: ClosedJaxpr) -> bool:
 
 
 def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-    """What runs a function, and a sentence for each of its parts."""
+    """The function that runs a jaxpr, and a sentence for each of its parts."""
     program = _opened(program)
     jaxpr = program.jaxpr
     if not any(map(_loops, jaxpr.eqns)):
@@ -102,16 +102,16 @@ def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., li
 
     def run(*arguments: jax.Array) -> list[jax.Array]:
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
-        for each in parts:
-            found = each.function(*(values[v] for v in each.inputs))
-            values.update(zip(each.outputs, found, strict=True))
+        for step in parts:
+            results = step.function(*(values[v] for v in step.inputs))
+            values.update(zip(step.outputs, results, strict=True))
         return [jnp.asarray(v.val if isinstance(v, Literal) else values[v], v.aval.dtype) for v in jaxpr.outvars]
 
-    return run, [reason for each in parts for reason in each.reasons]
+    return run, [reason for step in parts for reason in step.reasons]
 
 
 def _opened(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function without calls of functions."""
+    """The same function with called functions inlined."""
     avals: list[Any] = [v.aval for v in program.jaxpr.invars]
     shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
     return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
@@ -122,32 +122,32 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
     values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
 
     def value(v: Any) -> Any:
-        own: Any = v.aval
-        return jnp.asarray(v.val, own.dtype) if isinstance(v, Literal) else values[v]
+        aval: Any = v.aval
+        return jnp.asarray(v.val, aval.dtype) if isinstance(v, Literal) else values[v]
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if is_written(eqn) and not eqn.params["bodies"].depth:
+        if is_written(eqn) and not eqn.params["batch"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
         if inside is None:
-            own = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
-            found = jaxpr_as_fun(alone(jaxpr, eqn, own))(*map(value, own))
+            variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
+            outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*map(value, variables))
         else:
-            found = _evaluate(inside, *map(value, eqn.invars))
-        values.update(zip(eqn.outvars, found, strict=True))
+            outputs = _evaluate(inside, *map(value, eqn.invars))
+        values.update(zip(eqn.outvars, outputs, strict=True))
     results: list[Any] = jaxpr.outvars
     return [value(v) for v in results]
 
 
 def _loops(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
-    inside = [each for inner in inner_jaxprs(eqn) for each in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or any(is_written(each) or each.primitive.name == "while" for each in inside):
+    inside = [equation for inner in inner_jaxprs(eqn) for equation in all_equations(inner.jaxpr)]
+    if eqn.primitive.name == "while" or any(is_written(e) or e.primitive.name == "while" for e in inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
-        return any(_loops(each) for inner in inner_jaxprs(eqn) for each in inner.jaxpr.eqns)
+        return any(_loops(equation) for inner in inner_jaxprs(eqn) for equation in inner.jaxpr.eqns)
     return eqn.primitive.name == "scan" and _operations(eqn) > _UNROLLED
 
 
@@ -156,7 +156,7 @@ def _operations(eqn: Any) -> int:
 
 
 class _Constants:
-    """What a function computes from its constants alone, in small arrays: each part that reads it computes it anew.
+    """The values that depend on constants only, as small arrays: each part computes those that it reads.
 
     Attributes:
         made: the equations that do.
@@ -189,7 +189,7 @@ class _Constants:
 
 
 def _read(eqns: Iterable[Any]) -> dict[Any, None]:
-    """The variables that equations read, those that they make themselves among them, in order."""
+    """The variables that equations read, in order, including those that they compute."""
     return dict.fromkeys(v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal))
 
 
@@ -201,52 +201,66 @@ def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
     groups: dict[tuple[int, bool], list[Any]] = {}
     for eqn in jaxpr.eqns:
         if id(eqn) not in made:
-            own, loops = max((after.get(v, 0) for v in _read([eqn])), default=0), _loops(eqn)
-            groups.setdefault((own, loops), []).append(eqn)
-            after.update(dict.fromkeys(eqn.outvars, own + loops))
+            rank, loops = max((after.get(v, 0) for v in _read([eqn])), default=0), _loops(eqn)
+            groups.setdefault((rank, loops), []).append(eqn)
+            after.update(dict.fromkeys(eqn.outvars, rank + loops))
     results = [v for v in jaxpr.outvars if not isinstance(v, Literal)]
     wanted = dict.fromkeys(results)
     parts = [_straight(constants, [], [v for v in wanted if v in constants.known], backend)]
     for (_, loops), eqns in sorted(groups.items(), key=lambda group: group[0], reverse=True):
-        for each in [[eqn] for eqn in reversed(eqns)] if loops else [eqns]:
-            outputs = [v for eqn in each for v in eqn.outvars if v in wanted]
+        for chosen in [[eqn] for eqn in reversed(eqns)] if loops else [eqns]:
+            outputs = [v for eqn in chosen for v in eqn.outvars if v in wanted]
             if outputs:
-                found = _loop(constants, each[0], backend) if loops else _straight(constants, each, outputs, backend)
-                parts.append(found)
-                wanted.update(dict.fromkeys(found.inputs))
+                new = _loop(constants, chosen[0], backend) if loops else _straight(constants, chosen, outputs, backend)
+                parts.append(new)
+                wanted.update(dict.fromkeys(new.inputs))
     return parts[::-1]
 
 
 def _straight(constants: _Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
-    own = constants.close(eqns, outputs)
-    emission, computes = backend.emit(own), array_operations(own.jaxpr).total() > 0
-    return Part(own.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
+    program = constants.close(eqns, outputs)
+    emission, computes = backend.emit(program), array_operations(program.jaxpr).total() > 0
+    return Part(program.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
 
 
 # ---- loops -----------------------------------------------------------------------------------------------------------
 
 
+class _Operands:
+    """The arguments of an equation: those that constants determine, and the others, its inputs."""
+
+    def __init__(self, constants: _Constants, eqn: Any) -> None:
+        self.is_known = [isinstance(v, Literal) or v in constants.known for v in eqn.invars]
+        known = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if is_known]
+        self.inputs = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if not is_known]
+        self._types = [v.aval.dtype for v in known]
+        self._known = jaxpr_as_fun(constants.close([], known))
+
+    def joined(self, values: Iterable[Any], count: int | None = None) -> list[Any]:
+        """The first `count` arguments, from the values of those that are inputs."""
+        known, inputs = iter(map(jnp.asarray, self._known(), self._types)), iter(values)
+        return [next(known if is_known else inputs) for is_known in self.is_known[:count]]
+
+
+def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
+    """A branch with loops in it."""
+    branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
+
+    def switched(*values: Any) -> Any:
+        index, *arguments = operands.joined(values)
+        return jax.lax.switch(index, [run for run, _ in branches], *arguments)
+
+    return Part(
+        operands.inputs, eqn.outvars, switched, [f"branch: {why}" for _, reasons in branches for why in reasons]
+    )
+
+
 def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     """A loop, or a branch with loops in it."""
-    known = [isinstance(v, Literal) or v in constants.known for v in eqn.invars]
-    inputs = [v for v, own in zip(eqn.invars, known, strict=True) if not own]
-    types = [v.aval.dtype for v, own in zip(eqn.invars, known, strict=True) if own]
-    before = jaxpr_as_fun(constants.close([], [v for v, own in zip(eqn.invars, known, strict=True) if own]))
-
-    def joined(which: Sequence[bool], values: Iterable[Any]) -> list[Any]:
-        """What is known, and values of the rest."""
-        mine, given = iter(map(jnp.asarray, before(), types)), iter(values)
-        return [next(mine if own else given) for own in which]
-
-    name = eqn.primitive.name
+    name, operands = eqn.primitive.name, _Operands(constants, eqn)
     if name == "cond":
-        branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
-
-        def switched(*values: Any) -> Any:
-            index, *operands = joined(known, values)
-            return jax.lax.switch(index, [run for run, _ in branches], *operands)
-
-        return Part(inputs, eqn.outvars, switched, [f"branch: {reason}" for _, own in branches for reason in own])
+        return _branches(operands, eqn, backend)
+    joined, inputs = operands.joined, operands.inputs
 
     def as_it_is(*values: Any) -> Any:
         return eqn.primitive.bind(*values, **eqn.params)
@@ -255,56 +269,59 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
         ring, iteration = _iteration(eqn)
     except Unread as error:
         say_unread(error)
-        return Part(inputs, eqn.outvars, lambda *values: as_it_is(*joined(known, values)), [f"{name}, as JAX has it"])
-    fixed = known[: ring.fixed]
-    own = dataclasses.replace(ring, fixed=fixed.count(False))
+        return Part(inputs, eqn.outvars, lambda *values: as_it_is(*joined(values)), [f"{name}, as JAX has it"])
+    is_inside = operands.is_known[: ring.fixed]
+    inner = dataclasses.replace(ring, fixed=is_inside.count(False))
 
     def step(*values: Any) -> list[jax.Array]:
-        return iteration(*joined(fixed, values[: own.fixed]), *values[own.fixed :])
+        return iteration(*joined(values[: inner.fixed], ring.fixed), *values[inner.fixed :])
 
-    def given(values: Sequence[Any]) -> list[Any]:
+    def arguments(values: Sequence[Any]) -> list[Any]:
         """The arguments of the loop that are not known inside of it."""
-        every = joined(known, values)
-        return [*(a for a, inside in zip(every, fixed, strict=False) if not inside), *every[ring.fixed :]]
+        every = joined(values)
+        return [*(a for a, inside in zip(every, is_inside, strict=False) if not inside), *every[ring.fixed :]]
 
     avals = [v.aval for v in eqn.invars]
-    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a, inside in zip(avals, fixed, strict=False) if not inside]
+    shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a, inside in zip(avals, is_inside, strict=False) if not inside]
     shapes += [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals[ring.fixed : ring.fixed + ring.state]]
     shapes += [jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in avals[ring.fixed + ring.state :]]
     inside = jax.make_jaxpr(step)(*shapes)
     # Loops inside of it that are not unrolled are kernels of their own.
     around = has_loops(inside)
-    kernel = None if around else backend.looped(step, shapes, own)
+    kernel = None if around else backend.looped(step, shapes, inner)
     if kernel is not None:
         results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
-        looped = Looped(lambda count, *a: as_it_is(*joined(fixed, a[: own.fixed]), *a[own.fixed :]), results, kernel)
+        by_jax = lambda _, *a: as_it_is(*joined(a[: inner.fixed], ring.fixed), *a[inner.fixed :])  # noqa: E731
+        looped = Looped(by_jax, results, kernel)
         reason = f"{name}: all iterations in one kernel"
-        return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, given(values)), [reason])
+        return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
     if ring.length is None:
         run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
-        return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(known, values)), reasons)
+        return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
     body, reasons = emit_whole(inside, backend if around else backend.in_loops())
-
-    def rolled(*values: Any) -> list[jax.Array]:
-        constants, state, rows = values[: own.fixed], values[own.fixed :][: own.state], values[own.fixed + own.state :]
-
-        def iterate(state: Any, row: Any) -> tuple[Any, Any]:
-            found = body(*constants, *state, *row)
-            return found[: own.state], found[own.state :]
-
-        carried, stacked = jax.lax.scan(iterate, list(state), list(rows), own.length, own.reverse)
-        return [*carried, *stacked]
-
+    run = functools.partial(_scanned, body, inner)
     reasons = [f"{name}: {reason}" for reason in reasons]
-    return Part(inputs, eqn.outvars, lambda *values: small_call(rolled, *given(values)), reasons)
+    return Part(inputs, eqn.outvars, lambda *values: small_call(run, *arguments(values)), reasons)
+
+
+def _scanned(body: Callable[..., list[jax.Array]], ring: Ring, *values: Any) -> list[jax.Array]:
+    """A loop as a scan of its compiled body."""
+    constants, state, rows = values[: ring.fixed], values[ring.fixed :][: ring.state], values[ring.fixed + ring.state :]
+
+    def iterate(state: Any, row: Any) -> tuple[Any, Any]:
+        results = body(*constants, *state, *row)
+        return results[: ring.state], results[ring.state :]
+
+    carried, stacked = jax.lax.scan(iterate, list(state), list(rows), ring.length, ring.reverse)
+    return [*carried, *stacked]
 
 
 def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-    """A `while_loop` around other loops, and how these run."""
+    """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
-    going, asked = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
-    body, done = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+    going, reasons_of_condition = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
+    body, reasons_of_body = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
 
     def run(*values: Any) -> list[jax.Array]:
         return jax.lax.while_loop(
@@ -313,11 +330,11 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
             list(values[fixed:]),
         )
 
-    return run, [f"while: {reason}" for reason in (*asked, *done)]
+    return run, [f"while: {reason}" for reason in (*reasons_of_condition, *reasons_of_body)]
 
 
 def _iteration(eqn: Any) -> tuple[Ring, Callable[..., list[Any]]]:
-    """How a loop goes round, and one iteration of it as `Ring` has it.
+    """The order of a loop's values, and one iteration of it in that order.
 
     Raises:
         Unread: a loop of a later JAX.

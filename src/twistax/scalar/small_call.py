@@ -31,17 +31,17 @@ _IN_KERNEL = contextvars.ContextVar("inside a kernel", default=False)
 
 
 class _Outside(Exception):
-    """What is being traced cannot become part of a small function."""
+    """Raised for a trace that cannot become part of a small function."""
 
 
 def need_outside() -> None:
-    """For what cannot be part of a small function: end the trace that tries it, which would be thrown away."""
+    """End a trace as part of a small function, for something that cannot be part of one."""
     if _INSIDE.get():
         raise _Outside
 
 
 def inside_small_call() -> bool:
-    """Whether what is being traced becomes part of a small function."""
+    """Whether the present trace becomes part of a small function."""
     return _INSIDE.get()
 
 
@@ -66,7 +66,7 @@ def no_small_call() -> Iterator[None]:
 
 
 def held(tree: Tree) -> Tree:
-    """The same numbers, kept in one array. Inside a small function XLA else computes scalars anew at every reader.
+    """The same numbers, stored in one array: inside a small function XLA would compute scalars again at every reader.
 
     Whole numbers are small, so that they are floating-point numbers too.
     """
@@ -80,8 +80,8 @@ def held(tree: Tree) -> Tree:
 
     packed, read = ravel_pytree(jax.tree.map(lambda a: a if is_number(a) else a.astype(dtype), tree))
     numbers = read(jax.lax.optimization_barrier(packed))
-    found: Tree = jax.tree.map(lambda a, b: b if is_number(a) else b.astype(a.dtype), tree, numbers)
-    return found
+    kept: Tree = jax.tree.map(lambda a, b: b if is_number(a) else b.astype(a.dtype), tree, numbers)
+    return kept
 
 
 def fits(function: Callable[..., Any], *arguments: Any) -> bool:
@@ -121,7 +121,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     debugging: Any = jax.config
     if debugging.jax_disable_jit:  # operations one by one would have the attribute
         return function(*arguments)
-    flat, leaves, whole = on_leaves(function, arguments)
+    flat, leaves, unflatten = on_leaves(function, arguments)
     outside = _INSIDE.set(True)
     try:
         jaxpr = jax.make_jaxpr(flat)(*leaves)
@@ -133,10 +133,10 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         return function(*arguments)
     if not trusted and not known_inside(jaxpr.jaxpr):
         return function(*arguments)
-    run, held = opened(jaxpr)
+    run, traced = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
-    found: Result = whole(_outlined(run)(*jax.lax.optimization_barrier([*held, *leaves])))
-    return found
+    result: Result = unflatten(_outlined(run)(*jax.lax.optimization_barrier([*traced, *leaves])))
+    return result
 
 
 def apart(function: Callable[..., Result]) -> Callable[..., Result]:
@@ -169,7 +169,7 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
     @outlined.def_vmap
     def batched(size: int, mapped: list[bool], *leaves: jax.Array) -> tuple[list[jax.Array], list[bool]]:
-        axes = [0 if own else None for own in mapped]
+        axes = [0 if is_mapped else None for is_mapped in mapped]
         results = jax.vmap(run, in_axes=axes, axis_size=size)(*leaves)
         return results, [True] * len(results)
 

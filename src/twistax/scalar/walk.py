@@ -24,8 +24,8 @@ def walk(roots: Iterable[N], below: Callable[[N], Sequence[N]], name: Callable[[
         node, ready = stack.pop()
         if ready:
             yield node
-        elif (own := name(node)) not in seen:
-            seen.add(own)
+        elif (key := name(node)) not in seen:
+            seen.add(key)
             stack.append((node, True))
             stack.extend((other, False) for other in reversed(below(node)))
 

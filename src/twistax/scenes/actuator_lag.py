@@ -1,7 +1,5 @@
 """A hovering vehicle whose thrust and gimbals follow their commands within microseconds."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import twistax as tx

@@ -107,12 +107,12 @@ def system(planet: flight.Planet = EARTH, damped: bool = True) -> tx.System:
 
 def _published(number: int) -> tuple[Published, ...]:
     """What is published of a case, feet and degrees brought to m and rad."""
-    found = json.loads(Path(__file__).with_name("check_cases.json").read_text())[str(number)]
+    entries = json.loads(Path(__file__).with_name("check_cases.json").read_text())[str(number)]
     return tuple(
         Published(
             end["simulation"], tuple(end["rate"]), tuple(end["euler"]), end["position"] and tuple(end["position"])
         )
-        for end in found
+        for end in entries
     )
 
 

@@ -3,8 +3,6 @@
 Attitude R on SO(3), body to world, and angular velocity w in body axes.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from typing import Any

@@ -38,9 +38,9 @@ class SymmetricBody:
         L = J * w0
         size = np.sqrt(L @ L)
         axis = np.array([0.0, 0.0, 1.0], np.longdouble)
-        own = about(axis, (1 - J[2] / J[0]) * w0[2] * time)
-        R = self.rotation.astype(np.longdouble) @ about(L / size, size / J[0] * time) @ own
-        return R.astype(float), (own.T @ w0).astype(float)
+        R_spin = about(axis, (1 - J[2] / J[0]) * w0[2] * time)
+        R = self.rotation.astype(np.longdouble) @ about(L / size, size / J[0] * time) @ R_spin
+        return R.astype(float), (R_spin.T @ w0).astype(float)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -78,9 +78,9 @@ class LagrangeTop:
         spin = spin - (self._turned.at(phi) - self._turned.at(self._phase))
         R = about(_UP, precession) @ about(np.array([1.0, 0.0, 0.0], np.longdouble), np.arctan2(sine, u))
         leaning = -2 * (self._roots[1] - self._roots[0]) * np.sin(phi) * np.cos(phi) / (sine * self._pace(phi))
-        own = about(_UP, spin)
-        rate = own.T @ np.array([leaning, self._precession(u) * sine, 0]) + w[2] * _UP
-        return (R @ own).astype(float), rate.astype(float)
+        R_spin = about(_UP, spin)
+        rate = R_spin.T @ np.array([leaning, self._precession(u) * sine, 0]) + w[2] * _UP
+        return (R @ R_spin).astype(float), rate.astype(float)
 
     @functools.cached_property
     def _start(self) -> tuple[Array, Array, Array]:

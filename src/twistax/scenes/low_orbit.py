@@ -1,7 +1,5 @@
 """Satellites about an oblate Earth: one that the gravity gradient turns, one that spins for its stability."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -1,7 +1,5 @@
 """A free body whose frame does not sit at its centre of mass: translation and rotation couple through M (6, 6)."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

@@ -5,8 +5,6 @@ The stage is a rigid body that loses mass through its engine; air is left out. T
 and the centre of mass does not move in the body.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from typing import Any
 

@@ -84,11 +84,11 @@ def _fixed_positions(figure: earth.Ellipsoid) -> Callable[..., Array]:
     """Planet-fixed positions (n, 3) of latitudes, longitudes and altitudes, (n,) each."""
     place = [tx.State(name) for name in ("latitude", "longitude", "altitude")]
     one = tx.lower(figure.position(*place))
-    each = jax.jit(jax.vmap(lambda *values: one(0.0, dict(zip(("latitude", "longitude", "altitude"), values)))))
-    return lambda *values: np.asarray(each(*values))
+    vectorized = jax.jit(jax.vmap(lambda *values: one(0.0, dict(zip(("latitude", "longitude", "altitude"), values)))))
+    return lambda *values: np.asarray(vectorized(*values))
 
 
-class Table:
+class PublishedTable:
     """A published trajectory at TIMES; rows between them are left out. Raises InputError for a file of another form."""
 
     def __init__(self, path: Path, figure: earth.Ellipsoid = earth.WGS84) -> None:
@@ -156,9 +156,9 @@ class Table:
 def read(directory: Path, number: int, figure: earth.Ellipsoid = earth.WGS84) -> dict[str, Track]:
     """The published simulations of a case, by number. Raises InputError where there are none."""
     folder = directory / FOLDERS[number]
-    found = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
-    if not found:
+    files = {file.stem.split("_")[1]: file for file in sorted(folder.glob("sim_*.csv"), reverse=True)}
+    if not files:
         raise tx.InputError(
             f"case {number}: no file sim_<number>.csv in {folder}\n  fix: name the folder that has {folder.name}"
         )
-    return {name: Table(file, figure).track() for name, file in sorted(found.items())}
+    return {name: PublishedTable(file, figure).track() for name, file in sorted(files.items())}

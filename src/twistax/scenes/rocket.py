@@ -1,7 +1,5 @@
 """A rocket that burns its mass away: thrust that falls and swings, drag and damping."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import twistax as tx

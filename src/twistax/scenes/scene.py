@@ -126,24 +126,24 @@ class Scene:
         parts: list[float] = []
         for state in self.system.states:
             if state.name not in x:
-                given = ", ".join(x) or "none"
-                raise tx.InputError(f"scene {self.name!r}: state {state.name!r} is missing; given: {given}")
-            wanted, found = np.asarray(truth[state.name], float), np.asarray(x[state.name], float)
-            if found.shape != wanted.shape:
+                names = ", ".join(x) or "none"
+                raise tx.InputError(f"scene {self.name!r}: state {state.name!r} is missing; given: {names}")
+            wanted, value = np.asarray(truth[state.name], float), np.asarray(x[state.name], float)
+            if value.shape != wanted.shape:
                 raise tx.InputError(
-                    f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {found.shape}.\n"
+                    f"scene {self.name!r}: state {state.name!r} expects shape {wanted.shape}, got {value.shape}.\n"
                     "  fix: give one state; a solution's end is {name: value[-1] for name, value in sol.xs.items()}"
                 )
             with np.errstate(invalid="ignore", over="ignore"):
                 if state.group == tx.SO3:
-                    parts.append(rotation_angle(wanted, found))
+                    parts.append(rotation_angle(wanted, value))
                 elif state.group == tx.SE3:
-                    parts.append(rotation_angle(wanted[:3, :3], found[:3, :3]))
-                    parts.append(_distance(wanted[:3, 3], found[:3, 3]))
+                    parts.append(rotation_angle(wanted[:3, :3], value[:3, :3]))
+                    parts.append(_distance(wanted[:3, 3], value[:3, 3]))
                 elif state.name in twists:
-                    parts += [_distance(wanted[:3], found[:3]), _distance(wanted[3:], found[3:])]
+                    parts += [_distance(wanted[:3], value[:3]), _distance(wanted[3:], value[3:])]
                 else:
-                    parts.append(_distance(wanted, found))
+                    parts.append(_distance(wanted, value))
         return float(np.max(parts))
 
 
@@ -185,23 +185,23 @@ def total_momentum(poses: Sequence[tx.Expr], momenta: Sequence[Any]) -> dict[str
     return {"linear_momentum": tx.lie.linear(total), "angular_momentum": tx.lie.angular(total)}
 
 
-def rotation_angle(truth: Array, found: Array) -> float:
-    """The angle between two rotations (3, 3), rad, or |found - truth|_F / sqrt(2) if that is more.
+def rotation_angle(truth: Array, R: Array) -> float:
+    """The larger of the angle between two rotations (3, 3), rad, and |R - truth|_F / sqrt(2).
 
-    The angle is atan2 of its sine, the length of the vee of the skew part of truth' found, and its cosine, from the
-    trace: good to round-off for any angle. Of two rotations the other distance, 2 sin(angle / 2), is never more;
-    it is where `found` is no rotation.
+    The angle is the atan2 of its sine, from the skew part of truth^T R, and of its cosine, from the trace: exact to
+    round-off for any angle. For two rotations the second distance is 2 sin(angle / 2) and never larger than the angle;
+    it is larger only where `R` is no rotation.
     """
-    between = truth.T @ found
+    between = truth.T @ R
     skew = 0.5 * (between - between.T)
     sine = np.linalg.norm([skew[2, 1], skew[0, 2], skew[1, 0]])
     cosine = 0.5 * (np.trace(between) - 1.0)
-    return float(np.maximum(np.arctan2(sine, cosine), np.linalg.norm(found - truth) / np.sqrt(2.0)))
+    return float(np.maximum(np.arctan2(sine, cosine), np.linalg.norm(R - truth) / np.sqrt(2.0)))
 
 
-def _distance(truth: Array, found: Array) -> float:
-    """|found - truth| / max(1, |truth|)."""
-    return float(np.linalg.norm(found - truth) / max(1.0, float(np.linalg.norm(truth))))
+def _distance(truth: Array, value: Array) -> float:
+    """|value - truth| / max(1, |truth|)."""
+    return float(np.linalg.norm(value - truth) / max(1.0, float(np.linalg.norm(truth))))
 
 
 # ---- rotations and poses as NumPy arrays, in the precision of what they are made of --------------------------------

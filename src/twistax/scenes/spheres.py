@@ -11,8 +11,6 @@ Source: Murri, Jackson and Shelton, Check-Cases for Verification of 6-Degree-of-
 NASA/TM-2015-218675 (2015), and the trajectories that come with it.
 """
 
-from __future__ import annotations
-
 import dataclasses
 from functools import cached_property
 from typing import Any

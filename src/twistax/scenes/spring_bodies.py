@@ -64,12 +64,12 @@ def _at(g: tx.State, point: Array, force: tx.Expr) -> tx.Expr:
 
 def start(count: int = 4) -> dict[str, Array]:
     """Bodies 1.6 m apart along x, each turned further about z than the one before, with different twists."""
-    found = {}
+    states = {}
     for i in range(count):
-        found[f"g{i + 1}"] = placed(about((0.0, 0.0, 1.0), 0.3 * i), [1.6 * i, 0.1 * (-1.0) ** i, 0.0])
+        states[f"g{i + 1}"] = placed(about((0.0, 0.0, 1.0), 0.3 * i), [1.6 * i, 0.1 * (-1.0) ** i, 0.0])
         linear = [0.2 * np.cos(1.0 * i), 0.3 * np.sin(2.0 * i), -0.1 * i]
-        found[f"V{i + 1}"] = np.array([*linear, 0.5 * np.sin(1.0 + i), 0.4 * np.cos(3.0 * i), 0.3 + 0.2 * i])
-    return found
+        states[f"V{i + 1}"] = np.array([*linear, 0.5 * np.sin(1.0 + i), 0.4 * np.cos(3.0 * i), 0.3 + 0.2 * i])
+    return states
 
 
 def scene(count: int = 4) -> Scene:

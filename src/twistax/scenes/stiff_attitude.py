@@ -1,7 +1,5 @@
 """A body held to a slowly moving attitude by a stiff spring and a stiff damper."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import twistax as tx

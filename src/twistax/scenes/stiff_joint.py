@@ -1,7 +1,5 @@
 """Two bodies held together at a point by a very stiff spring and damper: a ball joint as simulators like to have it."""
 
-from __future__ import annotations
-
 import numpy as np
 
 import twistax as tx

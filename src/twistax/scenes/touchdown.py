@@ -117,10 +117,12 @@ class Reach:
 
 def reaches(descent: Descent, limits: Sequence[Limit]) -> list[Reach]:
     """How near a descent comes to every limit."""
-    found = []
+    reached = []
     for limit in limits:
         values = descent.outputs[limit.output]
         margins = limit.margin(values)
         worst = int(np.argmin(margins))
-        found.append(Reach(limit, float(values[worst]) * limit.factor, float(descent.ts[worst]), float(margins[worst])))
-    return found
+        reached.append(
+            Reach(limit, float(values[worst]) * limit.factor, float(descent.ts[worst]), float(margins[worst]))
+        )
+    return reached

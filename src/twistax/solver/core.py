@@ -15,6 +15,7 @@ import ctypes
 import dataclasses
 import enum
 import functools
+import itertools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -100,6 +101,41 @@ class Stages:
     def after(self) -> list[int]:
         """States of the stage after each one."""
         return [*self.states[1:], 0]
+
+    @functools.cached_property
+    def first_defect(self) -> Array:
+        """Where the defects of each stage begin."""
+        return np.asarray(np.cumsum(self.after) - self.after)
+
+    @functools.cached_property
+    def first_slope(self) -> Array:
+        """Where the derivatives of the defects of each stage begin."""
+        sizes = np.array(self.after) * np.array(self.columns)
+        return np.asarray(np.cumsum(sizes) - sizes)
+
+    @functools.cached_property
+    def runs(self) -> list[slice]:
+        """Consecutive stages whose counts are all the same: their blocks have one shape."""
+        points = self.point_states or self.states
+        counts = np.array([self.states, self.controls, self.inequalities, self.equalities, self.after, points])
+        begins = np.flatnonzero((np.diff(counts) != 0).any(axis=0)) + 1
+        ends = [0, *begins.tolist(), len(self.states)]
+        return [slice(a, b) for a, b in itertools.pairwise(ends)]
+
+    @functools.cached_property
+    def row_counts(self) -> tuple[int, int, int]:
+        """Defects, inequalities and equalities of all stages."""
+        return sum(self.after), sum(self.inequalities), sum(self.equalities)
+
+    @functools.cached_property
+    def slope_sizes(self) -> list[int]:
+        """Entries of the derivatives of all defects, inequalities and equalities."""
+        return [self.block_sizes(rows) for rows in (self.after, self.inequalities, self.equalities)]
+
+    @functools.cached_property
+    def hessian_size(self) -> int:
+        """Entries of the second derivatives of all stages."""
+        return self.block_sizes(self.columns)
 
     def block_sizes(self, rows: Sequence[int]) -> int:
         """Entries of a block (rows, columns) of each stage, one after the other."""
@@ -335,17 +371,18 @@ class _StopFunction:
         if should_stop is None:
             return
 
-        def stop(_: Any, iteration: int, z: Any) -> int:
+        views = dict[int, Array]()  # the core has two places for points
+
+        def stop(_: Any, iteration: int, z: int) -> int:
             try:
-                here = np.ctypeslib.as_array(z, (points,))
-                return int(bool(should_stop(iteration, statistics.cost, statistics.violation, here)))
+                if z not in views:
+                    views[z] = np.ctypeslib.as_array(ctypes.cast(z, ctypes.POINTER(ctypes.c_double)), (points,))
+                return int(bool(should_stop(iteration, statistics.cost, statistics.violation, views[z])))
             except BaseException as error:
                 self._error = error
                 return 1
 
-        self._function = ctypes.CFUNCTYPE(
-            ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.POINTER(ctypes.c_double)
-        )(stop)
+        self._function = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p, ctypes.c_int32, ctypes.c_void_p)(stop)
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:

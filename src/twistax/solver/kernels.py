@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import contextlib
 import ctypes
 import enum
 import functools
 import math
+import threading
 import time
 from collections.abc import Callable, Hashable, Mapping
 from typing import Any
@@ -132,11 +134,11 @@ class _Unbound:
             if Argument.NUMBERS in arguments:
                 place = arguments.index(Argument.NUMBERS)
                 before, form = computed_before(form, place)
-            tile = Straight(form, processor.lanes(np.dtype(float)))
-            kernel = HostKernel(tile, processor, threads=1)
+            body = Straight(form, processor.lanes(np.dtype(float)))
+            kernel = HostKernel(body, processor, threads=1)
             check_kernel(kernel)
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
-        return cls(kernel.symbol[1], [arguments[k] for k in tile.read], kernel, before, place)
+        return cls(kernel.symbol[1], [arguments[k] for k in body.read], kernel, before, place)
 
     @classmethod
     def of_function(
@@ -208,13 +210,21 @@ class SmoothKernels:
         make = functools.partial(_Made, function, sizes, order)
         made = make() if key is None else _KEPT.get((key, tuple(sizes.items()), order), make)
         self.rows = made.rows
-        self.kernels = [kernel.bound(numbers) for kernel in made.kernels]
+        self._made, self._numbers = made, numbers
+
+    @functools.cached_property
+    def kernels(self) -> list[BatchKernel]:
+        """Of the values and of the derivatives; waits for their machine code."""
+        return [pending.kernel.bound(self._numbers) for pending in self._made.kernels]
 
     @property
     def structure(self) -> SmoothStructure:
         """For the core."""
         return SmoothStructure(*(kernel.structure for kernel in self.kernels), rows=self.rows)
 
+
+#: One thread makes machine code, so that it shares Python with the one that traces alone.
+_COMPILING = threading.Lock()
 
 #: Functions that were traced, by their keys, those of some twenty problems.
 _KEPT = Kept(200)
@@ -237,16 +247,45 @@ class _Made:
                 (_slopes, jax.jacfwd(plain), (names, sizes)),
                 (_bends, functools.partial(_second, plain), weights),
             ]
-            self.kernels = [_kernel(closed, *maker) for maker in makers[: order + 1]]
+            self.kernels = [_Pending(closed, *maker) for maker in makers[: order + 1]]
 
 
-def _kernel(closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> _Unbound:
-    names, sizes = arguments
-    try:
-        program = made(closed)
-        return _Unbound.of_program(program, names)
-    except (*REFUSALS, NotNative, BuildError):
-        return _Unbound.of_function(function, sizes, names)
+class _Pending:
+    """A kernel whose machine code is made in a thread of its own, while others are traced and differentiated."""
+
+    def __init__(self, closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> None:
+        self._arguments, self._sizes = arguments
+        self._function, self._lock = function, threading.Lock()
+        self._kernel: _Unbound | None = None
+        self._error: BaseException | None = None
+        try:
+            self._program: ScalarProgram | None = made(closed)
+        except REFUSALS:
+            self._program = None
+        self._thread = threading.Thread(target=self._compile, daemon=True)
+        self._thread.start()
+
+    def _compile(self) -> None:
+        if self._program is None:
+            return
+        try:
+            with _COMPILING, contextlib.suppress(NotNative, BuildError):
+                self._kernel = _Unbound.of_program(self._program, self._arguments)
+        except BaseException as error:
+            self._error = error
+
+    @property
+    def kernel(self) -> _Unbound:
+        """The kernel, once it is there."""
+        with self._lock:
+            self._thread.join()
+            self._program = None
+            if self._error is not None:
+                raise self._error
+            if self._kernel is None:
+                self._kernel = _Unbound.of_function(self._function, self._sizes, self._arguments)
+            self._function = None
+            return self._kernel
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

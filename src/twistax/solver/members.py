@@ -177,10 +177,10 @@ class Moves(_Form):
         Raises:
             TrajectoryError: the solution is no strict minimum, or has no finite derivatives.
         """
-        moves, memory = np.array(sides, float), np.empty(self._doubles)
+        solutions, memory = np.array(sides, float), np.empty(self._doubles)
         address = ctypes.addressof(self.structure)
-        pointers = row.ctypes.data, moves.ctypes.data, memory.ctypes.data
-        status = CoreStatus(library().linearised_members(address, 1, len(moves), *pointers))
+        pointers = row.ctypes.data, solutions.ctypes.data, memory.ctypes.data
+        status = CoreStatus(library().linearised_members(address, 1, len(solutions), *pointers))
         self.transcription.check()
         if status is not CoreStatus.SOLVED:
             words = {
@@ -188,7 +188,7 @@ class Moves(_Form):
                 CoreStatus.NON_FINITE: "without finite derivatives",
             }
             raise TrajectoryError(f"the solution is {words.get(status, status.name)}")
-        return moves
+        return solutions
 
     def __call__(self, rows: Any, side: Any) -> Any:
         """The moves for rows (..., entries) and one side each, traceable; one factor serves all sides of a row."""
@@ -205,8 +205,8 @@ class Moves(_Form):
         def batched(size: int, mapped: list[bool], rows: Any, sides: Any) -> tuple[Any, bool]:
             if not mapped[0]:  # more sides of the same solutions
                 sides = jnp.moveaxis(sides, 0, -3)
-                moves = moved(rows, sides.reshape(*sides.shape[:-3], -1, sides.shape[-1]))
-                return jnp.moveaxis(moves.reshape(sides.shape), -3, 0), True
+                solutions = moved(rows, sides.reshape(*sides.shape[:-3], -1, sides.shape[-1]))
+                return jnp.moveaxis(solutions.reshape(sides.shape), -3, 0), True
             return moved(rows, sides if mapped[1] else jnp.broadcast_to(sides, (size, *sides.shape))), True
 
         return moved(rows, side[..., None, :])[..., 0, :]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import dataclasses
+import functools
 from collections.abc import Sequence
 from typing import Any
 
@@ -293,9 +294,17 @@ class Transcription:
 
     def check(self) -> None:
         """Raise what a function that JAX runs has raised."""
-        for phase in self.phases:
-            for kernel in (*phase.kernels.every, *(phase.join.gap.kernels if phase.join else [])):
-                kernel.check()
+        for kernel in self._run_by_jax:
+            kernel.check()
+
+    @functools.cached_property
+    def _run_by_jax(self) -> list[BatchKernel]:
+        kernels = [
+            kernel
+            for phase in self.phases
+            for kernel in (*phase.kernels.every, *(phase.join.gap.kernels if phase.join else []))
+        ]
+        return [kernel for kernel in kernels if isinstance(kernel.owner, Callback)]
 
     def _array(self, array: Array) -> int:
         array = np.ascontiguousarray(array)

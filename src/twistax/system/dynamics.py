@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ..checks import real_array
 from ..errors import ModelError
+from ..progress import watched
 from ..scalar.backends import Backend, chosen
 from ..scalar.targets.llvm.backend import Auto
 from ..scalar.walk import uncollected
@@ -56,8 +57,8 @@ class Dynamics:
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
         groups = {name: group.name for name, group in self.group.factors.items() if not group.flat}
-        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in own] for kind, own in kinds.items()}
-        shown = [f"{kind}: {', '.join(own)}" for kind, own in named.items() if own]
+        named = {kind: [f"{e.name} {groups.get(e.name, e.shape)}" for e in entries] for kind, entries in kinds.items()}
+        shown = [f"{kind}: {', '.join(entries)}" for kind, entries in named.items() if entries]
         return f"Dynamics({'; '.join([*shown, f'backend: {self.backend}'])})"
 
     def __call__(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
@@ -302,7 +303,7 @@ def compile(
         raise ModelError(f"compile expects a tx.System, got {type(system).__name__}; for an expression use tx.lower")
     if bake is not None and not isinstance(bake, Mapping):
         raise ModelError(f"bake must be a dict from parameter names to values, got {type(bake).__name__}")
-    with uncollected():
+    with watched("compile"), uncollected():
         return Dynamics(Functions(system, outputs, dict(bake or {}), chosen(backend, Auto())))
 
 

@@ -146,13 +146,13 @@ def explain(functions: Functions) -> Explanation:
     before, after = (_jaxpr(roots, inputs.dtype) for roots in (written, simplified))
     distinct = len({node.key() for node in postorder(*simplified)})
     start = time.perf_counter()
-    given = (inputs.t, inputs.x, inputs.u, inputs.params)
-    jax.jit(functools.partial(functions.evaluate, "rates", in_loop=False)).lower(*given).compile()
+    arguments = (inputs.t, inputs.x, inputs.u, inputs.params)
+    jax.jit(functools.partial(functions.evaluate, "rates", in_loop=False)).lower(*arguments).compile()
     seconds = time.perf_counter() - start
-    leaves, structure = jax.tree.flatten(given)
+    leaves, structure = jax.tree.flatten(arguments)
     emission, _ = functions.emission("rates", structure, tuple((a.shape, a.dtype) for a in leaves))
     return Explanation(
-        leaves={kind: [leaf.name for leaf in own] for kind, own in kinds.items()},
+        leaves={kind: [leaf.name for leaf in of_kind] for kind, of_kind in kinds.items()},
         unused=_unused(functions),
         baked=list(functions.baked),
         nodes=(_written_nodes(written), distinct),
@@ -172,7 +172,7 @@ def explain_one(functions: Functions, of: str) -> Dependence:
         InputError: no rate and no output of that name, or no such entry.
     """
     name, _, rest = str(of).partition("[")
-    families = {own: family for family in ("outputs", "rates") for own in functions.families[family]}
+    families = {known: family for family in ("outputs", "rates") for known in functions.families[family]}
     if name not in families:
         known = [*functions.families["rates"], *functions.families["outputs"]]
         raise InputError(f"explain expects a rate or an output, got {of!r}; there are: {listed(known, of)}")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import functools
+import itertools
 import threading
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, TypeVar
@@ -28,6 +29,7 @@ from ..expr import (
     substitute,
 )
 from ..jax_inside import is_traced
+from ..progress import watched
 from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
@@ -57,12 +59,12 @@ class Kept:
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
         """What was made for the key, or is now."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
-        found = self._found.get(key, self)
-        if found is self:
-            with uncollected():
+        kept = self._found.get(key, self)
+        if kept is self:
+            with watched("compile"), uncollected():
                 made: Any = make()
         else:
-            made = found
+            made = kept
         with self._lock:
             self._found.pop(key, None)
             self._found[key] = made
@@ -98,14 +100,14 @@ class Functions:
         residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
         equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
         self.constraints: dict[str, dict[str, Expr]] = {
-            kind: {name: own for name, own in residuals.items() if (name in equalities) == (kind == "equality")}
+            kind: {name: r for name, r in residuals.items() if (name in equalities) == (kind == "equality")}
             for kind in ("inequality", "equality")
         }
         chosen = _narrow(system.outputs, outputs)
         self.families: dict[str, dict[str, list[Expr]]] = {
             "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
             "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
-            "constraints": {kind: list(own.values()) for kind, own in self.constraints.items()},
+            "constraints": {kind: list(residual.values()) for kind, residual in self.constraints.items()},
             "corrections": {name: [expr] for name, expr in _canonical(system.corrections, constants).items()},
         }
         self._constants = constants
@@ -126,26 +128,27 @@ class Functions:
     def with_outputs(self, names: Iterable[str]) -> Functions:
         """A twin with some of the outputs alone."""
         known, wanted = self.families["outputs"], set(names)
-        outputs = {name: own for name, own in known.items() if name in wanted}
-        found = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
-        found.__dict__.pop("reads", None)
-        return found
+        outputs = {name: exprs for name, exprs in known.items() if name in wanted}
+        twin = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
+        twin.__dict__.pop("reads", None)
+        return twin
 
     def twin(self) -> Functions:
         """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
         return self._changed(loops=Kept(32))
 
-    def _changed(self, **own: Any) -> Functions:
-        found = object.__new__(Functions)
-        found.__dict__.update(self.__dict__, **own)
-        found._jit()
-        return found
+    def _changed(self, **changes: Any) -> Functions:
+        twin = object.__new__(Functions)
+        twin.__dict__.update(self.__dict__, **changes)
+        twin._jit()
+        return twin
 
     def __reduce__(self) -> Any:
         return Functions, (self.system, list(self.families["outputs"]), self.baked, self.backend)
 
     def _jit(self) -> None:
         self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
+        self._called: set[str] = set()
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
@@ -170,15 +173,16 @@ class Functions:
             InputError: as a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
-        return prepare((*self.states, *self.controls, *self.parameters), required, t, x, u, params, names, on_host)
+        leaves = (*self.states, *self.controls, *self.parameters)
+        return prepare(leaves, required, t, x, u, params, names=names, on_host=on_host)
 
     def zeros(self) -> Inputs:
         """Zeros for all leaves that anything reads, in JAX's default precision."""
         read = set().union(*self.reads.values())
         x = {leaf.name: np.zeros(leaf.shape) for leaf in self.states}
         u, params = (
-            {leaf.name: np.zeros(leaf.shape) for leaf in own if leaf.name in read}
-            for own in (self.controls, self.parameters)
+            {leaf.name: np.zeros(leaf.shape) for leaf in of_kind if leaf.name in read}
+            for of_kind in (self.controls, self.parameters)
         )
         return self.prepare(0.0, x, u, params, reads=())
 
@@ -186,16 +190,16 @@ class Functions:
     def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
         """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
         known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
-        flat = {f"{k} {part}": each for k, (_, pair) in enumerate(known) for part, each in enumerate(pair)}
-        simple, found = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
+        flat = {f"{k} {part}": expr for k, (_, pair) in enumerate(known) for part, expr in enumerate(pair)}
+        simple, slopes = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
         for k, (name, _) in enumerate(known):
-            found.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
-        return found
+            slopes.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
+        return slopes
 
     @functools.cached_property
     def reads(self) -> dict[str, set[str]]:
         """The names of the leaves that each family reads."""
-        return {family: _names(*own.values()) for family, own in self.families.items()}
+        return {family: _names(*roots.values()) for family, roots in self.families.items()}
 
     def rate_reads(self, name: str) -> set[str]:
         """The names of the states, controls and parameters that the rate of a state reads."""
@@ -205,8 +209,8 @@ class Functions:
     def constraint_names(self) -> dict[str, list[str]]:
         """The name of every entry of the constraints, for messages."""
         return {
-            kind: [entry for name, e in own.items() for entry in entry_names(name, e.shape)]
-            for kind, own in self.constraints.items()
+            kind: [entry for name, e in constraints.items() for entry in entry_names(name, e.shape)]
+            for kind, constraints in self.constraints.items()
         }
 
     # ---- values ------------------------------------------------------------------------------------------------------
@@ -214,7 +218,9 @@ class Functions:
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
         """Rates, outputs or constraints from arguments as users give them, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
-        return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+        first, self._called = family not in self._called, self._called | {family}
+        with watched("compile") if first else contextlib.nullcontext():
+            return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""
@@ -245,8 +251,9 @@ class Functions:
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            written = jax.make_jaxpr(lambda *given: self.as_written(family, *given), return_shape=True)
-            closed, shape = written(*jax.tree.unflatten(structure, [jax.ShapeDtypeStruct(*each) for each in types]))
+            written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
+            shapes = list(itertools.starmap(jax.ShapeDtypeStruct, types))
+            closed, shape = written(*jax.tree.unflatten(structure, shapes))
             places = jax.tree.unflatten(structure, range(len(types)))
             return backend.emit(closed, jax.tree.leaves(places[3])), jax.tree.structure(shape)
 
@@ -266,10 +273,10 @@ class Functions:
         """
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
-        values = iter(evaluate_all([e for own in roots.values() for e in own], lambda leaf: leaf.read(inputs)))
+        values = iter(evaluate_all([e for exprs in roots.values() for e in exprs], lambda leaf: leaf.read(inputs)))
         result = {}
-        for name, exprs in roots.items():
-            parts = [next(values) for _ in exprs]
+        for name, roots_of_name in roots.items():
+            parts = [next(values) for _ in roots_of_name]
             if joined:
                 parts = [jnp.concatenate([jnp.zeros(0, dtype), *(part.reshape(-1) for part in parts)])]
             result[name] = parts[0]
@@ -284,11 +291,12 @@ class Functions:
 
         def make() -> tuple[Callable[..., dict[str, jax.Array]], Any]:
             try:
-                found, _ = self.rate_jacobian(inputs, wrt)
+                derivatives, _ = self.rate_jacobian(inputs, wrt)
             except TooLarge:
                 run = functools.partial(self._columns, places, wrt)
             else:
-                run = functools.partial(_by_program, list(found.blocks), self.backend.derived(found.program))
+                derived = self.backend.derived(derivatives.program)
+                run = functools.partial(_by_program, list(derivatives.blocks), derived)
             return run, jax.jit(run)
 
         traceable, jitted = self._made.get((self.backend, "jacobian", wrt, places, inputs.dtype), make)
@@ -296,8 +304,8 @@ class Functions:
 
     def _columns(self, places: Places, wrt: tuple[str, ...], *arrays: jax.Array) -> Arrays:
         def rates(*arrays: jax.Array) -> jax.Array:
-            found = self.evaluate("rates", *self.by_kind(places, arrays), in_loop=False)
-            return jnp.concatenate([found[state.name].reshape(-1) for state in self.states])
+            rates = self.evaluate("rates", *self.by_kind(places, arrays), in_loop=False)
+            return jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])
 
         return blocks_in_arrays(rates, self.group, places, wrt, arrays)
 
@@ -328,11 +336,11 @@ class Functions:
 
     def flat(self, inputs: Inputs) -> tuple[Places, list[jax.Array]]:
         """The arguments in the order of declaration: what each is, ("t", "t") or its kind and name; and the arrays."""
-        leaves, given = (self.states, self.controls, self.parameters), (inputs.x, inputs.u, inputs.params)
+        leaves, by_kind = (self.states, self.controls, self.parameters), (inputs.x, inputs.u, inputs.params)
         named = {
             (kind, leaf.name): values[leaf.name]
-            for kind, own, values in zip(("x", "u", "params"), leaves, given, strict=True)
-            for leaf in own
+            for kind, of_kind, values in zip(("x", "u", "params"), leaves, by_kind, strict=True)
+            for leaf in of_kind
             if leaf.name in values
         }
         return (("t", "t"), *named), [inputs.t, *named.values()]
@@ -344,13 +352,13 @@ class Functions:
 
     def _flat_slopes(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
         """The rates as one vector; then, of what is known of their derivatives, what they are by, and the matrices."""
-        pairs = [pair for own in self.slopes.values() for pair in own]
+        pairs = [pair for known in self.slopes.values() for pair in known]
         roots = {name: [rate] for name, (rate,) in self.families["rates"].items()}
         vectors = [by for by, _ in pairs if not isinstance(by, State)]
-        roots |= {f"slopes {k}": [each] for k, each in enumerate([*vectors, *(matrix for _, matrix in pairs)])}
-        found = self.values(roots, False, *self.by_kind(places, arrays))
-        rates = jnp.concatenate([found.pop(state.name).reshape(-1) for state in self.states])
-        return [rates, *found.values()]
+        roots |= {f"slopes {k}": [expr] for k, expr in enumerate([*vectors, *(matrix for _, matrix in pairs)])}
+        results = self.values(roots, False, *self.by_kind(places, arrays))
+        rates = jnp.concatenate([results.pop(state.name).reshape(-1) for state in self.states])
+        return [rates, *results.values()]
 
     def by_kind(self, places: Places, arrays: Sequence[jax.Array]) -> tuple[jax.Array, Arrays, Arrays, Arrays]:
         """t, x, u and params again, of arguments as `flat` gives them."""
@@ -411,5 +419,5 @@ def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict
 
 def _names(*roots: list[Expr]) -> set[str]:
     """The names of the states, controls and parameters that the roots read."""
-    leaves = leaves_of(*(expr for own in roots for expr in own))
+    leaves = leaves_of(*(expr for exprs in roots for expr in exprs))
     return {leaf.name for leaf in leaves if isinstance(leaf, (State, Control, Parameter))}

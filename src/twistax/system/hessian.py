@@ -50,26 +50,27 @@ def hessian(
         raise InputError(f"weights must be a dict from names to arrays, got {type(weights).__name__}")
     check_kinds(wrt)
     weighted = _weighted(functions, weights)
-    inputs = functions.prepare(t, x, u, params, reads={each.family for each in weighted})
+    inputs = functions.prepare(t, x, u, params, reads={function.family for function in weighted})
     values = read_values("weights", weighted, weights, inputs.dtype)
-    given = [values[each.name].reshape(-1) for each in weighted]
+    multipliers = [values[function.name].reshape(-1) for function in weighted]
     places, arrays = functions.flat(inputs)
-    found = _kept(functions, weighted, inputs, wrt)
-    if found is None:
+    matrix = _kept(functions, weighted, inputs, wrt)
+    if matrix is None:
         plain = functools.partial(_in_arrays, functions, weighted, places, wrt)
         run = functions.hessians.get((*_key(weighted, places, inputs, wrt), "arrays"), lambda: jax.jit(plain))
-        return run(arrays, given)
-    derived = functions.hessians.get((functions.backend, found), lambda: functions.backend.derived(found.program))
-    return call_program(derived, *arrays, *given)[0]
+        return run(arrays, multipliers)
+    key = (functions.backend, matrix)
+    derived = functions.hessians.get(key, lambda: functions.backend.derived(matrix.program))
+    return call_program(derived, *arrays, *multipliers)[0]
 
 
 def hessian_pattern(functions: Functions, weights: Iterable[str], wrt: tuple[str, ...]) -> NDArray[np.bool_]:
     """What `Dynamics.hessian_pattern` gives."""
     check_kinds(wrt)
-    found = _kept(functions, _weighted(functions, weights), functions.zeros(), wrt)
-    if found is None:
+    matrix = _kept(functions, _weighted(functions, weights), functions.zeros(), wrt)
+    if matrix is None:
         raise ModelError("the Hessian has no pattern: it takes too many scalars, or derivatives that only JAX can take")
-    return found.pattern.copy()
+    return matrix.pattern.copy()
 
 
 # ---- what is weighted ------------------------------------------------------------------------------------------------
@@ -87,35 +88,35 @@ class _Weighted(NamedTuple):
 def _weighted(functions: Functions, names: Iterable[str]) -> tuple[_Weighted, ...]:
     """What the names stand for, in the order of declaration. Raises InputError."""
     families = {name: functions.families[name] for name in ("rates", "outputs")}
-    families["constraints"] = {n: [e] for own in functions.constraints.values() for n, e in own.items()}
+    families["constraints"] = {n: [e] for members in functions.constraints.values() for n, e in members.items()}
     known = [
         _Weighted(name, family, (expr,), expr.shape)
-        for family, own in families.items()
-        for name, (expr,) in own.items()
+        for family, members in families.items()
+        for name, (expr,) in members.items()
     ]
-    for kind, own in functions.constraints.items():
-        size = sum(math.prod(e.shape) for e in own.values())
-        known.append(_Weighted(kind, "constraints", tuple(own.values()), (size,)))
-    found = []
+    for kind, members in functions.constraints.items():
+        size = sum(math.prod(e.shape) for e in members.values())
+        known.append(_Weighted(kind, "constraints", tuple(members.values()), (size,)))
+    chosen = []
     for name in dict.fromkeys([names] if isinstance(names, str) else names):
-        same = [each for each in known if each.name == name]
+        same = [candidate for candidate in known if candidate.name == name]
         if not same:
-            names = listed([each.name for each in known], name)
+            names = listed([candidate.name for candidate in known], name)
             raise InputError(f"unknown key {name!r} in weights; expected a rate, an output or a constraint: {names}")
         if len(same) > 1:
             raise InputError(
-                f"weights[{name!r}] is ambiguous: the system has {' and '.join(each.family for each in same)} of that "
-                "name.\n  fix: rename the output or the constraint"
+                f"weights[{name!r}] is ambiguous: the system has {' and '.join(c.family for c in same)} of that name.\n"
+                "  fix: rename the output or the constraint"
             )
         if same[0].exprs and same[0].exprs[0].boolean:
             raise InputError(f"weights[{name!r}]: the output is true or false, not a number")
-        found.append(same[0])
-    return tuple(sorted(found, key=known.index))
+        chosen.append(same[0])
+    return tuple(sorted(chosen, key=known.index))
 
 
 def _values(functions: Functions, weighted: Sequence[_Weighted], places: Places, *arrays: jax.Array) -> list[jax.Array]:
-    """A vector for each."""
-    roots = {each.name: list(each.exprs) for each in weighted}
+    """The values of each function as a vector."""
+    roots = {function.name: list(function.exprs) for function in weighted}
     return list(functions.values(roots, True, *functions.by_kind(places, arrays)).values())
 
 
@@ -136,7 +137,7 @@ def _kept(
 
 
 def _key(weighted: Sequence[_Weighted], places: Places, inputs: Inputs, wrt: tuple[str, ...]) -> tuple[Any, ...]:
-    return (tuple(each.name for each in weighted), places, wrt, inputs.dtype)
+    return (tuple(function.name for function in weighted), places, wrt, inputs.dtype)
 
 
 # ---- in arrays -------------------------------------------------------------------------------------------------------
@@ -145,15 +146,15 @@ def _key(weighted: Sequence[_Weighted], places: Places, inputs: Inputs, wrt: tup
 def hessian_in_arrays(total: Callable[[jax.Array], jax.Array], zero: jax.Array) -> jax.Array:
     """The second derivatives of a function of a vector by JAX, made exactly symmetric."""
     try:
-        found = jax.hessian(total)(zero)
+        second = jax.hessian(total)(zero)
     except (TypeError, ValueError):  # a loop of unknown length has derivatives forward alone
-        found = jax.jacfwd(jax.jacfwd(total))(zero)
+        second = jax.jacfwd(jax.jacfwd(total))(zero)
     # One number in both places: XLA may round an entry and its mirror image differently.
     n = len(zero)
     rows, columns = np.tril_indices(n)
     places = np.zeros((n, n), int)
     places[rows, columns] = places[columns, rows] = np.arange(len(rows))
-    return found[rows, columns][places]
+    return second[rows, columns][places]
 
 
 def _in_arrays(
@@ -194,24 +195,24 @@ class WeightedHessian:
         TooLarge: too many scalars.
     """
 
-    def __init__(self, given: Differentiated, weighted: int | None = None) -> None:
+    def __init__(self, problem: Differentiated, weighted: int | None = None) -> None:
         sweeps: list[_Sweep] = []
         refusal: Exception | None = None
         for gradient in (cotangent_program, contracted_program):
             if sweeps and sweeps[0].forward > sweeps[0].gradient.operations:
                 break
             try:
-                sweeps.append(_Sweep(given, weighted, gradient))
+                sweeps.append(_Sweep(problem, weighted, gradient))
             except REFUSALS as error:
                 refusal = error
         if not sweeps and refusal is not None:
             raise refusal
-        self._best = best = min(sweeps, key=lambda each: each.operations)
+        self._best = best = min(sweeps, key=lambda sweep: sweep.operations)
         self._matrix, self._in_order = best.matrix()
         program = best.gradient.restricted([self._matrix])
         # JAX says only where it runs that a function has no forward derivative.
         if any(eqn.primitive.name == "custom_lin" for c in program.calls for eqn in all_equations(c.jaxpr.jaxpr)):
-            raise TypeError("a call has a reverse derivative alone")
+            raise TypeError("a called function has only a reverse derivative")
         self.pattern = self._matrix != program.graph.zero
         self._program = program
 
@@ -221,18 +222,18 @@ class WeightedHessian:
         # Rows with most entries last: measured, kernels wait least for memory so.
         return one_by_one(self._program, self._in_order)
 
-    def beside_values(self, given: Mapping[int, int]) -> ScalarProgram:
+    def beside_values(self, substituted: Mapping[int, int]) -> ScalarProgram:
         """(arguments, weights w_i) -> the functions, the Jacobian of those with weights, and the matrix.
 
         Args:
-            given: arguments that are functions themselves, whose numbers follow; the program does not take them.
+            substituted: arguments that are functions themselves, by their numbers; the program does not take them.
         """
         best, g = self._best, self._best.gradient.graph
         slopes = np.full((len(best.weighted.flat), len(self._matrix)), g.zero)
         for (row, column), node in columns_of(best.weighted, best.seeds).items():
             slopes[row, column] = node
         results = [*best.program.outputs, slopes, self._matrix]
-        nodes = {argument: best.program.outputs[k] for argument, k in given.items()}
+        nodes = {argument: best.program.outputs[k] for argument, k in substituted.items()}
         return one_by_one(best.gradient.restricted(results), self._in_order, nodes)
 
 
@@ -248,18 +249,18 @@ class _Sweep:
         operations: about how many the Hessian takes.
     """
 
-    def __init__(self, given: Differentiated, weighted: int | None, gradient: Gradient) -> None:
-        self.program = program = scalarize(given.closed)
+    def __init__(self, problem: Differentiated, weighted: int | None, gradient: Gradient) -> None:
+        self.program = program = scalarize(problem.closed)
         self.weighted = program.restricted(program.outputs[:weighted])
-        self.seeds, widths = tangents_of(program, given)
+        self.seeds, widths = tangents_of(program, problem)
         self._size = sum(widths.values())
-        self._bends = _bends(program, given, widths) if "x" in given.wrt else {}
+        self._bends = _bends(program, problem, widths) if "x" in problem.wrt else {}
         self.forward = sum(tangents.bit_count() for tangents in reached(self.weighted, self.seeds).values())
-        active = [k for k, (kind, _) in enumerate(given.places) if kind in given.wrt]
+        active = [k for k, (kind, _) in enumerate(problem.places) if kind in problem.wrt]
         self.gradient = gradient(self.weighted, active)
         self._entries = flat(*(program.inputs[k] for k in active))
-        found = reached(self.gradient, self.seeds)
-        touched = [sum(found[i] >> k & 1 for i in self.gradient.live) for k in range(self._size)]
+        touching = reached(self.gradient, self.seeds)
+        touched = [sum(touching[i] >> k & 1 for i in self.gradient.live) for k in range(self._size)]
         order = sorted(range(self._size), key=lambda k: -touched[k])
         #: tangent -> those along which its part of the gradient is differentiated, each a bit of a number.
         self._partners = dict(zip(order, itertools.accumulate(1 << k for k in order)))
@@ -268,7 +269,7 @@ class _Sweep:
             for tangent in self.seeds[entry]:
                 wanted[node] = wanted.get(node, 0) | self._partners[tangent]
         self._wanted = needed(self.gradient, wanted)
-        carried = (found[i] & self._wanted.get(i, 0) for i in self.gradient.live)
+        carried = (touching[i] & self._wanted.get(i, 0) for i in self.gradient.live)
         self.operations = self.gradient.operations + sum(tangents.bit_count() for tangents in carried)
 
     def matrix(self) -> tuple[Nodes, list[int]]:
@@ -277,9 +278,9 @@ class _Sweep:
         The same nodes once more in the order to compute them in.
         """
         g, slopes = self.gradient.graph, self.gradient.flat
-        found = columns_of(self.gradient, self.seeds, self._wanted)
+        second_derivatives = columns_of(self.gradient, self.seeds, self._wanted)
         sums: dict[tuple[int, int], int] = {}
-        for (place, column), second in sorted(found.items()):
+        for (place, column), second in sorted(second_derivatives.items()):
             for tangent, moved in self.seeds[self._entries[place]].items():
                 if self._partners[tangent] >> column & 1:
                     pair = (tangent, column)
@@ -298,20 +299,20 @@ class _Sweep:
 
 
 def _bends(
-    program: ScalarProgram, given: Differentiated, widths: Mapping[str, int]
+    program: ScalarProgram, problem: Differentiated, widths: Mapping[str, int]
 ) -> Mapping[int, dict[tuple[int, int], int]]:
     """The second derivatives of the entries of x (+) d at d = 0: input node -> (pair of tangents -> node)."""
-    g, group = program.graph, given.group
-    start = sum(widths[kind] for kind in given.wrt[: given.wrt.index("x")])
-    found: dict[int, dict[tuple[int, int], int]] = {}
-    for own, (kind, name) in zip(program.inputs, given.places, strict=True):
+    g, group = program.graph, problem.group
+    start = sum(widths[kind] for kind in problem.wrt[: problem.wrt.index("x")])
+    bends_of: dict[int, dict[tuple[int, int], int]] = {}
+    for array, (kind, name) in zip(program.inputs, problem.places, strict=True):
         if kind == "x" and not group.factors[name].flat:
-            (bends,) = JaxprReader(g).read(_bend_of(group.factors[name], own.shape, g.dtype), [own])
+            (bends,) = JaxprReader(g).read(_bend_of(group.factors[name], array.shape, g.dtype), [array])
             first = start + group.slices[name].start
-            for entry, block in zip(flat(own), bends, strict=True):
+            for entry, block in zip(flat(array), bends, strict=True):
                 pairs = {(first + i, first + j): int(node) for (i, j), node in np.ndenumerate(block)}
-                found[entry] = {pair: node for pair, node in pairs.items() if node != g.zero}
-    return found
+                bends_of[entry] = {pair: node for pair, node in pairs.items() if node != g.zero}
+    return bends_of
 
 
 @functools.lru_cache(maxsize=64)

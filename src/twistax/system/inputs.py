@@ -24,8 +24,8 @@ def precision(*groups: Values | None) -> Any:
     one it is JAX's default float.
     """
     for values in groups:
-        given = values.values() if isinstance(values, Mapping) else ()
-        dtypes = [v.dtype for v in given if hasattr(v, "dtype")]
+        arrays = values.values() if isinstance(values, Mapping) else ()
+        dtypes = [v.dtype for v in arrays if hasattr(v, "dtype")]
         sizes = [min(d.itemsize, 8) for d in dtypes if jnp.issubdtype(d, jnp.floating) and d.itemsize >= 4]
         if sizes:
             return jax.dtypes.canonicalize_dtype(f"float{8 * max(sizes)}")
@@ -59,10 +59,10 @@ def read_values(
         raise InputError(f"{kind} must be a dict from names to arrays, got {type(values).__name__}")
     unknown = [name for name in values if name not in known]
     if unknown:
-        own = getattr(unknown[0], "name", None)
-        hint = f"\n  fix: values go by name here: {{{own!r}: ...}}" if own in known else ""
+        leaf_name = getattr(unknown[0], "name", None)
+        hint = f"\n  fix: values go by name here: {{{leaf_name!r}: ...}}" if leaf_name in known else ""
         raise InputError(f"unknown key {unknown[0]!r} in {kind}; expected: {listed(known, unknown[0])}{hint}")
-    found = {}
+    result = {}
     for name, value in values.items():
         place = f"{kind}[{name!r}]"
         array = real_array(place, value)
@@ -71,8 +71,8 @@ def read_values(
                 f"{kind}[{name!r}] expects shape {known[name].shape}, got {array.shape}.\n"
                 f"  fix: {_shaped(known[name], kind)}"
             )
-        found[name] = cast(place, array, dtype, on_host)
-    return found
+        result[name] = cast(place, array, dtype, on_host)
+    return result
 
 
 def is_finite(value: Any) -> bool:
@@ -100,10 +100,10 @@ def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
         return
     known = np.asarray(array)
     with np.errstate(over="ignore"):
-        lost = np.isinf(known.astype(dtype)) & np.isfinite(known)
-    if lost.any():
+        overflows = np.isinf(known.astype(dtype)) & np.isfinite(known)
+    if overflows.any():
         raise InputError(
-            f"{place} has {np.abs(known[lost]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
+            f"{place} has {np.abs(known[overflows]).max():.3g}, which {np.dtype(dtype).name} cannot hold.\n"
             '  fix: other units, or double precision: jax.config.update("jax_enable_x64", True) and float64 arrays'
         )
 
@@ -115,6 +115,7 @@ def prepare(
     x: Values | None,
     u: Values | None,
     params: Values | None,
+    *,
     names: Sequence[str] = ("t", "x", "u", "params"),
     on_host: bool = False,
     spare: bool = False,
@@ -132,29 +133,28 @@ def prepare(
     """
     dtype = precision(x, u, params, {"t": t})
     if spare and isinstance(x, Mapping):
-        others = {leaf.name for leaf in leaves if not isinstance(leaf, State)}
-        read = {leaf.name for leaf in leaves} - others
-        x = {name: value for name, value in x.items() if name in read or name in others or not isinstance(name, str)}
+        names_of_leaves = {leaf.name for leaf in leaves}
+        x = {name: value for name, value in x.items() if name in names_of_leaves or not isinstance(name, str)}
     kinds = {kind: [leaf for leaf in leaves if isinstance(leaf, kind)] for kind in (State, Control, Parameter)}
     time = real_array(names[0], t)
     if time.shape != ():
         raise InputError(f"{names[0]} expects a scalar, got shape {time.shape}")
-    given = {
-        kind: read_values(name, own, values, dtype, on_host)
-        for (kind, own), name, values in zip(kinds.items(), names[1:], (x, u, params), strict=True)
+    prepared = {
+        kind: read_values(name, of_kind, values, dtype, on_host)
+        for (kind, of_kind), name, values in zip(kinds.items(), names[1:], (x, u, params), strict=True)
     }
     for kind, name in ((State, names[1]), (Control, names[2])):
         for leaf in kinds[kind]:
-            if leaf.name in required and leaf.name not in given[kind]:
+            if leaf.name in required and leaf.name not in prepared[kind]:
                 raise InputError(
-                    f"{kind.__name__} {leaf.name!r} is missing in {name}, which has: {listed(given[kind])}.\n"
+                    f"{kind.__name__} {leaf.name!r} is missing in {name}, which has: {listed(prepared[kind])}.\n"
                     f"  fix: pass {name}={{{leaf.name!r}: ...}} of shape {leaf.shape}"
                 )
-    values = given[Parameter]
-    inputs = Inputs(cast(names[0], time, dtype, on_host), given[State], given[Control], values, dtype)
+    values = prepared[Parameter]
+    inputs = Inputs(cast(names[0], time, dtype, on_host), prepared[State], prepared[Control], values, dtype)
     # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
     for leaf in kinds[Parameter]:
         if leaf.name in required and leaf.name not in values:
-            own = leaf.value if on_host and isinstance(leaf, Parameter) else None
-            values[leaf.name] = leaf.read(inputs) if own is None else own.astype(dtype)
+            default = leaf.value if on_host and isinstance(leaf, Parameter) else None
+            values[leaf.name] = leaf.read(inputs) if default is None else default.astype(dtype)
     return inputs

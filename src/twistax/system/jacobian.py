@@ -55,35 +55,36 @@ class RateJacobian:
         TooLarge: there are more.
     """
 
-    def __init__(self, given: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
-        whole = scalarize(given.closed, largest=largest)
-        rates, *others = whole.outputs
+    def __init__(self, problem: Differentiated, known: Known | None = None, largest: int = 200_000) -> None:
+        program = scalarize(problem.closed, largest=largest)
+        rates, *vectors_of_slopes = program.outputs
         #: The rates alone.
-        self.rates = whole.restricted([rates])
-        g = whole.graph
-        seeds, widths = tangents_of(whole, given)
+        self.rates = program.restricted([rates])
+        g = program.graph
+        seeds, widths = tangents_of(program, problem)
         ends = dict(zip(widths, np.cumsum(list(widths.values())).tolist(), strict=True))
         dense = np.full((rates.size, sum(widths.values())), g.zero)
         learnt = np.zeros(rates.size, bool)
         for name in known or {}:
-            learnt[given.group.slices[name]] = True
+            learnt[problem.group.slices[name]] = True
         fixed = range(ends["params"] - widths["params"], ends["params"]) if "params" in widths else range(0)
         self._differentiate(dense, ~learnt, seeds)
         self._differentiate(dense, learnt, _along(seeds, lambda column: column in fixed))
         if known:
             moving = _along(seeds, lambda column: column not in fixed)
             states = ends["x"] - widths["x"] if "x" in widths else None
-            vectors = iter(others)
-            pairs = [(name, next(vectors) if isinstance(by, int) else by) for name, own in known.items() for by in own]
+            vectors = iter(vectors_of_slopes)
+            arguments = [(name, by) for name, slopes in known.items() for by in slopes]
+            pairs = [(name, next(vectors) if isinstance(by, int) else by) for name, by in arguments]
             for (name, by), matrix in zip(pairs, vectors, strict=True):
-                rows = dense[given.group.slices[name]]
+                rows = dense[problem.group.slices[name]]
                 if not isinstance(by, str):
-                    _add(g, rows, _product(g, matrix, columns_of(whole.restricted([by]), moving), rows.shape[1]))
+                    _add(g, rows, _product(g, matrix, columns_of(program.restricted([by]), moving), rows.shape[1]))
                 elif states is not None:
-                    at = given.group.slices[by]
+                    at = problem.group.slices[by]
                     _add(g, rows[:, states + at.start : states + at.stop], matrix)
         blocks = {kind: dense[:, ends[kind] - width : ends[kind]] for kind, width in widths.items()}
-        self.program = one_by_one(whole.restricted(list(blocks.values())))
+        self.program = one_by_one(program.restricted(list(blocks.values())))
         self.blocks: dict[str, Nodes] = dict(zip(blocks, self.program.outputs, strict=True))
         self.pattern = {kind: block != g.zero for kind, block in blocks.items()}
 
@@ -91,48 +92,49 @@ class RateJacobian:
         """The derivatives of some of the rates, on the graph."""
         places = np.flatnonzero(rows)
         if len(places) and seeds:
-            own = self.rates.restricted([self.rates.outputs[0][places]])
-            for (row, column), node in columns_of(own, seeds).items():
+            part = self.rates.restricted([self.rates.outputs[0][places]])
+            for (row, column), node in columns_of(part, seeds).items():
                 dense[places[row], column] = node
 
 
-def fewer(plain: Callable[[], Differentiated], own: RateJacobian) -> RateJacobian:
+def fewer(plain: Callable[[], Differentiated], with_known: RateJacobian) -> RateJacobian:
     """Of the derivatives on the graph and those that are known the ones that take fewer operations.
 
     Args:
         plain: gives the rates alone, where their derivatives are tried.
     """
-    if own.rates.operations > _SMALL:
-        return own
+    if with_known.rates.operations > _SMALL:
+        return with_known
     try:
-        other = RateJacobian(plain(), largest=2 * len(own.program.graph.nodes) + len(own.rates.graph.nodes))
+        largest = 2 * len(with_known.program.graph.nodes) + len(with_known.rates.graph.nodes)
+        other = RateJacobian(plain(), largest=largest)
     except TooLarge:
-        return own
-    return other if other.program.operations < own.program.operations else own
+        return with_known
+    return other if other.program.operations < with_known.program.operations else with_known
 
 
 def along(
     group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
 ) -> tuple[dict[str, int], Callable[[jax.Array], list[jax.Array]]]:
     """How many tangents arguments have, by kind; and the function that moves arguments by a vector of them."""
-    own = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
-    sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in own.items()}
-    if "x" in own:
+    numbers_of = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
+    sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in numbers_of.items()}
+    if "x" in numbers_of:
         sizes["x"] = group.dimension
 
     def moved(d: jax.Array) -> list[jax.Array]:
-        found, at = list(arrays), 0
-        for kind, numbers in own.items():
+        result, at = list(arrays), 0
+        for kind, numbers in numbers_of.items():
             if kind == "x":
                 x = group.retract({places[k][1]: arrays[k] for k in numbers}, d[at : at + group.dimension])
                 for k in numbers:
-                    found[k] = x[places[k][1]]
+                    result[k] = x[places[k][1]]
                 at += group.dimension
                 continue
             for k in numbers:
-                found[k] = arrays[k] + d[at : at + arrays[k].size].reshape(arrays[k].shape)
+                result[k] = arrays[k] + d[at : at + arrays[k].size].reshape(arrays[k].shape)
                 at += arrays[k].size
-        return found
+        return result
 
     return sizes, moved
 
@@ -153,8 +155,8 @@ def blocks_in_arrays(
 
 def _along(seeds: Seeds, wanted: Callable[[int], bool]) -> Seeds:
     """Some of the tangents alone."""
-    found = {i: {column: node for column, node in row.items() if wanted(column)} for i, row in seeds.items()}
-    return {i: row for i, row in found.items() if row}
+    chosen = {i: {column: node for column, node in row.items() if wanted(column)} for i, row in seeds.items()}
+    return {i: row for i, row in chosen.items() if row}
 
 
 def _add(g: ScalarGraph, onto: Nodes, more: Nodes) -> None:
@@ -164,23 +166,26 @@ def _add(g: ScalarGraph, onto: Nodes, more: Nodes) -> None:
 
 def _product(g: ScalarGraph, matrix: Nodes, columns: Mapping[tuple[int, int], int], width: int) -> Nodes:
     """A matrix times another one, given by its entries that are not zero."""
-    found = np.full((len(matrix), width), g.zero)
+    product = np.full((len(matrix), width), g.zero)
     for (k, j), node in columns.items():
         for i, entry in enumerate(matrix[:, k].tolist()):
-            found[i, j] = g.add(int(found[i, j]), g.mul(entry, node))
-    return found
+            product[i, j] = g.add(int(product[i, j]), g.mul(entry, node))
+    return product
 
 
-def tangents_of(program: ScalarProgram, given: Differentiated) -> tuple[Seeds, dict[str, int]]:
+def tangents_of(program: ScalarProgram, problem: Differentiated) -> tuple[Seeds, dict[str, int]]:
     """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
     g = program.graph
     widths: dict[str, int] = {}
     seeds: Seeds = {}
     offset = 0
-    for kind in given.wrt:
-        own = {name: program.inputs[k] for k, (of, name) in enumerate(given.places) if of == kind}
-        entries = flat(*own.values())
-        moved = _moved(program, own, given.group) if kind == "x" else np.where(np.eye(len(entries)) > 0, g.one, g.zero)
+    for kind in problem.wrt:
+        arrays = {name: program.inputs[k] for k, (of, name) in enumerate(problem.places) if of == kind}
+        entries = flat(*arrays.values())
+        if kind == "x":
+            moved = _moved(program, arrays, problem.group)
+        else:
+            moved = np.where(np.eye(len(entries)) > 0, g.one, g.zero)
         for entry, row in zip(entries, moved.tolist(), strict=True):
             seeds[entry] = {offset + j: value for j, value in enumerate(row) if value != g.zero}
         widths[kind] = moved.shape[1]
@@ -194,8 +199,8 @@ def _moved(program: ScalarProgram, values: dict[str, Nodes], group: Product) -> 
 
     def function(*arrays: jax.Array) -> list[jax.Array]:
         x = dict(zip(values, arrays, strict=True))
-        found = jax.jacfwd(lambda d: group.retract(x, d))(jnp.zeros(group.dimension, g.dtype))
-        return [found[name].reshape(-1, group.dimension) for name in values]
+        slopes = jax.jacfwd(lambda d: group.retract(x, d))(jnp.zeros(group.dimension, g.dtype))
+        return [slopes[name].reshape(-1, group.dimension) for name in values]
 
     shapes = [jax.ShapeDtypeStruct(nodes.shape, g.dtype) for nodes in values.values()]
     return np.concatenate(JaxprReader(g).read(jax.make_jaxpr(function)(*shapes), list(values.values())))

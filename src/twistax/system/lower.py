@@ -61,12 +61,12 @@ def lower(expr: Any) -> Lowered:
 
         def values(*arguments: Any) -> list[jax.Array]:
             t, x, u, params = jax.tree.unflatten(structure, arguments)
-            own = Inputs(t, x, u, params, inputs.dtype)
-            return evaluate_all(nodes, lambda leaf: leaf.read(own))
+            traced_inputs = Inputs(t, x, u, params, inputs.dtype)
+            return evaluate_all(nodes, lambda leaf: leaf.read(traced_inputs))
 
-        given, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
-        found = (as_arrays(jax.make_jaxpr(values)(*given)) if large and is_traced(given) else values)(*given)
-        return jax.tree_util.tree_unflatten(treedef, found)
+        arrays, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
+        results = (as_arrays(jax.make_jaxpr(values)(*arrays)) if large and is_traced(arrays) else values)(*arrays)
+        return jax.tree_util.tree_unflatten(treedef, results)
 
     function.__name__ = "lowered"
     function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."
@@ -75,14 +75,14 @@ def lower(expr: Any) -> Lowered:
 
 def _distinct(leaves: Iterable[Leaf]) -> list[Leaf]:
     """The named leaves, each once: x, u and params are read by name, so leaves of one name must be one."""
-    found: dict[tuple[type[Leaf], str], Leaf] = {}
+    leaves_by_name: dict[tuple[type[Leaf], str], Leaf] = {}
     for leaf in leaves:
         if isinstance(leaf, (Constant, Time)):
             continue
-        other = found.setdefault((type(leaf), leaf.name), leaf)
+        other = leaves_by_name.setdefault((type(leaf), leaf.name), leaf)
         if other.key() != leaf.key() or freeze(getattr(other, "value", None)) != freeze(getattr(leaf, "value", None)):
             raise ModelError(
                 f"two {type(leaf).__name__}s are named {leaf.name!r} and differ: shapes {other.shape} and {leaf.shape}"
                 f"{'' if other.shape != leaf.shape else ', different groups or values'}.\n  fix: rename one"
             )
-    return list(found.values())
+    return list(leaves_by_name.values())

@@ -18,11 +18,13 @@ _STEPS = 50
 _ROUND_OFF = 1e3
 
 
-def increments(functions: Functions, found: Arrays) -> jax.Array:
+def increments(functions: Functions, corrections: Arrays) -> jax.Array:
     """The corrections of all states as one tangent vector; zeros for states without one."""
-    named = functions.group.factors.items()
-    dtype = next(iter(found.values())).dtype
-    parts = [found[name].reshape(-1) if name in found else jnp.zeros(g.dimension, dtype) for name, g in named]
+    dtype = next(iter(corrections.values())).dtype
+    parts = [
+        corrections[name].reshape(-1) if name in corrections else jnp.zeros(group.dimension, dtype)
+        for name, group in functions.group.factors.items()
+    ]
     return jnp.concatenate(parts)
 
 
@@ -32,8 +34,8 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
     now, size = dict(inputs.x), np.inf
     least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)
     for _ in range(_STEPS):
-        found = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
-        step = increments(functions, found)
+        corrections = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
+        step = increments(functions, corrections)
         now = functions.group.retract(now, step)
         before, size = size, float(jnp.abs(step).max())
         if (size <= least and not size < 0.5 * before) or size == 0.0:
@@ -43,6 +45,6 @@ def project(functions: Functions, t: Any, x: Values, u: Values | None, params: V
     if size <= 1e3 * least:
         return now
     raise InputError(
-        f"project finds no state on the manifold from here: the last of its steps is {size:.3g}.\n"
+        f"project does not converge to the manifold from this state: its last step is {size:.3g}.\n"
         "  fix: start nearer to one, such as a posture in which the loops are almost closed"
     )

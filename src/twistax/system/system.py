@@ -43,6 +43,7 @@ from ..expr.printing.picture import Picture, svg
 from ..expr.printing.text import name_latex
 from ..expr.transformations.vmap import no_elements
 from ..groups import Product
+from .labels import Labels, checked_labels
 
 L = TypeVar("L", bound=Leaf)
 #: Of a state: pairs of what its rate depends on and the derivative by it.
@@ -56,23 +57,23 @@ class System:
 
     Args:
         rates: the rate of every state; keys are the states or their names, in the order tangent vectors shall have.
-            The rate of a group-valued state is its body velocity, shape (3,) or (6,); of another state, of its shape.
+            The rate of a group-valued state is its body velocity, (3,) or (6,); of another state, of its shape.
         outputs: named expressions to be computed on demand.
         constraints: constraints (`a <= b`, `a >= b`, `a == b`) or `Soft` ones: one, a list, or a mapping from names.
         corrections: of states that the exact motion keeps on a manifold, such as one of closed loops: what to add to
             bring them back, one step of Newton's; keys and shapes as of rates. `tx.integrate` adds them after every
             step, `Dynamics.project` until they vanish.
         controls, parameters: declare them to fix their order or to keep unused ones; otherwise they are found.
-        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs of what its rate depends
-            on and the derivative by it. The former is a state, whose derivative is by right perturbations, or any
-            vector; what depends on states and controls in no other way is not differentiated again.
+        labels: of states and controls, a pair of name and unit for each entry.
+        slopes: derivatives of rates that are known, for `Dynamics.jacobian`: of a state, pairs (argument, derivative).
+            The argument is a state, whose derivative is by right perturbations, or any vector; what depends on states
+            and controls in no other way is not differentiated again.
 
     Attributes:
         states, controls, parameters: tuples of leaves in order.
-        rates: mapping from state name to expression.
-        outputs, constraints, corrections: mappings from name to expression.
+        rates, outputs, constraints, corrections: mappings from name to expression.
         soft: mapping from the names of soft constraints to their `Soft`.
-        slopes: mapping from state name to pairs of expressions.
+        slopes, labels: mappings from the name of a leaf to pairs as above.
         group: the product group the state lives on.
 
     Raises:
@@ -91,6 +92,7 @@ class System:
         controls: Iterable[Control] | None = None,
         parameters: Iterable[Parameter] | None = None,
         slopes: Slopes | None = None,
+        labels: Labels | None = None,
     ) -> None:
         if not isinstance(rates, Mapping) or not rates:
             got = short(rates) if isinstance(rates, Mapping) else type(rates).__name__
@@ -103,8 +105,8 @@ class System:
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         named = _named_constraints(constraints)
-        self.soft = {name: own for name, own in named.items() if isinstance(own, Soft)}
-        self.constraints: dict[str, Constraint] = {name: hard(own) for name, own in named.items()}
+        self.soft = {name: constraint for name, constraint in named.items() if isinstance(constraint, Soft)}
+        self.constraints: dict[str, Constraint] = {name: hard(constraint) for name, constraint in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
             raise ModelError(f"corrections must be a dict from states to expressions, got {short(corrections)}")
         self.corrections: dict[str, Expr] = {
@@ -130,6 +132,7 @@ class System:
         self._check_shapes()
         self._check_corrections()
         self.slopes = self._known_slopes(slopes or {})
+        self.labels = checked_labels(labels, (*self.states, *self.controls))
         check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
 
     def __repr__(self) -> str:
@@ -178,20 +181,20 @@ class System:
         """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
         if not isinstance(slopes, Mapping):
             raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
-        groups, found = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
+        groups, checked = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
         known = {leaf.name for leaf in (*self.states, *self.controls, *self.parameters)}
         for key, pairs in slopes.items():
             name = name_of(key)
             place = f"slopes[{name!r}]"
             if name not in groups:
                 raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
-            own = list(pairs) if isinstance(pairs, Iterable) else [pairs]
-            if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in own):
+            pairs_of_state = list(pairs) if isinstance(pairs, Iterable) else [pairs]
+            if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs_of_state):
                 raise ModelError(
-                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(own)}"
+                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(pairs_of_state)}"
                 )
-            found[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in own)
-            for by, slope in found[name]:
+            checked[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in pairs_of_state)
+            for by, slope in checked[name]:
                 if not isinstance(by, State) and by.ndim != 1:
                     raise ShapeError(f"{place} expects derivatives by a state or a vector, got one by shape {by.shape}")
                 for leaf in leaves_of(by, slope):
@@ -200,30 +203,30 @@ class System:
                 wanted = (groups[name].dimension, groups[by.name].dimension if isinstance(by, State) else by.shape[0])
                 if slope.shape != wanted:
                     raise ShapeError(f"{place} expects shape {wanted} by {short(by)}, got {slope.shape}")
-        return found
+        return checked
 
     def _place(self, leaf: Leaf) -> str:
         """Where a leaf is first used."""
         for name, root in self._roots.items():
-            if any(found is leaf for found in leaves_of(root)):
+            if any(used is leaf for used in leaves_of(root)):
                 return f"{name}: {find_path(root, leaf)}"
         return "a key of rates" if isinstance(leaf, State) else "declared, not used"
 
     def _declared(self, kind: type[L], declared: Iterable[L] | None, used: Sequence[Leaf]) -> tuple[L, ...]:
-        """The leaves of one kind in order: as declared, else as found."""
-        found = {leaf.name: leaf for leaf in reversed(used) if isinstance(leaf, kind)}
+        """The leaves of one kind in order: as declared, or else as they are used."""
+        used_leaves = {leaf.name: leaf for leaf in reversed(used) if isinstance(leaf, kind)}
         if declared is None:
-            return tuple(reversed(found.values()))
+            return tuple(reversed(used_leaves.values()))
         argument = f"{kind.__name__.lower()}s"
-        given: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
-        if not isinstance(given, Iterable):
-            raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {given!r}")
-        leaves = {id(leaf): leaf for leaf in given}
+        declared_leaves: Iterable[Any] = (declared,) if isinstance(declared, Expr) else declared
+        if not isinstance(declared_leaves, Iterable):
+            raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {declared_leaves!r}")
+        leaves = {id(leaf): leaf for leaf in declared_leaves}
         for leaf in leaves.values():
             if not isinstance(leaf, kind):
                 raise ModelError(f"{argument}= expects {kind.__name__} leaves, got {leaf!r}")
         names = {leaf.name for leaf in leaves.values()}
-        for name, leaf in found.items():
+        for name, leaf in used_leaves.items():
             if name not in names:
                 raise ModelError(
                     f"{kind.__name__} {name!r} is used but not declared.\n  at: {self._place(leaf)}\n"
@@ -246,8 +249,8 @@ class System:
                 raise self._two_leaves(known[leaf.name], leaf)
 
     def _two_leaves(self, one: Leaf, other: Leaf) -> ModelError:
-        found = ", ".join(_differences(one, other)) if type(one) is type(other) else ""
-        differ = f", which differ in {found}" if found else ""
+        differences = ", ".join(_differences(one, other)) if type(one) is type(other) else ""
+        differ = f", which differ in {differences}" if differences else ""
         return ModelError(
             f"two leaves are named {one.name!r}: {_kind(one)} and {_kind(other)}{differ}.\n"
             f"  at: {self._place(one)}\n  and: {self._place(other)}\n"
@@ -308,10 +311,10 @@ def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
 def need_finite(place: str, root: Expr) -> None:
     """Raise ModelError if it is not finite whatever the states are; of a constraint its residual."""
     root = root.residual() if isinstance(root, Constraint) else root
-    if (found := _not_finite(root)) is not None:
+    if (not_finite := _not_finite(root)) is not None:
         raise ModelError(
-            f"{place} is never finite: it expects finite numbers, got {found!r}.\n"
-            f"  at: {find_path(root, found)}\n  fix: what is not known yet is a tx.Parameter"
+            f"{place} is never finite: it expects finite numbers, got {not_finite!r}.\n"
+            f"  at: {find_path(root, not_finite)}\n  fix: what is not known yet is a tx.Parameter"
         )
 
 
@@ -365,16 +368,16 @@ def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked
 
 def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tuple[State, ...]:
     """The states in the order of the keys."""
-    found = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
+    known = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
     states: dict[str, State] = {}
     for key in rates:
         if not isinstance(key, (State, str)):
             raise ModelError(f"a key of rates must be a State or its name, got {key!r}")
         name = name_of(key)
-        if name not in found:
+        if name not in known:
             raise ModelError(
                 f"rates names {name!r}, but no State of that name is used.\n"
-                f"  fix: give the State itself as the key; known are {listed(sorted(found), name)}"
+                f"  fix: give the State itself as the key; known are {listed(sorted(known), name)}"
             )
         if name in states:
             first = next(other for other in rates if name_of(other) == name)
@@ -384,7 +387,7 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
                     "(the states of a joint are named after the joint)"
                 )
             raise ModelError(f"the rate of {name!r} is given twice.\n  fix: one key a state: the State or its name")
-        states[name] = found[name]
+        states[name] = known[name]
     return tuple(states.values())
 
 

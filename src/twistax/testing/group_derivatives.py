@@ -52,20 +52,20 @@ def check_derivatives(check: Check, group: Group, samples: Sequence[Sample]) -> 
     with check.running("its maps have derivatives", "write them in jax.numpy, without Python branches"):
         batch = _along_lines(group, across, *stacked)
     for i, sample in enumerate(samples):
-        each = {kind: np.asarray(value[i]) for kind, value in batch.items()}
+        values = {kind: np.asarray(value[i]) for kind, value in batch.items()}
         for name, place in places.items():
-            bend = each["bend"][bending[name]] if name in bending else None
-            _check_one(check, name, each["values"][:, place], each["slopes"][:, place], bend, sample)
-        size = max(1.0, np.abs(across).max() * np.abs(each["slopes"]).max())
+            bend = values["bend"][bending[name]] if name in bending else None
+            _check_one(check, name, values["values"][:, place], values["slopes"][:, place], bend, sample)
+        size = max(1.0, np.abs(across).max() * np.abs(values["slopes"]).max())
         fix = "look at custom derivatives, and at Python branches"
-        forward, reverse = across @ each["slopes"][0], each["gradient"] @ sample.e
+        forward, reverse = across @ values["slopes"][0], values["gradient"] @ sample.e
         check.close("reverse is forward", reverse, forward, 1e-11 * size * len(across), fix, sample.at)
         if sample.in_reach:
             fix = "look at log: where it divides by an angle or takes a root, its derivative must stay finite"
             for kind in ("forward", "reverse", "second"):
                 expected = np.zeros_like(sample.e) if kind == "second" else sample.e
                 law = f"Log(Exp(d)) = d has that {kind} derivative"
-                check.close(law, each[kind], expected, 1e-9, fix, sample.at)
+                check.close(law, values[kind], expected, 1e-9, fix, sample.at)
 
 
 def _along_lines(group: Group, across: np.ndarray, a: Any, b: Any, e: Any) -> dict[str, Any]:
@@ -156,8 +156,8 @@ def _compare(
     law = f"{name} in single precision is that in double, to 100 round-offs"
     if isinstance(group.shape, dict) and not hasattr(double, "shape"):
         for key, factor in group.factors.items():  # type: ignore[attr-defined]
-            own = sizes[group.slices[key]]  # type: ignore[attr-defined]
-            _compare(check, factor, name, single[key], double[key], own, at)
+            factor_sizes = sizes[group.slices[key]]  # type: ignore[attr-defined]
+            _compare(check, factor, name, single[key], double[key], factor_sizes, at)
         return
     single, double = np.asarray(single), np.asarray(double)
     check.holds(law, single.dtype == np.float32, f"{name} gives {single.dtype}", fix)

@@ -74,11 +74,11 @@ def check_group(group: Group, *, seed: int = 0) -> None:
         drawn = samples(group, seed)
         with check.running("its maps can be mapped over batches", "write them in jax.numpy, without Python branches"):
             values = _values(group, drawn)
-        for sample, each in zip(drawn, values, strict=True):
-            _check_products(check, sample, each)
-            _check_adjoints(check, sample, each)
-            _check_jacobians(check, sample, each)
-            _check_drift(check, group, sample, each)
+        for sample, value in zip(drawn, values, strict=True):
+            _check_products(check, sample, value)
+            _check_adjoints(check, sample, value)
+            _check_jacobians(check, sample, value)
+            _check_drift(check, group, sample, value)
         _check_parts(check, group, drawn[5])
         check_derivatives(check, group, drawn)
         check_single_precision(check, group, seed)
@@ -89,14 +89,14 @@ def samples(group: Group, seed: int) -> list[Sample]:
     rng, n = np.random.default_rng(seed), group.dimension
     draw = lambda: rng.uniform(-1.0, 1.0, n)  # noqa: E731
     sizes = {"zero": 0.0, "1e-12": 1e-12, "1e-6": 1e-6, "1e-3": 1e-3, "ordinary": 1.0}
-    found = [Sample(label, size * draw(), draw(), draw(), True) for label, size in sizes.items()]
-    found.append(Sample("ordinary", draw(), draw(), draw(), True))
+    samples = [Sample(label, size * draw(), draw(), draw(), True) for label, size in sizes.items()]
+    samples.append(Sample("ordinary", draw(), draw(), draw(), True))
     single = np.zeros(n)
     single[rng.integers(n)] = 0.7
-    found.append(Sample("one entry", single, draw(), draw(), True))
+    samples.append(Sample("one entry", single, draw(), draw(), True))
     for label, turn in (("near half a turn", np.pi - 1e-6), ("beyond half a turn", np.pi + 0.3)):
-        found.append(Sample(label, turned(group, draw(), turn), draw(), draw(), False))
-    return found
+        samples.append(Sample(label, turned(group, draw(), turn), draw(), draw(), False))
+    return samples
 
 
 def turned(group: Group, d: np.ndarray, turn: float) -> np.ndarray:
@@ -170,8 +170,8 @@ def _check_is_value(check: Check, group: Group) -> None:
     n = group.dimension
     named = isinstance(group.name, str) and group.name != ""
     check.holds("a group has a name", named, f"got {group.name!r}", 'give name = "..."')
-    whole = isinstance(n, int) and n >= 0
-    check.holds("the dimension is a whole number", whole, f"got {n!r}", "give dimension, the length of tangents")
+    is_natural = isinstance(n, int) and n >= 0
+    check.holds("the dimension is a whole number", is_natural, f"got {n!r}", "give dimension, the length of tangents")
 
 
 def _check_shapes(check: Check, group: Group) -> None:
@@ -202,8 +202,8 @@ def _check_shapes(check: Check, group: Group) -> None:
             fix = f"give {name} the shape of twistax.groups.Group.{name}, in the precision of its arguments"
             with check.running(law, fix):
                 got = neutral if name == "identity" else jax.eval_shape(getattr(group, name), *operands)
-                told = jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), (got, result))
-            check.holds(law, told[0] == told[1], f"got {told[0]} for {told[1]}", fix)
+                kinds = jax.tree.map(lambda leaf: (leaf.shape, str(leaf.dtype)), (got, result))
+            check.holds(law, kinds[0] == kinds[1], f"got {kinds[0]} for {kinds[1]}", fix)
 
 
 def _shape(group: Group) -> Any:
@@ -276,13 +276,15 @@ def _check_drift(check: Check, group: Group, sample: Sample, value: Mapping[str,
     for name, share, left in (("normalize", _DRIFT, _EXACT * size**2), ("tighten", _ROUND_OFF, 1e-12 * size**2)):
         drifted = jax.tree.map(lambda leaf, other, share=share: jnp.asarray(leaf + share * other), g, noise)
         off = float(group.defect(drifted))
-        told = f"an element with noise of {share:g} has the defect {off:.3g}"
-        check.holds("defect notices drift", off > 1e-3 * share, told, fix)
+        message = f"an element with noise of {share:g} has the defect {off:.3g}"
+        check.holds("defect notices drift", off > 1e-3 * share, message, fix)
         repaired = getattr(group, name)(drifted)
-        told = f"{name} of an element, off by noise of {share:g}"
-        check.close(f"{name} repairs drift", group.defect(repaired), 0.0, left, f"look at {name}: {told}", at)
+        message = f"{name} of an element, off by noise of {share:g}"
+        check.close(f"{name} repairs drift", group.defect(repaired), 0.0, left, f"look at {name}: {message}", at)
         far = np.abs(_vector(repaired) - _vector(g)).max()
-        check.holds(f"{name} moves no further than the drift", far < 20.0 * share * size, f"{told}, moves {far:g}", fix)
+        check.holds(
+            f"{name} moves no further than the drift", far < 20.0 * share * size, f"{message}, moves {far:g}", fix
+        )
 
 
 def _check_parts(check: Check, group: Group, sample: Sample) -> None:
@@ -295,17 +297,17 @@ def _check_parts(check: Check, group: Group, sample: Sample) -> None:
 
     def all_of(d: jax.Array, e: jax.Array) -> Any:
         g, masks = group.exp(d), [np.isin(np.arange(group.dimension), part.entries) for part in group.parts]
-        apart = [group.retract(g, jnp.where(mask, 0.0, e)) for mask in masks]
+        elements = [group.retract(g, jnp.where(mask, 0.0, e)) for mask in masks]
         moved = jax.vmap(lambda s: group.retract(g, s * e))(jnp.asarray([i * STEP for i in STENCIL]))
         rate = group.entry_rate(g, e)
-        return g, apart, moved, rate, group.body_velocity(g, rate), group.sizes(g)
+        return g, elements, moved, rate, group.body_velocity(g, rate), group.sizes(g)
 
     with check.running("parts, entry_rate, body_velocity and sizes", fix):
-        g, apart, moved, rate, velocity, sizes = _compiled(all_of)(jnp.asarray(sample.d), jnp.asarray(sample.e))
+        g, elements, moved, rate, velocity, sizes = _compiled(all_of)(jnp.asarray(sample.d), jnp.asarray(sample.e))
         size = max(1.0, float(jnp.abs(g).max()))
-        for part, others in zip(group.parts, apart, strict=True):
+        for part, element in zip(group.parts, elements, strict=True):
             law = f"what moves other parts leaves the part {part.name!r} as it is"
-            check.close(law, others[part.place], g[part.place], _EXACT * size**2, fix, sample.at)
+            check.close(law, element[part.place], g[part.place], _EXACT * size**2, fix, sample.at)
     check.holds("sizes", sizes.shape == (group.dimension,), f"got shape {sizes.shape}", fix)
     law, difference = "entry_rate is g hat(xi)", difference_quotient(moved)
     check.close(law, rate, difference, _BY_DIFFERENCES * size, "look at entry_rate", sample.at)

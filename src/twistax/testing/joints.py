@@ -106,8 +106,8 @@ class _Motion:
         group, rate = self.joint.group, self.value("rate", q, v)
         change = rate if group is None else group.entry_rate(q, rate)
         _, bend = jax.jvp(lambda p, w: self.value("rate", p, w), (q, v), (change, a))
-        way = s * rate + 0.5 * s * s * bend
-        return q + way if group is None else group.retract(q, way)
+        change_of_q = s * rate + 0.5 * s * s * bend
+        return q + change_of_q if group is None else group.retract(q, change_of_q)
 
     def positions(self, seed: int, far: float = 1.0) -> dict[str, Any]:
         """Positions by what they are: coordinates, or elements of the group. Slides go as far as is said."""
@@ -133,15 +133,15 @@ def _check_declaration(check: Check, joint: Joint) -> None:
     with check.running("the pose has shape (4, 4)", fix):
         _ = joint.transform
     states = [leaf for leaf in leaves_of(joint.motion_subspace) if isinstance(leaf, State)]
-    told = f"the motion subspace reads {states}"
+    message = f"the motion subspace reads {states}"
     check.holds(
-        "H is constant in the child", not states, told, "write it as several joints in a row, as universal does"
+        "H is constant in the child", not states, message, "write it as several joints in a row, as universal does"
     )
     if joint.position is not None and joint.velocity is not None:
         known = {joint.position.name, joint.velocity.name}
         read = {leaf.name for leaf in leaves_of(joint.transform) if isinstance(leaf, State)}
-        told = f"the pose reads {sorted(read - {joint.position.name})}"
-        check.holds("the pose is a function of the position", read <= {joint.position.name}, told, fix)
+        message = f"the pose reads {sorted(read - {joint.position.name})}"
+        check.holds("the pose is a function of the position", read <= {joint.position.name}, message, fix)
         rate: Expr = joint.rate(joint.position, joint.velocity)
         wanted = (k,) if joint.group is None else joint.group.tangent_shape
         check.holds("the shape of rate", rate.shape == wanted, f"got {rate.shape} for {wanted}", "look at rate")
@@ -158,14 +158,14 @@ def _check_subspaces(check: Check, motion: _Motion, seed: int) -> None:
     frames |= {f"frame {i}": np.asarray(se3.exp(jnp.asarray(rng.normal(size=6)))) for i in range(3)}
     T, F = State("frame of check_joint", group=SE3), State("wrench of check_joint", shape=(6,))
     screws = joint.screws_in(T)
-    asked = {
+    products = {
         "H": screws.motion_subspace,
         "h": screws.actuation_basis,
         "Hbar": screws.constraint_basis,
         "tau": screws.actuation(F),
         "reaction": screws.reaction(F),
     }
-    subspaces = lower(asked)
+    subspaces = lower(products)
     for label, frame in frames.items():
         wrench = rng.normal(size=6)
         value = {n: np.asarray(a) for n, a in subspaces(0.0, {T.name: frame, F.name: wrench}).items()}
@@ -208,13 +208,13 @@ def _check_motion(check: Check, motion: _Motion, label: str, q: Any, rng: np.ran
 
     with check.running("the pose has derivatives", "write placement of nodes that have derivatives there"):
         compiled = jax.jit(all_of, compiler_options=quick_compile(0))
-        xi, change, steps, (forward, reverse), again, told = map(_host, compiled(jnp.zeros(())))
+        xi, change, steps, (forward, reverse), again, V = map(_host, compiled(jnp.zeros(())))
     fix = "look at placement, rate and motion: one of them has another axis, sign, order or unit than the others"
     expected = H @ np.asarray(v)
     check.close("T_pc' = T_pc hat(H v)", xi, expected, 1e-12 * size, fix, at)
     slope, hat = difference_quotient(steps), np.asarray(se3.hat(jnp.asarray(expected)))
     check.close("T_pc' = T_pc hat(H v), by differences", slope, T @ hat, _BY_DIFFERENCES * size, fix, at)
-    check.close("the twist is H v", told, expected, _EXACT * size, "look at twist", at)
+    check.close("the twist is H v", V, expected, _EXACT * size, "look at twist", at)
     fix = "H must not change in the child: write the joint as several ones in a row"
     check.close("the twist changes by H v' alone", change, H @ np.asarray(a), 1e-10 * size, fix, at)
     check.close("velocity_of undoes rate", again, v, 1e-11 * size, "look at velocity_of", at)

@@ -96,8 +96,8 @@ def cases_of(node_class: type[Expr]) -> list[Case]:
     fix = 'give the class cases = ({"a": [1.0, 2.0]},), values by the names of its operands'
     with check.running(law, fix):
         examples = node_class.example()
-    told = "there are none" if not examples else "none of them has a node of the class"
-    check.holds(law, any(isinstance(example.expr, node_class) for example in examples), told, fix)
+    message = "there are none" if not examples else "none of them has a node of the class"
+    check.holds(law, any(isinstance(example.expr, node_class) for example in examples), message, fix)
     keys = [example.expr.key() + repr(sorted(example.values.items())) for example in examples]
     check.holds("cases differ", len(set(keys)) == len(keys), "two cases are the same", "leave one out")
     return [Case(node_class, i, example) for i, example in enumerate(examples)]
@@ -116,16 +116,16 @@ def _compiled(case: Case) -> Callable[..., dict[str, jax.Array]]:
     def flat(z: jax.Array) -> jax.Array:
         return function_of(expr)(back(z))[0].astype(z.dtype).ravel()
 
-    def everything(z: jax.Array, batch: jax.Array, along: jax.Array, across: jax.Array) -> dict[str, jax.Array]:
+    def everything(z: jax.Array, batch: jax.Array, tangent: jax.Array, cotangent: jax.Array) -> dict[str, jax.Array]:
         results = {"batch": jax.vmap(flat)(batch)}
         if canonical.key() != expr.key():
             (results["canonical"],) = function_of(canonical)(back(z))
         if expr.boolean:
             return results | {"value": flat(z)}
         results["value"], push = jax.linearize(flat, z)
-        (vjp,) = jax.linear_transpose(push, z)(across)
+        (vjp,) = jax.linear_transpose(push, z)(cotangent)
         spread = jnp.abs(jax.vmap(push)(jnp.diag(z))).sum(axis=0)
-        return results | {"jvp": push(along), "vjp": vjp, "spread": spread}
+        return results | {"jvp": push(tangent), "vjp": vjp, "spread": spread}
 
     if key not in _COMPILED:
         # Nothing here depends on how much XLA optimises.
@@ -139,16 +139,16 @@ def values_and_derivatives(case: Case) -> None:
     point, _ = case.flat()
     at = case.values
     rng = np.random.default_rng(0)
-    along, across = rng.normal(size=point.shape), rng.normal(size=int(np.prod(expr.shape)))
-    batch = np.stack([point + _STEP * k * along for k in STENCIL] + [point])
+    tangent, cotangent = rng.normal(size=point.shape), rng.normal(size=int(np.prod(expr.shape)))
+    batch = np.stack([point + _STEP * k * tangent for k in STENCIL] + [point])
 
     fix = "look at evaluate"
     with check.running("its value can be computed and differentiated", fix):
-        results = {name: np.asarray(value) for name, value in _compiled(case)(point, batch, along, across).items()}
+        results = {name: np.asarray(value) for name, value in _compiled(case)(point, batch, tangent, cotangent).items()}
         eager = np.asarray(function_of(expr)({name: jnp.asarray(value) for name, value in at.items()})[0])
     law = "the inferred shape is that of the value"
-    told = f"infer_shape says {expr.shape}, the value has {eager.shape}"
-    check.holds(law, eager.shape == expr.shape, told, "look at infer_shape, or takes and gives, and at evaluate")
+    message = f"infer_shape says {expr.shape}, the value has {eager.shape}"
+    check.holds(law, eager.shape == expr.shape, message, "look at infer_shape, or takes and gives, and at evaluate")
     near = lambda value: 1e-13 + 1e-12 * np.abs(value)  # noqa: E731
     value = np.ravel(eager)
     check.close("jit = eager", results["value"], value, near(value), fix, at)
@@ -161,7 +161,7 @@ def values_and_derivatives(case: Case) -> None:
     for mode in ("jvp", "vjp"):
         check.holds("derivatives are finite", np.isfinite(results[mode]).all(), f"{mode} gives {results[mode]}", fix)
     scale = max(1.0, float(np.abs(results["jvp"]).max(initial=0.0)))
-    forward, reverse = across @ results["jvp"], results["vjp"] @ along
+    forward, reverse = cotangent @ results["jvp"], results["vjp"] @ tangent
     check.close("reverse = forward", reverse, forward, 1e-12 * scale + 1e-11 * abs(forward), fix, at)
     if case.example.smooth:
         slope = difference_quotient(results["batch"][:-1], _STEP)
@@ -192,20 +192,20 @@ def shape_and_precision(case: Case) -> None:
         with check.running("the inferred shape is that of the value", fix):
             (traced,) = jax.eval_shape(function_of(expr), structs)
             inferred = expr.check_shape()
-        told = f"infer_shape says {inferred}, the value has {traced.shape}"
-        check.holds("the inferred shape is that of the value", traced.shape == inferred, told, fix)
+        message = f"infer_shape says {inferred}, the value has {traced.shape}"
+        check.holds("the inferred shape is that of the value", traced.shape == inferred, message, fix)
         wanted = bool if expr.boolean else dtype
-        told = f"operands of {jnp.dtype(dtype)} give {traced.dtype}"
+        message = f"operands of {jnp.dtype(dtype)} give {traced.dtype}"
         fix = "look at evaluate: arrays of NumPy promote, so give them the dtype of the operands"
-        check.holds("the precision is that of the operands", traced.dtype == wanted, told, fix)
+        check.holds("the precision is that of the operands", traced.dtype == wanted, message, fix)
 
 
 def canonical_form(case: Case) -> None:
     """Its shape is that of the node, its own canonical form is itself, and equal trees have equal ones."""
     expr, check, fix = case.example.expr, case.check, "look at simplify"
     canonical = expr.canonicalize()
-    told = f"{canonical!r} has shape {canonical.check_shape()}"
-    check.holds("canonicalize keeps the shape", canonical.check_shape() == expr.check_shape(), told, fix)
+    message = f"{canonical!r} has shape {canonical.check_shape()}"
+    check.holds("canonicalize keeps the shape", canonical.check_shape() == expr.check_shape(), message, fix)
     again = canonical.canonicalize()
     stable = again.key() == canonical.key()
     check.holds("canonicalize is done after once", stable, f"{canonical!r} becomes {again!r}", fix)
@@ -228,8 +228,8 @@ def structure_and_printing(case: Case) -> None:
     check.holds("a node has a text", bool(repr(expr)), "repr is empty", "look at to_text")
     latex = expr.latex()
     pairs = (("{", "}"), (r"\left", r"\right"))
-    whole = all(latex.count(left) == latex.count(right) for left, right in pairs)
-    check.holds("the formula has pairs of parentheses", whole, latex, "look at formula and to_latex")
+    balanced = all(latex.count(left) == latex.count(right) for left, right in pairs)
+    check.holds("the formula has pairs of parentheses", balanced, latex, "look at formula and to_latex")
     check.holds("the formula is shown", expr._repr_latex_() == f"${latex}$", latex, "look at to_latex")
     lines = expr.tree().splitlines()
     shown = lines[0].startswith(type(expr).__name__) and str(expr.shape) in lines[0]
@@ -243,8 +243,8 @@ def immutability(case: Case) -> None:
     fix = "leave __setattr__, __delattr__ and __bool__ as Expr has them"
     for name in [*([field.name for field in expr._fields] or ["name"]), "anything"]:
         for change in (lambda name=name: setattr(expr, name, 1.0), lambda name=name: delattr(expr, name)):
-            told = f"{name!r} can be changed"
-            check.holds("nodes never change", _raises(change, ImmutableError), told, fix)
+            message = f"{name!r} can be changed"
+            check.holds("nodes never change", _raises(change, ImmutableError), message, fix)
     check.holds("a node has no truth value", _raises(lambda: bool(expr), TypeError), f"{expr!r} has one", fix)
 
 

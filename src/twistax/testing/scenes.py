@@ -38,14 +38,16 @@ def check_scene(scene: Any, *, stiff: bool = False, tolerance: float = 1e-8, **o
         _check_names(check, scene)
         if scene.exact is not None and (scene.u is None or isinstance(scene.u, Mapping)):
             _check_closed_form(check, scene)
-        given = options or {"rtol": 1e-10, "atol": 1e-10}
+        arguments = options or {"rtol": 1e-10, "atol": 1e-10}
         method = ImplicitRKMK(RADAU_IIA9) if stiff else RKMK(DOP853)
         times = np.linspace(0.0, scene.duration, 5)
-        solution = scene.integrate(**{"method": method, "save_at": times, **given})
+        solution = scene.integrate(**{"method": method, "save_at": times, **arguments})
         end = {name: np.asarray(values[-1]) for name, values in solution.xs.items()}
         off = scene.error(end)
-        told = f"the integration ends {off:.3g} from it, where {tolerance:g} is allowed"
-        check.holds("the end is where the system leads", off <= tolerance, told, "look at build, start, and the truth")
+        message = f"the integration ends {off:.3g} from it, where {tolerance:g} is allowed"
+        check.holds(
+            "the end is where the system leads", off <= tolerance, message, "look at build, start, and the truth"
+        )
         _check_invariants(check, scene, solution, tolerance)
 
 
@@ -53,17 +55,17 @@ def _check_names(check: Check, scene: Any) -> None:
     system, fix = scene.system, "give the names that the system has"
     states = {state.name: state for state in system.states}
     for what, values in (("start", scene.start), ("end", scene.end)):
-        told = f"got {sorted(values)} for {sorted(states)}"
-        check.holds(f"{what} has all states", set(values) == set(states), told, fix)
+        message = f"got {sorted(values)} for {sorted(states)}"
+        check.holds(f"{what} has all states", set(values) == set(states), message, fix)
         for name, value in values.items():
-            told = f"{name!r} has shape {np.shape(value)} for {states[name].shape}"
-            check.holds(f"{what} has the shapes of the states", np.shape(value) == states[name].shape, told, fix)
+            message = f"{name!r} has shape {np.shape(value)} for {states[name].shape}"
+            check.holds(f"{what} has the shapes of the states", np.shape(value) == states[name].shape, message, fix)
             group = states[name].group
             defect = 0.0 if group.flat else group.known_defect(np.asarray(value, float))
             check.close(f"{what} is in its group", defect, 0.0, 1e-9, f"look at {name!r} of {what}")
     parameters = {parameter.name for parameter in system.parameters}
-    told = f"got {sorted(scene.params)} for {sorted(parameters)}"
-    check.holds("params are those of the system", set(scene.params) <= parameters, told, fix)
+    message = f"got {sorted(scene.params)} for {sorted(parameters)}"
+    check.holds("params are those of the system", set(scene.params) <= parameters, message, fix)
     unknown = sorted(set(scene.invariants) - set(system.outputs))
     check.holds("invariants are outputs of the system", not unknown, f"there is no output {unknown}", fix)
     for word in ("name", "title", "summary", "source"):
@@ -87,7 +89,7 @@ def _check_closed_form(check: Check, scene: Any) -> None:
         near = [exact(t + i * STEP / fastest) for i in STENCIL]
         for name, group in groups.items():
             rate = np.asarray(group.entry_rate(jax.numpy.asarray(here[name]), rates[name]))
-            slope = difference_quotient([each[name] for each in near]) * fastest
+            slope = difference_quotient([x[name] for x in near]) * fastest
             size = max(1.0, np.abs(rate).max(initial=0.0), np.abs(here[name]).max(initial=0.0) * fastest)
             law = "x'(t) = f(t, x(t)) for the closed form"
             check.close(law, slope, rate, 1e-8 * size, f"look at {name!r} of exact and of build", {"t": t})

@@ -54,10 +54,10 @@ def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeT
     check = Check(f"the tableau {tableau.name!r}")
     for name, b, a, order in claims(tableau):
         for size in range(1, min(order, _LARGEST) + 1):
-            told = f"they are off by {{:.3g}}, where {_EXACT:g} is allowed"
+            message = f"they are off by {{:.3g}}, where {_EXACT:g} is allowed"
             off = defect(a, b, size)
             fix = "look for a wrong digit in a or b, or say a lower order"
-            check.holds(f"the conditions of order {size} of {name}", off <= _EXACT, told.format(off), fix)
+            check.holds(f"the conditions of order {size} of {name}", off <= _EXACT, message.format(off), fix)
     with jax.enable_x64(True):
         fitted = fitted_order(method(tableau), tableau.order)
     check.holds(
@@ -66,9 +66,9 @@ def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeT
         f"errors of steps for the order {tableau.order} are round-off, or not finite",
         "say the order that the tableau has: a higher one, where it is exact to round-off",
     )
-    told = f"halved steps say {fitted:.2f} for {tableau.order}"
+    message = f"halved steps say {fitted:.2f} for {tableau.order}"
     fix = "say the order of the conditions on a group: those of a commutator-free tableau are more than of its sums"
-    check.holds("the method converges with the order of the tableau", fitted > tableau.order - 0.25, told, fix)
+    check.holds("the method converges with the order of the tableau", fitted > tableau.order - 0.25, message, fix)
 
 
 def claims(tableau: Any) -> Iterator[tuple[str, Any, Any, int]]:
@@ -135,6 +135,6 @@ def fitted_order(method: Method, order: int) -> float:
 
     first = max(2, round((1e-6 if order > 4 else 1e-4) ** (-1.0 / order) / 2.0))
     ends = [end(first * 2**k) for k in range(4)]
-    ways = [np.linalg.norm(a - b) for a, b in itertools.pairwise(ends)]
-    orders = [np.log2(a / b) for a, b in itertools.pairwise(ways) if b > 1e-13]
+    distances = [np.linalg.norm(a - b) for a, b in itertools.pairwise(ends)]
+    orders = [np.log2(a / b) for a, b in itertools.pairwise(distances) if b > 1e-13]
     return float(orders[-1]) if orders else np.nan

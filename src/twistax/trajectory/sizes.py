@@ -1,4 +1,4 @@
-"""Sizes of states, controls and shared unknowns, measured at a start: how far things move, whatever their units."""
+"""Typical sizes of states, controls and shared unknowns, measured at a start, so that units do not matter."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ _WIDE = 1e3
 
 
 class Sizes(NamedTuple):
-    """Units, of one stage: of all stages alike."""
+    """The units of one stage: the same for all stages."""
 
     d: Array  # (n,)
     u: Array  # (m,)
@@ -66,13 +66,15 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
     low, high = shooting.border.limits.T
     b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
     reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
-    through = reach[:, :, n : n + m].sum(axis=0)  # (n, m): how far controls move states, over the horizon
+    horizon = reach.sum(axis=0)  # (n, n + m + g): how far unknowns move states, over the horizon
+    through = horizon[:, n : n + m]
     largest = largest_values(shooting, point)
     rounding = _ROUNDING * largest
     unknown, between = np.isnan(u), _between_ends(shooting, point)
-    among = reach[:, :, :n].sum(axis=0) * (1.0 - np.eye(n)) > 0.0  # which states move which
-    reserve = _reserve(d, u, box, through, reach[:, :, :n].sum(axis=0), between, steering)
+    among = horizon[:, :n] * (1.0 - np.eye(n)) > 0.0  # which states move which
+    reserve = _reserve(d, u, box, through, horizon[:, :n], between, steering)
     for number in range(_ROUNDS):
+        before = d, u
         sure = (
             d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
         )  # at first others may be noise
@@ -81,14 +83,16 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
         usual = np.where(is_bounded | ~np.isfinite(needed), box, needed)
         u = np.where(unknown | (u < _NOTHING * usual), usual, u)
         known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
-        pushed = (reach * known).sum(axis=0)  # (n, n + m + g): what each unknown moves each state by
+        pushed = horizon * known  # what each unknown moves each state by
         pushed[np.arange(n), np.arange(n)] = 0.0
-        others = pushed[:, : n + m].max(axis=1)
-        d = np.where((others > 0.0) & (np.isnan(d) | (d < _NOTHING * others)), others, d)
+        others_push = pushed[:, : n + m].max(axis=1)
+        d = np.where((others_push > 0.0) & (np.isnan(d) | (d < _NOTHING * others_push)), others_push, d)
         d = _drifting(d, drift, among)
         d = np.minimum(np.where(d < rounding, rounding, d), most)
+        if number > 0 and all(np.array_equal(a, c, equal_nan=True) for a, c in zip(before, (d, u))):
+            break
     # A parameter that is zero counts with what moves a state by its size.
-    of_shared = np.nanmin(d[:, None] / reach[:, :, n + m :].sum(axis=0), axis=0, initial=np.inf)
+    of_shared = np.nanmin(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
     b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
     d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
     d = np.where(np.isnan(d) & np.isfinite(most), most, d)
@@ -103,7 +107,7 @@ def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) 
 
 
 def _reserve(d: Array, u: Array, box: Array, through: Array, among: Array, between: Array, steering: Array) -> float:
-    """The least of what controls move states of known size by, over that size; infinite where none is moved."""
+    """The smallest ratio of the change of a state of known size by controls to that size; infinite if none changes."""
     known = np.where(between > 0.0, between, d)
     limited = np.nan_to_num(np.where(np.isnan(u), box, u))
     direct, among = through @ limited, among * (1.0 - np.eye(len(d)))
@@ -120,7 +124,7 @@ def usable(sizes: Array) -> Array:
 
 
 def _most(leaf: State) -> Array:
-    """What a size is at most: half the distance between limits of a flat state, a turn; infinite where neither is."""
+    """The upper limit of a size: half the distance between limits of a flat state, or a turn; else infinite."""
     group = leaf.group
     if not group.flat:
         most = np.full(group.dimension, _TURN)
@@ -136,30 +140,30 @@ def _most(leaf: State) -> Array:
 
 def largest_values(shooting: Shooting, point: Point) -> Array:
     """The largest value of each flat state, zero of others."""
-    found = np.zeros(shooting.n)
+    largest = np.zeros(shooting.n)
     for name, part in shooting.dynamics.group.slices.items():
         if shooting.dynamics.group.factors[name].flat:
-            found[part] = np.abs(np.reshape(point.xs[name], (shooting.nodes, -1))).max(axis=0)
-    return found
+            largest[part] = np.abs(np.reshape(point.xs[name], (shooting.nodes, -1))).max(axis=0)
+    return largest
 
 
 def _between_ends(shooting: Shooting, point: Point) -> Array:
     """Half of how far fixed ends of flat states are apart; zero where one is free."""
-    found = np.zeros(shooting.n)
+    half_distance = np.zeros(shooting.n)
     for name, part in shooting.dynamics.group.slices.items():
         if shooting.dynamics.group.factors[name].flat:
             values = np.reshape(point.xs[name], (shooting.nodes, -1))
-            found[part] = 0.5 * np.abs(values[-1] - values[0])
+            half_distance[part] = 0.5 * np.abs(values[-1] - values[0])
     fixed = np.isin(np.arange(shooting.n), shooting.layout.fixed) & ~shooting.free.d[0]
-    return np.where(fixed, found, 0.0)
+    return np.where(fixed, half_distance, 0.0)
 
 
 def _drifting(d: Array, drift: Array, among: Array) -> Array:
-    """Sizes with those of states that only the guess itself moves; what states of unknown size move comes later."""
+    """Sizes, with those of states that only the drift of the guess moves; states that they move come later."""
     unknown = np.isnan(d) & (drift > 0.0)
     first = unknown & ~(among & np.isnan(d)).any(axis=1)
-    found = np.where(first if first.any() else unknown, drift, d)
-    return np.where(found < _NOTHING * drift, drift, found)
+    sizes = np.where(first if first.any() else unknown, drift, d)
+    return np.where(sizes < _NOTHING * drift, drift, sizes)
 
 
 def _of_state(leaf: State, values: Array) -> Array:
@@ -169,12 +173,12 @@ def _of_state(leaf: State, values: Array) -> Array:
         return np.broadcast_to(np.ravel(leaf.scale), (group.dimension,))
     if group.flat:
         return _spread(values.reshape(len(values), -1), leaf)
-    found = np.full(group.dimension, _TURN)
+    sizes = np.full(group.dimension, _TURN)
     for piece in group.parts:
         if piece.sized:
             spread = np.ptp(np.reshape(piece.of(values), (len(values), -1)), axis=0).max()
-            found[np.array(piece.entries)] = 0.5 * spread if spread > 0.0 else np.nan
-    return found
+            sizes[np.array(piece.entries)] = 0.5 * spread if spread > 0.0 else np.nan
+    return sizes
 
 
 def _of_control(leaf: Control, values: Array) -> tuple[Array, Array]:
@@ -195,5 +199,5 @@ def _spread(flat: Array, leaf: State | Control) -> Array:
     """Half the spread of values along a start; NaN where they do not move."""
     most = np.abs(flat).max(axis=0, initial=0.0)
     spread = 0.5 * np.ptp(flat, axis=0) if len(flat) else np.zeros(flat.shape[1])
-    moves = spread > _ROUNDING * most
-    return np.where(moves, np.maximum(spread, _CONSTANT * most), np.nan)
+    varies = spread > _ROUNDING * most
+    return np.where(varies, np.maximum(spread, _CONSTANT * most), np.nan)

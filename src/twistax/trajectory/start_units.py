@@ -18,7 +18,7 @@ _FITTING, _RESERVE = 16.0, 100.0
 
 
 class StartUnits:
-    """Units for the core at a start.
+    """Units for the solver's core, measured at a start.
 
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
@@ -31,40 +31,36 @@ class StartUnits:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
-        blocks = at.blocks(at.F, stages.after)
-        self.parts = self._measured(staged, point, blocks if good else [np.zeros_like(b) for b in blocks], at.c)
+        self.parts = self._measured(staged, point, at, good)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
-        by_stage = self._by_stage(staged)
-        self.v = np.concatenate([*by_stage, self.border])
-        columns = [np.concatenate([own, self.border]) for own in by_stage]
-        slopes = [at.blocks(flat, rows) for flat, rows in ((at.Jh, stages.inequalities), (at.Je, stages.equalities))]
-        changes = [np.concatenate([np.zeros(0), *(np.abs(b) @ c for b, c in zip(own, columns))]) for own in slopes]
-        for places in staged.places_alone():
+        self.v = np.concatenate([*self._by_stage(staged), self.border])
+        kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
+        changes = [at.changes(*kind, self.v) for kind in kinds]
+        for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0
-            bends = [c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.bends(*weights), stages.columns))]
-            for change, own, at_place in zip(changes, staged.stages_of_rows, places):
-                change[at_place] += 0.5 * np.array(bends)[own[at_place]]
+            curvatures = at.curvatures(at.bends(*weights), self.v)
+            for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
+                change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
-        bends = sum(c @ np.abs(H) @ c for c, H in zip(columns, at.blocks(at.H, stages.columns)))
-        moves = np.abs(at.gradient) @ self.v + 0.5 * bends
-        if not moves > 0.0:  # no slope and no curvature there: what a whole move changes
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
+        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
-            moves = abs(there.cost[0] - at.cost[0])
-        self.cost = float(moves) if np.isfinite(moves) and moves > 0.0 else 1.0
+            change_of_cost = abs(there.cost[0] - at.cost[0])
+        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
-        """Shared unknowns of the start, with durations that limited controls need."""
+        """Shared unknowns of the start, with durations that are long enough for the limited controls."""
         return self._fitted(staged, point, limits, self._first)[0]
 
     @classmethod
     def _fitted(cls, staged: Staged, point: Point, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
-        """Durations in which limited controls move states as far as they have to go, and sizes there.
+        """Durations in which limited controls can move the states as far as required, and sizes for them.
 
         A guess of a duration may be thousands of times too long. What controls do to states over such a time says
         nothing of the states of a trajectory, so free durations are halved until it fits.
@@ -82,56 +78,60 @@ class StartUnits:
             durations, there = shorter, point._replace(border=shorter)
             at = Evaluated(staged.transcription, staged.flat(there))
             if at.differentiate():  # long steps of an unstable system may overflow
-                parts = cls._measured(staged, there, at.blocks(at.F, at.stages.after), at.c)
+                parts = cls._measured(staged, there, at)
         return durations, parts
 
     def distance(self, other: StartUnits) -> float:
-        """The largest logarithm of a ratio of two units of the objective, of states, or of controls that move these."""
+        """The largest |log| of a ratio of corresponding units of the objective, the states and the controls that move
+        them.
+        """
         ratios = [np.ravel(self.cost / other.cost)]
         for mine, theirs in zip(self.parts, other.parts):
             ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
 
     def fit(self, staged: Staged, point: Point) -> bool:
-        """Whether a point is within a unit of each unknown from where these were measured."""
+        """Whether every unknown of a point is within its unit of the start at which the units were measured."""
         z, v = self._staged_at
         moved = np.abs(staged.coordinates(point) - v) <= self.v
         return bool(moved.all() and (np.abs(staged.flat(point) - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
-        """Count everything in the units of its statement."""
+        """Use the units of the statement: 1 for everything."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
         self.border, self.v, self.rows, self.equalities = ones
-        self.parts = [own._replace(d=np.ones_like(own.d), u=np.ones_like(own.u)) for own in self.parts]
+        self.parts = [sizes._replace(d=np.ones_like(sizes.d), u=np.ones_like(sizes.u)) for sizes in self.parts]
         self.cost = 1.0
 
     @staticmethod
-    def _measured(staged: Staged, point: Point, blocks: list[Array], gaps: Array) -> list[Sizes]:
-        found, sizes_of = list[Sizes](), dict[str, Array]()
+    def _measured(staged: Staged, point: Point, at: Evaluated, is_good: bool = True) -> list[Sizes]:
+        """Sizes of each phase; without derivatives those that the point and the leaves tell."""
+        parts, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
-            own, first = part.shooting, part.stages.start
-            moved = np.stack(blocks[first : first + own.intervals])
-            moved = np.where(np.isfinite(moved).all(), moved, 0.0)
-            at = sum(staged.transcription.stages.after[:first])
-            drift = gaps[at : at + own.intervals * own.n].reshape(-1, own.n)
-            drift = np.where(np.isfinite(drift).all(), drift, 0.0)
-            sizes = measured_sizes(own, segment.of(point), moved, drift)
-            for name, other in own.alike.items():  # an extreme counts as what it is one of, in all phases alike
-                slices = own.dynamics.group.slices
+            phase, first = part.shooting, part.stages.start
+            K, n, size = phase.intervals, phase.n, phase.size
+            slopes, gaps = at.F[at.stages.first_slope[first] :], at.c[at.stages.first_defect[first] :]
+            slopes = slopes[: K * n * size].reshape(K, size, n).swapaxes(1, 2)
+            slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
+            gaps = gaps[: K * n].reshape(K, n)
+            gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
+            sizes = measured_sizes(phase, segment.of(point), slopes, gaps)
+            for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
+                slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
                 sizes.d[slices[name]] = sizes_of[name]
-            found.append(sizes)
-        return found
+            parts.append(sizes)
+        return parts
 
     def _by_stage(self, staged: Staged) -> list[Array]:
         """Of the unknowns of each stage."""
-        found = list[Array]()
+        sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            found += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
             join = part.phase.join
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
-            found.append(np.concatenate([sizes.d, free]))
-        return found
+            sizes_of.append(np.concatenate([sizes.d, free]))
+        return sizes_of
 
 
 def _reserve(parts: list[Sizes]) -> float:

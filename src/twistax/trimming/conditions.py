@@ -44,8 +44,8 @@ class TrimConditions:
             entry("trim: steady", name, outputs)
         for name in (*zero, *fixed):
             entry("trim: zero, fixed", name, values)
-        asked = needed("trim", [*zero, *fixed, *steady], values)
-        outputs = {name: shape for name, shape in outputs.items() if name in asked}
+        needed_outputs = needed("trim", [*zero, *fixed, *steady], values)
+        outputs = {name: shape for name, shape in outputs.items() if name in needed_outputs}
         shapes = {**rates, **outputs, **{f"slope of {name}": shape for name, shape in outputs.items()}}
         self._rows = np.array(positions("trim: zero, fixed, steady", wanted, shapes))
         self.reads = ("rates", "outputs") if outputs else ("rates",)

@@ -16,6 +16,7 @@ from ..errors import InputError, TrajectoryError
 from ..expr import Inputs
 from ..jax_inside import in_double
 from ..linear.linearize import Linearization, linearize
+from ..progress import watched
 from ..system.dynamics import Dynamics, need_compiled
 from ..system.inputs import Values
 from ..units import same_unit, seconds
@@ -138,7 +139,7 @@ def trim(
     sought = _mapping("free", free)
     named = {str(name).partition("[")[0] for name in sought}
     parameters = tuple(leaf.name for leaf in dynamics.parameters if leaf.name in named)
-    with in_double():
+    with watched("trim"), in_double():
         conditions = TrimConditions(
             dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
         )
@@ -158,11 +159,11 @@ def trim(
 def _names(place: str, names: Any) -> list[str]:
     if isinstance(names, str):
         return [names]
-    found = list(names) if isinstance(names, Iterable) else [names]
-    for name in found:
+    sequence = list(names) if isinstance(names, Iterable) else [names]
+    for name in sequence:
         if not isinstance(name, str):
             raise InputError(f"trim: {place} expects names such as ['V', 'V[3]'], got {short(name)}")
-    return found
+    return sequence
 
 
 def _mapping(place: str, value: Any) -> dict[str, Any]:
@@ -266,7 +267,7 @@ def _judged(
     }
     shown = np.where(unknowns.on_group, turned, final)
     scaled = slopes[:, unknowns.columns] * scales / np.where(change > 0.0, change, 1.0)[:, None]
-    x, u, params = ({name: np.asarray(v) for name, v in own.items()} for own in (point.x, point.u, point.params))
+    x, u, params = ({name: np.asarray(v) for name, v in values.items()} for values in (point.x, point.u, point.params))
     return Trim(
         t=float(point.t),
         x=x,
@@ -312,8 +313,8 @@ def _need_finite(conditions: TrimConditions, value: np.ndarray, slopes: np.ndarr
 
 def _changes(slopes: np.ndarray, columns: list[int], scales: np.ndarray) -> np.ndarray:
     """By how much each condition changes where every unknown does by its scale; else, where anything at all does."""
-    own = np.abs(slopes[:, columns]) @ scales[columns]
-    return np.where(own > 0.0, own, np.abs(slopes) @ scales)
+    by_unknowns = np.abs(slopes[:, columns]) @ scales[columns]
+    return np.where(by_unknowns > 0.0, by_unknowns, np.abs(slopes) @ scales)
 
 
 def _undetermined(slopes: np.ndarray) -> np.ndarray:

@@ -29,9 +29,9 @@ class Unknowns:
         self._dynamics = dynamics
         self._controls = {leaf.name: leaf.shape for leaf in dynamics.controls}
         self._params = params
-        given = {name: start.params[name].shape for name in params}
-        shapes = {**tangent_shapes(dynamics.group), **self._controls, **given}
-        if len(shapes) < len(dynamics.group.factors) + len(self._controls) + len(given):
+        param_shapes = {name: start.params[name].shape for name in params}
+        shapes = {**tangent_shapes(dynamics.group), **self._controls, **param_shapes}
+        if len(shapes) < len(dynamics.group.factors) + len(self._controls) + len(param_shapes):
             raise InputError("trim expects states, controls and parameters with different names")
         self.columns = positions("trim: free", free, shapes)
         if not self.columns:
@@ -41,17 +41,17 @@ class Unknowns:
         lower, upper, scale = (np.full(len(every), value) for value in (-np.inf, np.inf, np.nan))
         ends = np.cumsum([0, *(np.prod(shape, dtype=int) for shape in shapes.values())])
         where = {name: slice(a, b) for name, a, b in zip(shapes, ends[:-1], ends[1:])}
-        flat = [own.flat for own in dynamics.group.factors.values()]
-        sizes = [own.dimension for own in dynamics.group.factors.values()]
+        flat = [place.flat for place in dynamics.group.factors.values()]
+        sizes = [place.dimension for place in dynamics.group.factors.values()]
         self._curved = np.zeros(len(every), bool)
         self._curved[: sum(sizes)] = ~np.repeat(flat, sizes)
         for leaf in (*dynamics.states, *dynamics.controls):
-            own = where[leaf.name]
+            place = where[leaf.name]
             for bound, into in ((leaf.min, lower), (leaf.max, upper)):
                 if bound is not None:
-                    into[own] = np.broadcast_to(bound, leaf.shape).reshape(-1)
+                    into[place] = np.broadcast_to(bound, leaf.shape).reshape(-1)
             if leaf.scale is not None:
-                scale[own] = np.reshape(leaf.scale, -1)
+                scale[place] = np.reshape(leaf.scale, -1)
         for name, pair in free.items():
             if pair is None:
                 continue
@@ -76,8 +76,8 @@ class Unknowns:
         """Values where they are numbers; zeros for what lies on a group."""
         group = self._dynamics.group.factors
         states = [
-            np.asarray(point.x[name]).reshape(-1) if own.flat else np.zeros(own.dimension)
-            for name, own in group.items()
+            np.asarray(point.x[name]).reshape(-1) if factor.flat else np.zeros(factor.dimension)
+            for name, factor in group.items()
         ]
         controls = [
             np.asarray(point.u.get(name, np.zeros(shape))).reshape(-1) for name, shape in self._controls.items()
@@ -106,8 +106,8 @@ class Unknowns:
     def in_chart(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
         """Derivatives by the unknowns of `moved` at z, from those by perturbations of the moved point."""
         full = np.zeros(self._dynamics.dimension)
-        own = [(i, k) for k, i in enumerate(self.columns) if i < len(full)]
-        for i, k in own:
+        free_states = [(i, k) for k, i in enumerate(self.columns) if i < len(full)]
+        for i, k in free_states:
             full[i] = z[k]
         n = len(full)
         right = np.asarray(self._dynamics.group.right_jacobian(jnp.asarray(full)))

@@ -30,19 +30,19 @@ class Motion:
     Attributes:
         ts: (n,) times in s.
         xs: states by name.
-        others: controls and outputs by name, each looked at if those before do not have a name.
+        lookups: functions that return controls and outputs by name; the first that has a name gives its values.
         params: the parameters, where they are known.
     """
 
     ts: Array
     xs: Values
-    others: Sequence[Callable[[], Values]] = ()
+    lookups: Sequence[Callable[[], Values]] = ()
     params: Values = dataclasses.field(default_factory=dict)
 
     def value(self, name: str) -> Array:
         """The values (n, ...) of a state, control or output. Raises InputError."""
         known: list[str] = []
-        for some in (lambda: self.xs, *self.others):
+        for some in (lambda: self.xs, *self.lookups):
             there = some()
             if name in there:
                 return np.asarray(there[name], dtype=np.float64)
@@ -52,9 +52,9 @@ class Motion:
 
 def joined(parts: Sequence[Values]) -> dict[str, Array]:
     """Values of motions that follow each other as those of one: what all of them have."""
-    found = {name: [np.asarray(own[name]) for own in parts if name in own] for name in parts[0]}
-    everywhere = [n for n, own in found.items() if len(own) == len(parts) and len({v.shape[1:] for v in own}) == 1]
-    return {name: np.concatenate(found[name]) for name in everywhere}
+    values = {name: [np.asarray(part[name]) for part in parts if name in part] for name in parts[0]}
+    everywhere = [n for n, part in values.items() if len(part) == len(parts) and len({v.shape[1:] for v in part}) == 1]
+    return {name: np.concatenate(values[name]) for name in everywhere}
 
 
 def shown(
@@ -77,9 +77,9 @@ def shown(
     if upwards.shape != (3,) or not np.isfinite(upwards).all() or not upwards.any():
         raise InputError(f"show expects up to be a direction (3,), got {short(up)}")
     motion = _reached(motion)
-    found = _drawn(_bodies(motion, bodies), trails, axes)
-    vectors = [vector for name, looks in (arrows or {}).items() for vector in _vectors(motion, found, name, looks)]
-    scene = Scene(motion.ts, found, tuple(vectors), _shapes("shapes", shapes), upwards, seconds)
+    drawn = _drawn(_bodies(motion, bodies), trails, axes)
+    vectors = [vector for name, looks in (arrows or {}).items() for vector in _vectors(motion, drawn, name, looks)]
+    scene = Scene(motion.ts, drawn, tuple(vectors), _shapes("shapes", shapes), upwards, seconds)
     if path is not None:
         scene.save(path)
     if live:
@@ -106,13 +106,13 @@ def _reached(motion: Motion) -> Motion:
     kept = np.flatnonzero(good)
     kept = kept[np.append(np.diff(ts[kept]) > 0.0, True)] if len(kept) else kept
     if len(kept) < 2:
-        raise InputError("show: one saved time is no motion.\n  fix: tx.integrate(..., save_at=times)")
+        raise InputError("show expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
 
     def rows(some: Values) -> Values:
         return {name: np.asarray(value)[kept] for name, value in some.items()}
 
-    others = [lambda some=some: rows(some()) for some in motion.others]
-    return Motion(ts[kept], rows(motion.xs), others, motion.params)
+    further = [lambda some=some: rows(some()) for some in motion.lookups]
+    return Motion(ts[kept], rows(motion.xs), further, motion.params)
 
 
 # ---- bodies --------------------------------------------------------------------------------------------------------
@@ -162,11 +162,11 @@ def _body(xs: Values, key: Any, shapes: Any) -> Body:
 
 
 def _shapes(place: str, shapes: Any) -> tuple[Shape, ...]:
-    found = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
-    for shape in found:
+    sequence = (shapes,) if isinstance(shapes, Shape) else tuple(shapes) if isinstance(shapes, Iterable) else (shapes,)
+    for shape in sequence:
         if not isinstance(shape, Shape):
             raise InputError(f"show expects {place} as shapes, such as tx.view.Sphere(1.0), got {short(shape)}")
-    return found
+    return sequence
 
 
 def _drawn(bodies: tuple[Body, ...], trails: Iterable[str] | None, axes: Iterable[str] | None) -> tuple[Body, ...]:
@@ -189,10 +189,10 @@ def _names(bodies: tuple[Body, ...], names: Iterable[str] | None) -> set[str] | 
 
 
 def _named(bodies: tuple[Body, ...], name: Any) -> Body:
-    found = next((body for body in bodies if body.name == name), None)
-    if found is None:
+    match = next((body for body in bodies if body.name == name), None)
+    if match is None:
         raise InputError(f"show: there is no body {short(name)}; there are: {listed([b.name for b in bodies], name)}")
-    return found
+    return match
 
 
 # ---- arrows --------------------------------------------------------------------------------------------------------

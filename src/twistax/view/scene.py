@@ -87,9 +87,9 @@ class Vector:
     def ends(self, scale: float) -> Array:
         """Where it starts and ends (n, 2, 3), in the world."""
         R, p = self.body.poses[:, :3, :3], self.body.poses[:, :3, 3]
-        along = self.values if self.looks.world else np.einsum("nij,nj->ni", R, self.values)
+        values = self.values if self.looks.world else np.einsum("nij,nj->ni", R, self.values)
         start = p + R @ self.looks.at
-        return np.stack([start, start + scale * along], axis=1)
+        return np.stack([start, start + scale * values], axis=1)
 
 
 def _ends(shape: Shape) -> Array:
@@ -130,9 +130,9 @@ class Scene:
         low, high = [], []
         for body in self.bodies:
             ends = np.concatenate([np.zeros((1, 3)), *(_ends(shape) for shape in body.shapes)])
-            along = body.poses[:, None, :3, 3] + np.einsum("nij,kj->nki", body.poses[:, :3, :3], ends)
-            low.append(along.min(axis=(0, 1)))
-            high.append(along.max(axis=(0, 1)))
+            corners = body.poses[:, None, :3, 3] + np.einsum("nij,kj->nki", body.poses[:, :3, :3], ends)
+            low.append(corners.min(axis=(0, 1)))
+            high.append(corners.max(axis=(0, 1)))
         for shape in self.shapes:
             low.append(shape.corners().min(axis=0))
             high.append(shape.corners().max(axis=0))

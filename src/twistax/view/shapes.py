@@ -44,10 +44,10 @@ class Shape:
         for field in self.single:
             number(f"{name}: {field}", getattr(self, field), "a positive length", lambda x: 0.0 < x < np.inf)
         for field in self.triple:
-            found = reals(f"{name}: {field}", given := getattr(self, field), InputError)
-            if found.shape != (3,) or not ((found > 0.0) & np.isfinite(found)).all():
-                raise InputError(f"{name} expects {field} as three positive lengths, got {given!r}")
-            object.__setattr__(self, field, found)
+            lengths = reals(f"{name}: {field}", value := getattr(self, field), InputError)
+            if lengths.shape != (3,) or not ((lengths > 0.0) & np.isfinite(lengths)).all():
+                raise InputError(f"{name} expects {field} as three positive lengths, got {value!r}")
+            object.__setattr__(self, field, lengths)
         at = reals(f"{name}: at", self.at, InputError)
         if at.shape == (3,):
             at, p = np.eye(4), at

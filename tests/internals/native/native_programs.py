@@ -36,7 +36,7 @@ def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.
     form = native_form(program)
     kernel = HostKernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
     rows = np.broadcast_arrays(*columns)
-    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.tile.read])]
+    return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.body.read])]
 
 
 #: Every vector that this machine has: SSE2, AVX2, AVX-512.

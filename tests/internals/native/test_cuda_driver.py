@@ -132,12 +132,8 @@ def _made(factor: float, dtype: Any = float) -> CudaKernel:
     return CudaKernel(Straight(form, 1))
 
 
-@pytest.mark.parametrize("by_columns", [False, True])
 @pytest.mark.parametrize("dtype", [np.float32, np.float64])
-def test_a_kernel_runs_row_by_row(
-    dtype: Any, by_columns: bool, device: _Device, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr(cuda_kernel, "BY_COLUMNS", by_columns)
+def test_a_kernel_computes_each_row(dtype: Any, device: _Device) -> None:
     own = _made(0.25, dtype)
     self_test.check_kernel(own)
     rows = 130
@@ -149,7 +145,7 @@ def test_a_kernel_runs_row_by_row(
     np.testing.assert_array_equal(positive, a > 0)
     shared, _ = own.run([x, a[:1]])
     np.testing.assert_allclose(shared, np.sin(x) * a[0] + dtype(0.25), **near)
-    code = own.lease.code.device
+    code = own.handle.code.device
     assert (code.registers, code.local) == (40, 16)
     assert not device.memory
     assert not device.current_contexts
@@ -159,7 +155,7 @@ def test_code_is_unloaded_once_its_contexts_have_finished(device: _Device, monke
     own = _made(1.5)
     assert len(device.codes) == 1
     before = device.synchronised
-    monkeypatch.setattr(kernel, "_REST", -1.0)
+    monkeypatch.setattr(kernel, "_RETIREMENT", -1.0)
     del own
     kernel._free()
     assert not device.codes

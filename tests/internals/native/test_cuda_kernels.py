@@ -23,7 +23,7 @@ from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.targets.llvm import handler, ptx, targets
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
-from twistax.scalar.targets.llvm.kernel_body import Tile
+from twistax.scalar.targets.llvm.kernel_body import KernelBody
 from twistax.scalar.targets.llvm.lanes import Array
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled, load
 from twistax.scalar.targets.llvm.self_test import check_kernel
@@ -75,7 +75,7 @@ def test_what_is_no_number_of_single_precision(name: str) -> None:
     np.testing.assert_array_equal(np.signbit(found[3:]), np.signbit(expected[3:]))
 
 
-# ---- kinds of tiles --------------------------------------------------------------------------------------------------
+# ---- kinds of kernel bodies ------------------------------------------------------------------------------------------
 
 
 def _arm(chain: Chain) -> tx.Dynamics:
@@ -153,14 +153,14 @@ KINDS: dict[str, Callable[[Any], None]] = {
 
 
 @functools.cache
-def tiles_of(kind: str, dtype: Any) -> list[Tile]:
-    """The tiles of one lane of all kernels that are made."""
-    found: list[Tile] = []
+def bodies_of(kind: str, dtype: Any) -> list[KernelBody]:
+    """The kernel bodies of one lane of all kernels that are made."""
+    found: list[KernelBody] = []
     own = targets.Host.kernel
 
-    def kernel(self: Any, tile: Any, form: Any, more: Any, single: bool, threads: Any) -> Any:
-        found.append(tile(form, 1, *more))
-        return own(self, tile, form, more, single, threads)
+    def kernel(self: Any, body: Any, form: Any, more: Any, single: bool, threads: Any) -> Any:
+        found.append(body(form, 1, *more))
+        return own(self, body, form, more, single, threads)
 
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(targets.Host, "kernel", kernel)
@@ -173,17 +173,17 @@ def tiles_of(kind: str, dtype: Any) -> list[Tile]:
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_language_of_devices_gives_what_numpy_gives(kind: str, dtype: Any) -> None:
     """The same instructions, compiled for this processor."""
-    for tile in tiles_of(kind, dtype):
-        check_kernel(HostKernel(tile, NARROW))
+    for body in bodies_of(kind, dtype):
+        check_kernel(HostKernel(body, NARROW))
 
 
 @pytest.mark.parametrize("dtype", TYPES)
 @pytest.mark.parametrize("kind", KINDS)
 def test_ptx_of_each_kind(kind: str, dtype: Any, tmp_path: Path) -> None:
     """It is assembled too where NVIDIA's assembler is installed."""
-    for tile in tiles_of(kind, dtype):
+    for body in bodies_of(kind, dtype):
         module = Module(ptx.device((9, 0)))
-        ptx.write_kernel(module, tile)
+        ptx.write_kernel(module, body)
         if module.library and ptx.libdevice() is None:
             pytest.skip("it calls functions of CUDA's libdevice.10.bc, which is not installed")
         text = ptx.assembled(module, module.text())
@@ -256,17 +256,17 @@ _LAUNCH = ctypes.CFUNCTYPE(ctypes.c_int, ctypes.c_void_p, *[ctypes.c_uint] * 7, 
 @pytest.mark.parametrize("kind", ["scan", "saved rows"])
 def test_a_handler_starts_a_thread_for_each_row(kind: str, code: int) -> None:
     """What stands for the driver reads the parameters as the device would."""
-    tile, rows = tiles_of(kind, np.float64)[-1], 130
+    body, rows = bodies_of(kind, np.float64)[-1], 130
     module = Module(Processor.host())
-    handler.write_device_handler(module, tile, 64)
+    handler.write_device_handler(module, body, 64)
     made = load(compiled(module.text(), module.processor), (), module.processor, ("handler", "kernel", "launch"))
 
     def of(arrays: list[Array], count: int) -> list[np.ndarray]:
         return [np.zeros((count, a.size * (5 if a.long else 1)), a.dtype) for a in arrays]
 
-    arguments = of([tile.arguments[k] for k in tile.read], rows)
+    arguments = of([body.arguments[k] for k in body.read], rows)
     arguments[0] = arguments[0][:1]  # all rows share it
-    arrays = [*arguments, *of([tile.results[k] for k in tile.written], rows)]
+    arrays = [*arguments, *of([body.results[k] for k in body.written], rows)]
     seen: list[Any] = []
 
     def launch(*given: Any) -> int:
@@ -279,7 +279,7 @@ def test_a_handler_starts_a_thread_for_each_row(kind: str, code: int) -> None:
     ctypes.c_void_p.from_address(made.addresses["launch"]).value = ctypes.cast(kept, ctypes.c_void_p).value
     frame = _Frame(arguments, arrays[len(arguments) :], stream=815)
     answered = ctypes.CFUNCTYPE(ctypes.c_void_p, ctypes.c_void_p)(made.addresses["handler"])(frame.address)
-    strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
+    strides = [len(a) for a in arrays]  # of arrays by columns
     assert seen == [((4711, 3, 1, 1, 64, 1, 1, 0, 815), [*(a.ctypes.data for a in arrays), *strides, rows])]
     assert frame.errors == ([f"a kernel of twistax was not started: CUDA error {code}"] if code else [])
     assert bool(answered) == bool(code)

@@ -63,8 +63,8 @@ def _used(factor: float) -> np.ndarray:
     shape = jax.ShapeDtypeStruct((3,), float)
     form = native_form(scalarize(lambda x: [factor * x * x + x], shape))
     processor = Processor.host()
-    tile = Straight(form, processor.lanes(form.graph.dtype))
-    own = HostKernel(tile, processor)
+    body = Straight(form, processor.lanes(form.graph.dtype))
+    own = HostKernel(body, processor)
     check_kernel(own)
     (found,) = own.run([POINTS])
     np.testing.assert_allclose(found, factor * POINTS**2 + POINTS, rtol=1e-14, atol=1e-15)  # they may cancel

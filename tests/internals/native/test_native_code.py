@@ -60,7 +60,7 @@ def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch)
     """As if XLA's interface had changed."""
     monkeypatch.setattr(self_test, "_CALLED", set())
     monkeypatch.setattr(HostKernel, "__call__", lambda self, rows, *a, **_: [jnp.zeros((rows, 3))])
-    with pytest.warns(RuntimeWarning, match="JAX calls it otherwise"):
+    with pytest.warns(RuntimeWarning, match="differ where JAX calls it"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0, threads=5))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 

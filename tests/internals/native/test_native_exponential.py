@@ -1,7 +1,5 @@
 """The exponential and what is made of it, against 50 digits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mpmath

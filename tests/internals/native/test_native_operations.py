@@ -1,7 +1,5 @@
 """Every operation on vectors, against NumPy, with special values."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -40,7 +40,7 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
         monkeypatch.setattr(pieces, "_LONG", length)
         monkeypatch.setattr(pieces, "_LENGTH", length)
         kernel = HostKernel(Straight(form, lanes), processor)
-        found.append(kernel.run([rows[k] for k in kernel.tile.read]))
+        found.append(kernel.run([rows[k] for k in kernel.body.read]))
     for other in found[1:]:
         for whole, own in zip(found[0], other, strict=True):
             near = 50 * np.finfo(dtype).eps if whole.dtype.kind == "f" else 0.0

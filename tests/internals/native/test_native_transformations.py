@@ -1,7 +1,5 @@
 """Kernels inside of JAX: batches of every size, transformations, derivatives, threads."""
 
-from __future__ import annotations
-
 import threading
 import warnings
 from collections.abc import Callable

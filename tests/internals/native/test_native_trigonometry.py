@@ -1,7 +1,5 @@
 """Sine and cosine against 50 digits."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import mpmath

@@ -1,7 +1,5 @@
 """Kernels and programs of batches whose members share arguments."""
 
-from __future__ import annotations
-
 import itertools
 from collections.abc import Callable
 from typing import Any

@@ -6,6 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from test_fast import close
 
 import twistax as tx
 from twistax.scalar.targets.llvm import kernel, machine_code
@@ -14,16 +15,6 @@ pytest.importorskip("llvmlite")
 
 
 RANDOM = np.random.default_rng(5)
-
-
-def close(found: Any, expected: Any, tolerance: float = 1e-12) -> None:
-    """Of one structure, with the same types, equal to rounding."""
-    assert jax.tree.structure(found) == jax.tree.structure(expected)
-    for own, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        assert own.dtype == other.dtype
-        assert own.shape == other.shape
-        scale = float(jnp.abs(other).max()) if other.size and other.dtype.kind == "f" else 1.0
-        np.testing.assert_allclose(own, other, rtol=0, atol=tolerance * scale)
 
 
 def test_like_operations_of_one_body_are_put_into_vectors(monkeypatch: pytest.MonkeyPatch) -> None:

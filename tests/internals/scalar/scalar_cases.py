@@ -10,6 +10,7 @@ from typing import Any
 import jax
 import jax.numpy as jnp
 import numpy as np
+import pytest
 from jax.extend.core import jaxpr_as_fun
 
 from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
@@ -151,6 +152,17 @@ def compare(case: Case, expected: dict[str, Any]) -> None:
             for own, other in zip(found, expected["reverse"], strict=True):
                 assert (own.shape, own.dtype) == (other.shape, other.dtype)
                 np.testing.assert_allclose(own, other, **same, err_msg="reverse")
+
+
+def as_jax(cases: Sequence[Case]) -> Callable[[Case], None]:
+    """A test of these cases; warnings are errors."""
+    expected = functools.cache(lambda: oracles(cases))
+
+    @pytest.mark.parametrize("case", cases, ids=str)
+    def test(case: Case) -> None:
+        compare(case, expected()[case.name])
+
+    return test
 
 
 def _compare_jacobian(case: Case, expected: Sequence[Any], same: Any) -> None:

@@ -1,7 +1,5 @@
 """For each primitive in the table a function in whose jaxpr it stands, and arrays to call it with."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Every scalar operation as CasADi has it."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

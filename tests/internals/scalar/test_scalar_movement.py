@@ -1,16 +1,13 @@
 """Operations that move entries, sums and factorisations, as scalars: as JAX has them."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from jax import lax
-from scalar_cases import Case, compare, evaluate, oracles
+from scalar_cases import Case, as_jax, evaluate
 
 from twistax.scalar.reader import scalarize
 
@@ -229,14 +226,7 @@ ALGEBRA = [
 CASES = [*MOVES, *SUMS, *ALGEBRA]
 
 
-@functools.cache
-def expected() -> dict[str, dict[str, Any]]:
-    return oracles(CASES)
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_as_jax(case: Case) -> None:
-    compare(case, expected()[case.name])
+test_as_jax = as_jax(CASES)
 
 
 def test_nan_has_the_place_that_jax_gives_it() -> None:

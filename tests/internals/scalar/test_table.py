@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import functools
 import warnings
-from pathlib import Path
 from typing import Any
 
 import jax
@@ -12,10 +10,9 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from jax import lax
-from scalar_cases import Case, compare, evaluate, oracles
+from scalar_cases import Case, as_jax, evaluate
 from table_examples import EXAMPLES
 
-from test_architecture import SOURCE, imported_modules
 from twistax import jax_inside
 from twistax.jax_inside import Literal, Unread, all_equations
 from twistax.scalar.backends import array_operations
@@ -150,7 +147,7 @@ def test_a_rule_reads_all_parameters(name: str) -> None:
         else nodes([graph.input(k, j, np.dtype(v.aval.dtype)) for j in range(v.aval.size)], v.aval.shape)
         for k, v in enumerate(eqn.invars)
     ]
-    entry.scalars(JaxprReader(graph, whole=False), eqn, *arrays)
+    entry.scalars(JaxprReader(graph, keep_calls=False), eqn, *arrays)
     assert set(watched) - watched.read <= set(IDLE.split()) | NAMED.get(name, set())
 
 
@@ -184,35 +181,4 @@ CASES = [
 ]
 
 
-@functools.cache
-def expected() -> dict[str, dict[str, Any]]:
-    return oracles(CASES)
-
-
-@pytest.mark.parametrize("case", CASES, ids=str)
-def test_values_that_are_not_read_are_left_to_jax(case: Case) -> None:
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        compare(case, expected()[case.name])
-
-
-# ---- the house -------------------------------------------------------------------------------------------------------
-
-
-def reached(folder: str) -> set[str]:
-    """The modules of the package that those of a folder import, and so on."""
-    found: set[str] = set()
-    waiting = list((SOURCE / folder).rglob("*.py"))
-    while waiting:
-        for module in imported_modules(waiting.pop()) - found:
-            found.add(module)
-            path = SOURCE.joinpath(*module.split("."))
-            waiting += [p for p in (path.with_suffix(".py"), Path(path, "__init__.py")) if p.exists()]
-    return found
-
-
-@pytest.mark.parametrize("folder", ["lowering/scalar", "lowering/native"])
-def test_the_scalar_core_knows_nothing_of_bodies(folder: str) -> None:
-    """A jaxpr in, a program out: no expression, group, system or body is in sight."""
-    floors = {module.split(".")[0] for module in reached(folder)}
-    assert floors <= {"walk", "errors", "jax_inside", "table_load", "in_range", "checks", "lowering"}
+test_values_that_are_not_read_are_left_to_jax = as_jax(CASES)

@@ -4,30 +4,16 @@ import jax.numpy as jnp
 import numpy as np
 import pytest
 from program_derivatives import assert_derivatives
-from trajectory_systems import HEUN
+from trajectory_systems import fastest_turn
 
 import twistax as tx
 from twistax.jax_inside import in_double
 from twistax.trajectory.adapters.program import NonlinearProgram
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture
 def turning() -> tx.trajectory.Problem:
-    """The fastest turn of an asymmetric body, with a rate limit."""
-    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
-    M = tx.Control("M", shape=(3,), min=-1.0, max=1.0)
-    J = np.diag([1.0, 1.2, 0.7])
-    rate = tx.linalg.Solve(J, M - tx.linalg.Cross(w, J @ w))
-    system = tx.System(rates={R: w, w: rate}, constraints={"slow": tx.linalg.Norm(w) <= 1.8})
-    return tx.trajectory.Problem(
-        tx.compile(system),
-        tx.Minimize(tx.Time(), running=0.01 * M @ M),
-        nodes=9,
-        final_time=(0.5, 10.0),
-        initial={R: np.eye(3), w: np.zeros(3)},
-        final={R: np.asarray(tx.SO3.exp(jnp.array([0.6, 2.2, -1.0]))), w: np.zeros(3)},
-        **{**HEUN, "substeps": 4},
-    )
+    return fastest_turn()
 
 
 def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[NonlinearProgram, np.ndarray]:
@@ -37,9 +23,9 @@ def stated(problem: tx.trajectory.Problem, copies: bool) -> tuple[NonlinearProgr
     guess = {"R": Rs, "w": rng.normal(size=(9, 3)), "M": rng.uniform(-1.0, 1.0, size=(8, 3))}
     with in_double():
         started = problem.started(guess, final_time_guess=3.0)
-        staged = problem.core(1e-6, started.point, started.given).staged
-        program = NonlinearProgram(staged, started.given, with_copies=copies)
-        start = program.start(started.point, started.given, None)
+        staged = problem.core(1e-6, started.point, started.instance).staged
+        program = NonlinearProgram(staged, started.instance, with_copies=copies)
+        start = program.start(started.point, started.instance, None)
     return program, start.x + 0.3 * rng.normal(size=program.size)
 
 

@@ -40,9 +40,9 @@ def test_all_derivatives_of_joined_phases(seed: int) -> None:
     problem, rng = rich(), np.random.default_rng(seed)
     with in_double():
         started = problem.started()
-        staged = problem.core(1e-6, started.point, started.given).staged
-        program = NonlinearProgram(staged, started.given, with_copies=False)
-        x = program.start(started.point, started.given, None).x
+        staged = problem.core(1e-6, started.point, started.instance).staged
+        program = NonlinearProgram(staged, started.instance, with_copies=False)
+        x = program.start(started.point, started.instance, None).x
         border = program._copies[0]
         x += np.where(np.isin(np.arange(program.size), border), 0.0, 0.4 * rng.normal(size=program.size))
         x[border] = [0.12, 0.1, 0.7]

@@ -1,23 +1,10 @@
 """Rows without a slope are named."""
 
-import functools
-from typing import Any
-
 import pytest
-from trajectory_systems import HEUN
+from test_accuracy import to_rest
 
-import twistax as tx
-from twistax.trajectory import Problem, Status
+from twistax.trajectory import Status
 from twistax.trajectory.strategy import judge
-
-
-@functools.cache
-def to_rest(condition: str, nodes: int) -> Problem:
-    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
-    final: Any = {"v": [p == 1.0, v**2 <= 0.0], "p": [(p - 1.0) ** 2 <= 0.0, v == 0.0]}[condition]
-    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
-    ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": final}
-    return Problem(dynamics, tx.Minimize(tx.Time()), nodes=nodes, final_time=(0.1, 6.0), **ends, **HEUN)
 
 
 def test_a_row_without_slope_is_named(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -66,7 +66,7 @@ def point_beside(problem: Problem) -> tuple[Any, Any]:
         np.where(free.border, 0.1, 0.0),
     )
     point = moved_by(problem.dynamics.group, started.point, step)
-    return jax.tree.map(np.asarray, point), started.given
+    return jax.tree.map(np.asarray, point), started.instance
 
 
 def test_moves_are_those_of_the_group() -> None:

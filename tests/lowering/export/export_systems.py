@@ -1,7 +1,5 @@
 """Systems to write out, and C code compiled and called from here."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import shutil

@@ -6,8 +6,6 @@ prints a line for each file that neither loads nor ends in an error of this pack
 that takes long. The exit status is 0 where there is none.
 """
 
-from __future__ import annotations
-
 import copy
 import io
 import json

@@ -1,7 +1,5 @@
 """Saved files with errors load or end in an error of this package; nothing foreign is imported, little allocated."""
 
-from __future__ import annotations
-
 import importlib
 import io
 import json

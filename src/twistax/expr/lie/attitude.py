@@ -119,18 +119,18 @@ def pose(
             another unit; numbers that are not finite, a zero quaternion, or a matrix that is not a rotation.
             Where these are traced or computed the pose is NaN.
     """
-    given = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
+    attitudes = {"rotation": rotation, "quaternion": quaternion, "euler": euler, "rotation_vector": rotation_vector}
     of_numbers: Any = pose_of_numbers
-    everything = {"position": position} | given
-    numbers = {name: own for name, own in everything.items() if own is not None and not _symbolic(own)}
+    everything = {"position": position} | attitudes
+    numbers = {name: v for name, v in everything.items() if v is not None and not _symbolic(v)}
     if not any(map(_symbolic, everything.values())):
         return of_numbers(**numbers, sequence=sequence)
     of_numbers(**numbers, sequence=sequence)  # for its checks
-    found = {name: _joined(value) for name, value in given.items() if value is not None}
-    one_attitude(found)
+    attitude = {name: _joined(value) for name, value in attitudes.items() if value is not None}
+    one_attitude(attitude)
     nodes: dict[str, Any] = {"rotation": to_expr, "quaternion": QDCM, "rotation_vector": SO3Exp}
     nodes["euler"] = lambda angles: EulerRotation(angles, sequence)
-    R = next((nodes[name](own) for name, own in found.items()), np.eye(3))
+    R = next((nodes[name](expr) for name, expr in attitude.items()), np.eye(3))
     return Pose(R, np.zeros(3) if position is None else _joined(position))
 
 

@@ -37,10 +37,10 @@ def both_orders(**values: Any) -> list[dict[str, Any]]:
 NEARLY = 1e-4
 
 
-def check_element(owner: str, operand: str, given: Expr) -> None:
+def check_element(owner: str, operand: str, element: Expr) -> None:
     """Raise ModelError where a constant operand is neither a rotation nor a pose, or a state lives on another group."""
-    refuse_other_group(owner, operand, given)
-    value = given.value if isinstance(given, Constant) else np.zeros(0)
+    refuse_other_group(owner, operand, element)
+    value = element.value if isinstance(element, Constant) else np.zeros(0)
     if value.shape in ELEMENTS and not element_defect(value) <= NEARLY:
         raise ModelError(
             f"{owner} expects {operand} to be a {'pose [R p; 0 1]' if len(value) == 4 else 'rotation'}, got\n{value}, "
@@ -49,11 +49,11 @@ def check_element(owner: str, operand: str, given: Expr) -> None:
         )
 
 
-def refuse_other_group(owner: str, operand: str, given: Expr) -> None:
+def refuse_other_group(owner: str, operand: str, element: Expr) -> None:
     """Raise ModelError for a state on another group than SO(3) and SE(3), whatever its shape."""
-    if isinstance(given, State) and not (given.group.flat or given.group.rigid):
+    if isinstance(element, State) and not (element.group.flat or element.group.rigid):
         raise ModelError(
-            f"{owner} expects {operand} to be a rotation or a pose, state {given!r} lives on {given.group.name}.\n"
+            f"{owner} expects {operand} to be a rotation or a pose, state {element!r} lives on {element.group.name}.\n"
             "  fix: write it with the entries of the state, or as a node of your own"
         )
 

@@ -442,9 +442,9 @@ class AxisRotation(Expr):
     def evaluate(self, *values: jax.Array) -> jax.Array:
         (q,) = values
         x, y, z = self.axis
-        along = np.outer(self.axis, self.axis)
+        projection = np.outer(self.axis, self.axis)
         turn = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-        constant, sine, cosine = (jnp.asarray(part, q.dtype) for part in (along, turn, np.eye(3) - along))
+        constant, sine, cosine = (jnp.asarray(part, q.dtype) for part in (projection, turn, np.eye(3) - projection))
         return constant + jnp.sin(q) * sine + jnp.cos(q) * cosine
 
     def makes_group_element(self, *operands: bool) -> bool:

@@ -23,7 +23,7 @@ def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...], un
     m, eps = S.shape[-1], float(jnp.finfo(S.dtype).eps)
     least = max(tolerance**2, _TRUSTED * m * eps)
     left, longest = S, jnp.maximum(jnp.max(_diagonal(S, m)), unit**2)
-    found: list[jax.Array] = []
+    by_block: list[jax.Array] = []
     for size in blocks:
         waiting, chosen, distances = jnp.ones(size, bool), jnp.zeros(size, bool), jnp.zeros(size, S.dtype)
         for _ in range(size):
@@ -38,8 +38,8 @@ def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...], un
             distances = jnp.where(here, jnp.where(real, jnp.sqrt(jnp.where(real, square, 1.0)), 0.0), distances)
             chosen, waiting = chosen | (here & good), waiting & ~here
         left = left[size:, size:]
-        found.append(jnp.stack([chosen.astype(S.dtype), distances]))
-    return jnp.concatenate(found, axis=1)
+        by_block.append(jnp.stack([chosen.astype(S.dtype), distances]))
+    return jnp.concatenate(by_block, axis=1)
 
 
 def _diagonal(S: jax.Array, size: int) -> jax.Array:

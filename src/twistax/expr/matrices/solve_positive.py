@@ -28,11 +28,11 @@ def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
         rows.append(right[k])
         left = left[:k, :k] - factors[-1][:, None] * left[None, k, :k]
         right = right[:k] - factors[-1][:, None] * right[None, k]
-    found: list[jax.Array] = []
+    x: list[jax.Array] = []
     for factor, pivot, row in zip(reversed(factors), reversed(pivots), reversed(rows), strict=True):
-        own = row * pivot
-        found.append(own - jnp.sum(factor[:, None] * jnp.stack(found), axis=0) if found else own)
-    return jnp.stack(found)
+        entry = row * pivot
+        x.append(entry - jnp.sum(factor[:, None] * jnp.stack(x), axis=0) if x else entry)
+    return jnp.stack(x)
 
 
 def inverse_factor(A: jax.Array) -> jax.Array:
@@ -47,8 +47,8 @@ def inverse_factor(A: jax.Array) -> jax.Array:
         left = left[:k, :k] - factors[-1][0][:, None] * left[None, k, :k]
     V = jnp.zeros((0, 0), A.dtype)
     for factor, root in reversed(factors):
-        own = jnp.concatenate([-(factor @ V), root[None]])
-        V = jnp.concatenate([jnp.pad(V, ((0, 0), (0, 1))), own[None]])
+        row = jnp.concatenate([-(factor @ V), root[None]])
+        V = jnp.concatenate([jnp.pad(V, ((0, 0), (0, 1))), row[None]])
     return V
 
 

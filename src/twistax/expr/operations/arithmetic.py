@@ -68,18 +68,18 @@ class Add(Chained, init=False):
     def simplify(self) -> Expr:
         """Fold constants, drop zeros and pairs x - x; never change the shape. Nested sums are flattened before."""
         constants = [t for t in self.terms if isinstance(t, Constant)]
-        others = _cancel([t for t in self.terms if not isinstance(t, Constant)])
+        rest = _cancel([t for t in self.terms if not isinstance(t, Constant)])
         with np.errstate(all="ignore"):
             total = np.asarray(sum((c.value for c in constants), start=np.float64(0.0)))
-        if not others:
+        if not rest:
             return Constant(np.broadcast_to(total, self.shape))
-        kept = np.broadcast_shapes(*(other.shape for other in others))
+        kept = np.broadcast_shapes(*(term.shape for term in rest))
         if total.any() or np.broadcast_shapes(kept, total.shape) != kept:
-            others.append(Constant(total))
+            rest.append(Constant(total))
             kept = np.broadcast_shapes(kept, total.shape)
         if kept != self.shape:
-            others.append(zeros_of(self))
-        return rebuilt(self, others, self.terms)
+            rest.append(zeros_of(self))
+        return rebuilt(self, rest, self.terms)
 
     def to_latex(self, *operands: str) -> str:
         return " + ".join(wrap_latex(t, s, 10) for t, s in zip(self.terms, operands)).replace("+ -", "- ")
@@ -153,19 +153,19 @@ class Mul(Chained, init=False):
     def simplify(self) -> Expr:
         """Fold constants, drop ones, absorb zeros; never change the shape. Nested products are flattened before."""
         constants = [f for f in self.factors if isinstance(f, Constant)]
-        others = [f for f in self.factors if not isinstance(f, Constant)]
+        rest = [f for f in self.factors if not isinstance(f, Constant)]
         with np.errstate(all="ignore"):
             product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
         # Numbers that overflow or underflow among themselves need not do so with the others between them.
         zero = functools.reduce(np.logical_or, (c.value == 0.0 for c in constants), np.False_)
         if not np.isfinite(product).all() or ((product == 0.0) != zero).any():
             return self
-        if not product.any() or not others:
+        if not product.any() or not rest:
             return Constant(np.broadcast_to(product, self.shape))
-        kept = np.broadcast_shapes(*(other.shape for other in others))
+        kept = np.broadcast_shapes(*(factor.shape for factor in rest))
         if (product != 1.0).any() or np.broadcast_shapes(kept, product.shape) != kept:
-            others.insert(0, Constant(product))
-        return rebuilt(self, others, self.factors)
+            rest.insert(0, Constant(product))
+        return rebuilt(self, rest, self.factors)
 
     def to_latex(self, *operands: str) -> str:
         first, *rest = (wrap_latex(f, s, 20) for f, s in zip(self.factors, operands))
@@ -203,9 +203,9 @@ class Div(Entrywise):
     def evaluate(self, *values: Numbers) -> Numbers:
         # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
         single = [isinstance(v, jax.Array) and v.dtype.itemsize < 8 for v in values]
-        apart = [isinstance(a, Div) and s for a, s in zip((self.left, self.right), single)]
-        own = [_apart(v) if inner else v for v, inner in zip(values, apart)]
-        return super().evaluate(*own)
+        separate = [isinstance(a, Div) and s for a, s in zip((self.left, self.right), single)]
+        operands = [_apart(v) if inner else v for v, inner in zip(values, separate)]
+        return super().evaluate(*operands)
 
     def simplify(self) -> Expr:
         """x / 1 is x; 0 / x is 0, where x is not known to be zero or NaN."""
@@ -470,18 +470,18 @@ class Equality(Constraint):
     kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)
 
 
-def refuse_conditions(what: str, given: Any) -> None:
+def refuse_conditions(what: str, constraint: Any) -> None:
     """Raise the plain sentence for a condition that stands where an optimiser wants a constraint.
 
     Raises: ModelError.
     """
-    if isinstance(given, Less):
+    if isinstance(constraint, Less):
         raise ModelError(
-            f"{what} cannot hold {given!r}: the set where a strict comparison holds is open, and has no minimum.\n"
-            f"  fix: {Inequality(given.lhs, given.rhs)!r}; to keep away from the bound, move it by a margin"
+            f"{what} cannot hold {constraint!r}: the set where a strict comparison holds is open, and has no minimum.\n"
+            f"  fix: {Inequality(constraint.lhs, constraint.rhs)!r}; to keep away from the bound, move it by a margin"
         )
-    if isinstance(given, Expr) and given.boolean and not isinstance(given, Constraint):
+    if isinstance(constraint, Expr) and constraint.boolean and not isinstance(constraint, Constraint):
         raise ModelError(
-            f"{what} expects constraints, a <= b or a == b, got the condition {given!r}.\n"
+            f"{what} expects constraints, a <= b or a == b, got the condition {constraint!r}.\n"
             "  fix: constraints that must all hold come in a list"
         )

@@ -289,18 +289,18 @@ class Index(Expr):
     def infer_shape(self, *shapes: Shape) -> Shape:
         (shape,) = shapes
         try:
-            found = np.broadcast_to(np.empty(()), shape)[self.index].shape
+            result = np.broadcast_to(np.empty(()), shape)[self.index].shape
         except IndexError as error:
             raise ShapeError(
                 f"Index expects an index into shape {shape}, got [{index_text(self.index)}]",
                 hint="a scalar has no entries: use it as it is" if not shape else str(error),
             ) from None
-        if 0 in found:
+        if 0 in result:
             raise ShapeError(
                 f"Index expects at least one entry, got none of shape {shape} at [{index_text(self.index)}]",
                 hint="start and stop must lie inside the array, start before stop",
             )
-        return found
+        return result
 
     def makes_boolean(self, *operands: bool) -> bool:
         return operands[0]
@@ -429,5 +429,5 @@ def _part_of_concat(node: Index, base: Concat, index: Any) -> Expr:
     last = int(np.searchsorted(starts, np.max(chosen), side="right")) - 1
     if first == last and piece.shape:
         return Index(piece, _run(chosen - offset))
-    along = np.array_equal(chosen, np.arange(starts[first], starts[last + 1]))
-    return Concat(*base.exprs[first : last + 1]) if along and len(chosen) < starts[-1] else node
+    is_range = np.array_equal(chosen, np.arange(starts[first], starts[last + 1]))
+    return Concat(*base.exprs[first : last + 1]) if is_range and len(chosen) < starts[-1] else node

@@ -40,12 +40,12 @@ class Extremum(Chained, init=False):
     def simplify(self) -> Expr:
         """Constants fold into one, equal operands count once. Nested ones are flattened before."""
         constants = [o.value for o in self.operands if isinstance(o, Constant)]
-        others = [o for o in self.operands if not isinstance(o, Constant)]
+        rest = [o for o in self.operands if not isinstance(o, Constant)]
         if self.idempotent:
-            others = list({o.key(): o for o in others}.values())
+            rest = list({o.key(): o for o in rest}.values())
         if constants:
-            others.append(Constant(functools.reduce(type(self).combine, constants)))
-        return rebuilt(self, others, self.operands)
+            rest.append(Constant(functools.reduce(type(self).combine, constants)))
+        return rebuilt(self, rest, self.operands)
 
 
 class Max(Extremum, init=False):
@@ -126,8 +126,8 @@ class Reduction(Variadic, init=False):
     neutral: ClassVar[bool]
 
     def __init__(self, *predicates: Anything) -> None:
-        given = predicates[0] if len(predicates) == 1 and isinstance(predicates[0], (list, tuple)) else predicates
-        super().__init__(*(_predicate(type(self).__name__, predicate) for predicate in given))
+        entries = predicates[0] if len(predicates) == 1 and isinstance(predicates[0], (list, tuple)) else predicates
+        super().__init__(*(_predicate(type(self).__name__, predicate) for predicate in entries))
 
     def makes_boolean(self, *operands: bool) -> bool:
         return True
@@ -303,7 +303,7 @@ class Cond(Expr):
         return self.evaluate_on_demand([predicate], [lambda: true_value, lambda: false_value])
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
-        on_true, on_false = (lambda own=own: jnp.broadcast_to(own(), self.shape) for own in branches)
+        on_true, on_false = (lambda branch=branch: jnp.broadcast_to(branch(), self.shape) for branch in branches)
         return jax.lax.cond(values[0], on_true, on_false)
 
     def simplify(self) -> Expr:

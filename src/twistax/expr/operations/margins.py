@@ -23,7 +23,7 @@ def margin(what: str, condition: Expr) -> Expr:
     if isinstance(condition, Not):
         return Neg(margin(what, condition.condition))
     if isinstance(condition, (All, Any)):
-        entries = [entry for each in condition.predicates for entry in _entries(margin(what, each))]
+        entries = [entry for predicate in condition.predicates for entry in _entries(margin(what, predicate))]
         joined = Max if isinstance(condition, All) else Min
         return joined(*entries) if len(entries) > 1 else entries[0]
     raise ModelError(

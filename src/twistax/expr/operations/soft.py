@@ -53,7 +53,7 @@ class Soft:
             object.__setattr__(self, name, None if weight is None else _weight(name, weight, constraint))
 
     def __repr__(self) -> str:
-        weights = [f"{name}={own!r}" for name, own in (("l1", self.l1), ("l2", self.l2)) if own is not None]
+        weights = [f"{name}={weight!r}" for name, weight in (("l1", self.l1), ("l2", self.l2)) if weight is not None]
         return f"Soft({', '.join([repr(self.constraint), *weights])})"
 
     def price(self, size: Expr) -> Expr:
@@ -73,15 +73,15 @@ def hard(constraint: Any) -> Any:
     return constraint.constraint if isinstance(constraint, Soft) else constraint
 
 
-def parts_of(asked: Asked) -> list[Expr]:
+def parts_of(constraint: Asked) -> list[Expr]:
     """The expressions in it."""
-    weights = [asked.l1, asked.l2] if isinstance(asked, Soft) else []
-    return [hard(asked), *(own for own in weights if own is not None)]
+    weights = [constraint.l1, constraint.l2] if isinstance(constraint, Soft) else []
+    return [hard(constraint), *(weight for weight in weights if weight is not None)]
 
 
-def _weight(name: str, given: Any, constraint: Constraint) -> Expr:
+def _weight(name: str, value: Any, constraint: Constraint) -> Expr:
     try:
-        weight = to_expr(given)
+        weight = to_expr(value)
     except ModelError as error:
         raise ModelError(f"Soft: {name} expects a number or an expression: {error}") from None
     shape = constraint.residual().check_shape()

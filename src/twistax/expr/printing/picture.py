@@ -30,7 +30,7 @@ def svg(roots: Mapping[str, Node]) -> Picture:
     for node in reversed(nodes):  # parents before children
         for child in node.children():
             depth[id(child)] = max(depth.get(id(child), 0), depth[id(node)] + 1)
-    names = {id(root): ", ".join(n for n, own in roots.items() if own is root and n) for root in roots.values()}
+    names = {id(root): ", ".join(n for n, named in roots.items() if named is root and n) for root in roots.values()}
     texts = {id(node): _texts(node, names.get(id(node), "")) for node in nodes}
     width = {key: max(map(len, lines)) * _CHARACTER + 14 for key, lines in texts.items()}
     x = _places(nodes, depth, width)
@@ -42,27 +42,27 @@ def svg(roots: Mapping[str, Node]) -> Picture:
         f'viewBox="0 0 {across:.0f} {down}" font-family="monospace" font-size="12" text-anchor="middle">'
     ]
     for node in nodes:
-        own = id(node)
+        place = id(node)
         for child in node.children():
-            begin, end = x[own] + width[own] / 2, x[id(child)] + width[id(child)] / 2
+            begin, end = x[place] + width[place] / 2, x[id(child)] + width[id(child)] / 2
             lines.append(
-                f'<line x1="{begin:.1f}" y1="{y[own] + _BOX}" x2="{end:.1f}" y2="{y[id(child)]}" stroke="#8a97a6"/>'
+                f'<line x1="{begin:.1f}" y1="{y[place] + _BOX}" x2="{end:.1f}" y2="{y[id(child)]}" stroke="#8a97a6"/>'
             )
     for node in nodes:
-        own, fill = id(node), "#eaf1f8" if node.children() else "#f6efdf"
-        middle = x[own] + width[own] / 2
-        name, shape = texts[own]
+        place, fill = id(node), "#eaf1f8" if node.children() else "#f6efdf"
+        middle = x[place] + width[place] / 2
+        name, shape = texts[place]
         lines.append(
-            f'<rect x="{x[own]:.1f}" y="{y[own]}" width="{width[own]:.1f}" height="{_BOX}" rx="5" fill="{fill}" '
-            f'stroke="#37506b"/><text x="{middle:.1f}" y="{y[own] + 15}" fill="#1b2a3a">{escape(name)}</text>'
-            f'<text x="{middle:.1f}" y="{y[own] + 30}" fill="#667788" font-size="10">{escape(shape)}</text>'
+            f'<rect x="{x[place]:.1f}" y="{y[place]}" width="{width[place]:.1f}" height="{_BOX}" rx="5" fill="{fill}" '
+            f'stroke="#37506b"/><text x="{middle:.1f}" y="{y[place] + 15}" fill="#1b2a3a">{escape(name)}</text>'
+            f'<text x="{middle:.1f}" y="{y[place] + 30}" fill="#667788" font-size="10">{escape(shape)}</text>'
         )
     return Picture("\n".join([*lines, "</svg>"]))
 
 
-def _texts(node: Node, given: str) -> tuple[str, str]:
+def _texts(node: Node, label: str) -> tuple[str, str]:
     name = type(node).__name__ if node.children() else f"{type(node).__name__} {node.to_text()}"
-    return _short(f"{given} = {name}" if given else name), str(node.check_shape())
+    return _short(f"{label} = {name}" if label else name), str(node.check_shape())
 
 
 def _short(text: str) -> str:
@@ -74,9 +74,9 @@ def _places(nodes: list[Node], depth: dict[int, int], width: dict[int, float]) -
     x: dict[int, float] = {}
     ends: dict[int, float] = {}
     for node in nodes:  # children before parents
-        own, row = id(node), depth[id(node)]
+        key, row = id(node), depth[id(node)]
         below = [x[id(child)] + width[id(child)] / 2 for child in node.children()]
-        wanted = sum(below) / len(below) - width[own] / 2 if below else max(ends.values(), default=4.0 - _GAP) + _GAP
-        x[own] = max(wanted, ends.get(row, 4.0 - _GAP) + _GAP)
-        ends[row] = x[own] + width[own]
+        wanted = sum(below) / len(below) - width[key] / 2 if below else max(ends.values(), default=4.0 - _GAP) + _GAP
+        x[key] = max(wanted, ends.get(row, 4.0 - _GAP) + _GAP)
+        ends[row] = x[key] + width[key]
     return x

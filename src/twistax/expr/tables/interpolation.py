@@ -91,7 +91,7 @@ class Interp(Variadic, init=False):
             )
         if isinstance(self.outside, list):
             self.outside = tuple(self.outside)
-        if not all(isinstance(each, (Clamped, Extrapolated, Refused)) for each in self._outsides):
+        if not all(isinstance(outside, (Clamped, Extrapolated, Refused)) for outside in self._outsides):
             raise ModelError(
                 "Interp expects outside to be tx.tables.Clamped(), Extrapolated() or Refused(), or a list of one for "
                 f"each axis, got {self.outside!r}"
@@ -113,12 +113,12 @@ class Interp(Variadic, init=False):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         shape = jnp.broadcast_shapes(*(x.shape for x in values))
-        taken = (each.taken(x, own) for each, x, own in zip(self._outsides, values, self.axes, strict=True))
+        taken = (outside.taken(x, points) for outside, x, points in zip(self._outsides, values, self.axes, strict=True))
         return self._read()([jnp.broadcast_to(x, shape) for x in taken])
 
     def details(self) -> list[str]:
-        found = [f"{' x '.join(str(len(points)) for points in self.axes)} points"]
-        return found + [f"{name}={own!r}" for name, own in self._choices() if own is not None]
+        lines = [f"{' x '.join(str(len(points)) for points in self.axes)} points"]
+        return lines + [f"{name}={choice!r}" for name, choice in self._choices() if choice is not None]
 
     def _choices(self) -> list[tuple[str, Any]]:
         kind, outside = (None if type(a) in (Linear, Clamped) else a for a in (self.kind, self.outside))
@@ -148,7 +148,7 @@ class _OnGrid(Expr):
         axes, fp = values[count:-1], values[-1]
         shape = jnp.broadcast_shapes(*(x.shape for x in values[:count]))
         inside = [jnp.clip(jnp.broadcast_to(x, shape), p[0], p[-1]) for x, p in zip(values[:count], axes, strict=True)]
-        table = [each for each in self.children()[count:] if isinstance(each, Constant)]
+        table = [operand for operand in self.children()[count:] if isinstance(operand, Constant)]
         if len(table) > count:
             return _once(self, lambda: linear([points.value for points in table[:-1]], table[-1].value))(inside)
         # All breakpoints are compared at once: for tables of ordinary size that is faster in a loop than halving.

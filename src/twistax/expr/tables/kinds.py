@@ -39,7 +39,7 @@ def _load(table: Table, place: jax.Array, dtype: Any, offset: int = 0) -> jax.Ar
     return load(table, place, dtype, offset)
 
 
-class Axis:
+class GridAxis:
     """The breakpoints of one axis."""
 
     def __init__(self, points: np.ndarray) -> None:
@@ -53,18 +53,18 @@ class Axis:
     def interval(self, x: jax.Array) -> jax.Array:
         """The number of the interval of x, that on the right of a breakpoint; the outer ones have no end."""
         count = len(self.points) - 2
-        found = jnp.zeros(x.shape, jnp.int32)
+        place = jnp.zeros(x.shape, jnp.int32)
         if not count:
-            return found
+            return place
         if self._even:
             # Half an interval low, so that round-off and uneven points leave it right or one too low.
             guess = (x - float(self.points[0])) * float(self._density) - 0.5
-            found = jnp.clip(guess, 0.0, float(count - 1)).astype(jnp.int32)
+            place = jnp.clip(guess, 0.0, float(count - 1)).astype(jnp.int32)
         while not self._even and count > 1:
             half = count // 2
-            found = jnp.where(x >= _load(self._inner, found, x.dtype, half - 1), found + half, found)
+            place = jnp.where(x >= _load(self._inner, place, x.dtype, half - 1), place + half, place)
             count -= half
-        return found + (x >= _load(self._inner, found, x.dtype)).astype(jnp.int32)
+        return place + (x >= _load(self._inner, place, x.dtype)).astype(jnp.int32)
 
     def fraction(self, x: jax.Array, i: jax.Array) -> jax.Array:
         """How far x has come from breakpoint i to the next: exactly 0 and 1 there."""
@@ -85,8 +85,8 @@ def _places(first: jax.Array, rest: tuple[int, ...]) -> jax.Array:
     """The places of the entries over these axes, which lie one after the other."""
     if not rest:
         return first
-    along = np.arange(math.prod(rest), dtype=np.int32).reshape((1,) * first.ndim + rest)
-    return _spread(first, rest) + along
+    offsets = np.arange(math.prod(rest), dtype=np.int32).reshape((1,) * first.ndim + rest)
+    return _spread(first, rest) + offsets
 
 
 def _weighted(
@@ -94,12 +94,12 @@ def _weighted(
 ) -> jax.Array:
     """sum_kl... w0_k w1_l ... table[place + (k, l, ...)], of a table of a shape whose last axes have no weights."""
     rest, strides = shape[len(weights) :], [math.prod(shape[axis + 1 :]) for axis in range(len(weights))]
-    places, own = _places(place, rest), [[_spread(w, rest) for w in each] for each in weights]
+    places, by_axis = _places(place, rest), [[_spread(w, rest) for w in of_axis] for of_axis in weights]
 
     def summed(axis: int, offset: int) -> jax.Array:
-        if axis == len(own):
-            return _load(table, places, own[0][0].dtype, offset)
-        terms = (w * summed(axis + 1, offset + k * strides[axis]) for k, w in enumerate(own[axis]))
+        if axis == len(by_axis):
+            return _load(table, places, by_axis[0][0].dtype, offset)
+        terms = (w * summed(axis + 1, offset + k * strides[axis]) for k, w in enumerate(by_axis[axis]))
         return functools.reduce(jnp.add, terms)
 
     return summed(0, 0)
@@ -113,11 +113,11 @@ def _at(starts: Sequence[jax.Array], shape: tuple[int, ...]) -> jax.Array:
 
 def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
     """Linear along each axis; the end lines are continued."""
-    own, table = [Axis(points) for points in axes], _table(values)
+    lines, table = [GridAxis(points) for points in axes], _table(values)
 
     def lookup(xs: Sequence[jax.Array]) -> jax.Array:
-        starts = [axis.interval(x) for axis, x in zip(own, xs, strict=True)]
-        parts = [axis.fraction(x, i) for axis, x, i in zip(own, xs, starts, strict=True)]
+        starts = [axis.interval(x) for axis, x in zip(lines, xs, strict=True)]
+        parts = [axis.fraction(x, i) for axis, x, i in zip(lines, xs, starts, strict=True)]
         return _weighted(table, _at(starts, values.shape), [[1.0 - t, t] for t in parts], values.shape)
 
     return lookup
@@ -125,7 +125,7 @@ def linear(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
 def pieces(points: np.ndarray, coefficients: np.ndarray) -> Lookup:
     """Polynomials by rising power, (p, n - 1, *k), of x less the breakpoint on its left; the end ones are continued."""
-    axis, ordered = Axis(points), np.moveaxis(coefficients, 0, 1)
+    axis, ordered = GridAxis(points), np.moveaxis(coefficients, 0, 1)
     table, rest = _table(ordered), coefficients.shape[2:]
     powers, size = len(coefficients), math.prod(rest)
 
@@ -133,8 +133,8 @@ def pieces(points: np.ndarray, coefficients: np.ndarray) -> Lookup:
         (x,) = xs
         i = axis.interval(x)
         t, places = _spread(axis.beyond(x, i), rest), _places(i * np.int32(powers * size), rest)
-        own = [_load(table, places, x.dtype, k * size) for k in range(powers)]
-        return functools.reduce(lambda found, c: c + t * found, reversed(own))
+        coefficients = [_load(table, places, x.dtype, k * size) for k in range(powers)]
+        return functools.reduce(lambda total, c: c + t * total, reversed(coefficients))
 
     return lookup
 
@@ -155,16 +155,16 @@ class _Basis:
             [*knots[k + 3 : k + 5], -powers[3][k, k], powers[3][k, k + 3], *(power[k, k + 1] for power in powers)]
             for k in range(count - 3)
         ]
-        self._axis, self._table, self._last = Axis(points), _table(rows), count - 4
+        self._axis, self._table, self._last = GridAxis(points), _table(rows), count - 4
 
     def at(self, x: jax.Array) -> tuple[jax.Array, list[jax.Array]]:
         """The number of the first of them, and their values."""
         # The second and the last point but one are no knots.
         start = jnp.clip(self._axis.interval(x) - 1, 0, self._last)
-        left, right, down, up, *own = (_load(self._table, 8 * start, x.dtype, k) for k in range(8))
+        left, right, down, up, *coefficients = (_load(self._table, 8 * start, x.dtype, k) for k in range(8))
         s, rest = x - left, right - x
         first, last = down * rest * rest * rest, up * s * s * s
-        second = functools.reduce(lambda found, c: c + s * found, reversed(own))
+        second = functools.reduce(lambda total, c: c + s * total, reversed(coefficients))
         return start, [first, second, 1.0 - first - second - last, last]
 
 
@@ -174,15 +174,15 @@ def spline(axes: Sequence[np.ndarray], values: np.ndarray) -> Lookup:
 
     if len(axes) == 1:
         return pieces(axes[0], np.ascontiguousarray(CubicSpline(axes[0], values).c[::-1]))
-    coefficients, own = values, []
+    coefficients, bases = values, []
     for k, points in enumerate(axes):
         fitted = make_interp_spline(points, np.moveaxis(coefficients, k, 0))
         coefficients = np.moveaxis(fitted.c, 0, k)
-        own.append(_Basis(points, fitted.t))
+        bases.append(_Basis(points, fitted.t))
     table = _table(coefficients)
 
     def lookup(xs: Sequence[jax.Array]) -> jax.Array:
-        starts, weights = zip(*(basis.at(x) for basis, x in zip(own, xs, strict=True)), strict=True)
+        starts, weights = zip(*(basis.at(x) for basis, x in zip(bases, xs, strict=True)), strict=True)
         return _weighted(table, _at(starts, values.shape), weights, values.shape)
 
     return lookup

@@ -88,7 +88,9 @@ class Rate(Expr):
         pairs = list(_moving(expr, rates_by_name(rates or {})))
         depth = 1 + _depth(expr)
         placeholders = tuple(_Placeholder(depth, k, leaf) for k, (leaf, _) in enumerate(pairs))
-        body = substitute(expr, {leaf.key(): own for (leaf, _), own in zip(pairs, placeholders, strict=True)})
+        body = substitute(
+            expr, {leaf.key(): placeholder for (leaf, _), placeholder in zip(pairs, placeholders, strict=True)}
+        )
         node = object.__new__(cls)
         leaves, velocities = tuple(leaf for leaf, _ in pairs), tuple(rate for _, rate in pairs)
         node._fill(body, placeholders, depth, (*leaves, *velocities))
@@ -97,8 +99,10 @@ class Rate(Expr):
     def __init__(self, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> None:
         """Everything is done by `__new__`: the fields are not the arguments."""
 
-    def _fill(self, body: Expr, placeholders: tuple[_Placeholder, ...], depth: int, along: tuple[Expr, ...]) -> None:
-        self.__dict__.update(body=body, placeholders=placeholders, depth=depth, along=along)
+    def _fill(
+        self, body: Expr, placeholders: tuple[_Placeholder, ...], depth: int, leaves_and_rates: tuple[Expr, ...]
+    ) -> None:
+        self.__dict__.update(body=body, placeholders=placeholders, depth=depth, along=leaves_and_rates)
         self._seal()
 
     def replace(self, **changes: Any) -> Rate:
@@ -107,25 +111,27 @@ class Rate(Expr):
     @property
     def _captured(self) -> list[Leaf]:
         """The leaves of the body that do not move."""
-        own = {placeholder.key() for placeholder in self.placeholders}
-        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
+        keys = {placeholder.key() for placeholder in self.placeholders}
+        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
 
     @property
     def operand(self) -> Expr:
         """The expression."""
         count = len(self.placeholders)
-        return substitute(self.body, {own.key(): leaf for own, leaf in zip(self.placeholders, self.along[:count])})
+        return substitute(
+            self.body, {placeholder.key(): leaf for placeholder, leaf in zip(self.placeholders, self.along[:count])}
+        )
 
     @property
     def rates(self) -> dict[str, Expr]:
         """The rates of the states and controls that the expression depends on, by name."""
         count = len(self.placeholders)
         moving = dict(zip((leaf.key() for leaf in self.along[:count]), self.along[count:], strict=True))
-        found: dict[str, Expr] = {}
+        rates: dict[str, Expr] = {}
         for leaf in changing(self.operand):
             if not isinstance(leaf, Time):
-                found[leaf.name] = moving.get(leaf.key(), Constant(np.zeros(_rate_shape(leaf))))
-        return found
+                rates[leaf.name] = moving.get(leaf.key(), Constant(np.zeros(_rate_shape(leaf))))
+        return rates
 
     def children(self) -> list[Expr]:
         return [*self.along, *self._captured]
@@ -140,11 +146,13 @@ class Rate(Expr):
 
     def with_children(self, children: list[Expr]) -> Rate:
         count = len(self.along)
-        along = tuple(to_numbers("Rate", child) for child in children[:count])
+        leaves_and_rates = tuple(to_numbers("Rate", child) for child in children[:count])
         pairs = list(zip(self._captured, children[count:], strict=True))
-        if all(a is b for a, b in zip(along, self.along, strict=True)) and all(a.key() == b.key() for a, b in pairs):
+        if all(a is b for a, b in zip(leaves_and_rates, self.along, strict=True)) and all(
+            a.key() == b.key() for a, b in pairs
+        ):
             return self
-        moving = self._moving_after(along, pairs)
+        moving = self._moving_after(leaves_and_rates, pairs)
         exchange = {old.key(): substitute(new, moving) for old, new in pairs if old.key() != new.key()}
         # Rates that come into the body have placeholders too: those of this one get a depth that is free.
         depth, placeholders = self.depth + _depth(*exchange.values()), self.placeholders
@@ -154,15 +162,17 @@ class Rate(Expr):
             deeper: dict[str, Expr] = {old.key(): new for old, new in pairs_of_depths}
             exchange = deeper | {key: substitute(new, deeper) for key, new in exchange.items()}
         copy = object.__new__(Rate)
-        copy._fill(substitute(self.body, exchange) if exchange else self.body, placeholders, depth, along)
+        copy._fill(substitute(self.body, exchange) if exchange else self.body, placeholders, depth, leaves_and_rates)
         return copy
 
-    def _moving_after(self, along: Sequence[Expr], pairs: Sequence[tuple[Leaf, Expr]]) -> dict[str, Expr]:
+    def _moving_after(self, leaves_and_rates: Sequence[Expr], pairs: Sequence[tuple[Leaf, Expr]]) -> dict[str, Expr]:
         """The placeholders by leaf after an exchange of children. Raises ModelError where a rate is not known."""
         count = len(self.placeholders)
         rates = {leaf.key(): "" for old, new in pairs if isinstance(old, _AT_REST) for leaf in _with_rates(new)}
         moving: dict[str, Expr] = {}
-        for leaf, rate, placeholder in zip(along[:count], along[count:], self.placeholders, strict=True):
+        for leaf, rate, placeholder in zip(
+            leaves_and_rates[:count], leaves_and_rates[count:], self.placeholders, strict=True
+        ):
             if not isinstance(leaf, (Time, *_AT_REST)):
                 continue
             if rates.setdefault(leaf.key(), rate.key()) != rate.key():
@@ -196,8 +206,8 @@ class Rate(Expr):
         scope = {leaf.key(): value for leaf, value in zip(self._captured, captured, strict=True)}
 
         def value(*moving: jax.Array) -> jax.Array:
-            own = scope | {placeholder.key(): v for placeholder, v in zip(self.placeholders, moving, strict=True)}
-            return evaluate_all([self.body], lambda leaf: own[leaf.key()])[0]
+            values = scope | {placeholder.key(): v for placeholder, v in zip(self.placeholders, moving, strict=True)}
+            return evaluate_all([self.body], lambda leaf: values[leaf.key()])[0]
 
         if not count:
             return jnp.zeros_like(value())
@@ -225,13 +235,13 @@ class Rate(Expr):
 
 def rates_by_name(rates: Mapping[Any, ExprLike]) -> dict[str, Expr]:
     """The rates of states and controls by name. Raises ModelError for something else as a key, or no expression."""
-    found: dict[str, Expr] = {}
+    by_name: dict[str, Expr] = {}
     for key, rate in rates.items():
         name = key if isinstance(key, str) else getattr(key, "name", None)
         if not isinstance(name, str) or not isinstance(key, (str, State, Control)):
             raise ModelError(f"rates are known by states, controls or their names, got {key!r}")
-        found[name] = to_expr(rate)
-    return found
+        by_name[name] = to_expr(rate)
+    return by_name
 
 
 def changing(*roots: Expr) -> list[Leaf]:

@@ -115,8 +115,8 @@ class Vmap(Expr):
     @property
     def captured(self) -> list[Leaf]:
         """The leaves the body reads besides its placeholders."""
-        own = {placeholder.key() for placeholder in self.placeholders}
-        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in own]
+        keys = {placeholder.key() for placeholder in self.placeholders}
+        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
 
     def makes_boolean(self, *operands: bool) -> bool:
         return self.body.boolean

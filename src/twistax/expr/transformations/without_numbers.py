@@ -54,11 +54,13 @@ class Hidden(NamedTuple):
 
     def read(self, numbers: Any) -> Any:
         """Its value by the vector of all numbers."""
-        own = numbers[self.first : self.first + int(self.free.sum())]
+        entries = numbers[self.first : self.first + int(self.free.sum())]
         if self.free.all():
-            return own.reshape(self.value.shape)
-        places = np.where(self.free, np.cumsum(self.free) - 1, len(own) + np.arange(self.free.size))
-        return jnp.concatenate([own, jnp.asarray(self.value.ravel(), own.dtype)])[places].reshape(self.value.shape)
+            return entries.reshape(self.value.shape)
+        places = np.where(self.free, np.cumsum(self.free) - 1, len(entries) + np.arange(self.free.size))
+        return jnp.concatenate([entries, jnp.asarray(self.value.ravel(), entries.dtype)])[places].reshape(
+            self.value.shape
+        )
 
 
 class Structure:
@@ -83,13 +85,13 @@ class Structure:
             if isinstance(node, Constant):
                 continue
             kind = classes.setdefault((type(node), type(node).evaluate), len(classes))
-            below = [self._place(node, k, own, places) for k, own in enumerate(_operands(node))]
+            below = [self._place(node, k, operand, places) for k, operand in enumerate(_operands(node))]
             digest.update(repr((kind, self._static(node), below)).encode())
             places[node.key()] = len(places)
         ends = [self._place(None, k, root, places) for k, root in enumerate(roots)]
         digest.update(repr(ends).encode())
         self.key: Hashable = (digest.hexdigest(), *classes)
-        parts = [own.value.ravel()[own.free] for own in self._hidden.values()]
+        parts = [operand.value.ravel()[operand.free] for operand in self._hidden.values()]
         self.numbers = np.concatenate([*parts, np.zeros(0)], dtype=float)
 
     @functools.cached_property
@@ -98,14 +100,14 @@ class Structure:
         done: dict[str, Expr] = {}
         for node in walk(self._roots, _operands, Expr.key):
             operands = _operands(node)
-            new = [self._exchanged(node, k, own, done) for k, own in enumerate(operands)]
+            new = [self._exchanged(node, k, operand, done) for k, operand in enumerate(operands)]
             same = all(a is b for a, b in zip(new, operands, strict=True))
             done[node.key()] = node if same else _rebuilt(node, new)
         return [self._exchanged(None, k, root, done) for k, root in enumerate(self._roots)]
 
     def params(self, numbers: Any) -> dict[str, Any]:
         """The values of those parameters by name, by the vector of all numbers."""
-        return {own.leaf.name: own.read(numbers) for own in self._hidden.values()}
+        return {hidden.leaf.name: hidden.read(numbers) for hidden in self._hidden.values()}
 
     def _place(self, parent: Expr | None, k: int, child: Expr, places: Mapping[str, int]) -> Any:
         """What stands for an operand in the structure."""
@@ -125,8 +127,8 @@ class Structure:
 
     def _static(self, node: Expr) -> Any:
         if isinstance(node, Leaf):
-            own = self._token(node)
-            return (node.static_key() if own is None else own,)
+            token = self._token(node)
+            return (node.static_key() if token is None else token,)
         if isinstance(node, Vmap):
             return (node.axis, [leaf.static_key() for leaf in node.placeholders])
         return node.static_key()
@@ -153,5 +155,5 @@ def _free(parent: Expr | None, k: int, constant: Constant) -> Array:
         return np.zeros(values.shape, bool)
     sizes = np.abs(values)
     one = (sizes == 1.0) & (parent is not None and not isinstance(parent, _SUMS))
-    found: Array = (sizes >= _LEAST) & (sizes <= _MOST) & ~one
-    return found
+    is_number: Array = (sizes >= _LEAST) & (sizes <= _MOST) & ~one
+    return is_number

@@ -1,4 +1,4 @@
-"""Charts: which coordinates a step uses around its start, for rotations and poses."""
+"""Charts: the coordinates of rotations and poses around the start of a step."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def conjugate(q: Components) -> Components:
 
 
 def tightened(q: Components) -> Components:
-    """A quaternion whose length is off by round-off, put back to one: one Newton step."""
+    """A quaternion close to length one, normalised by one Newton step."""
     return scale(1.5 - 0.5 * _square(q), q)
 
 
@@ -84,7 +84,7 @@ class _Stored(Coordinates):
 
 
 def _in_world(q: Components, v: Components) -> Components:
-    """R(q) v of a velocity; of a rotation, which has none, nothing."""
+    """R(q) v of a velocity; empty for a rotation."""
     return quaternions.rotate(q, v) if v else ()
 
 
@@ -105,7 +105,7 @@ class _Plain(_Stored):
 
     @staticmethod
     def _to_one(moved: Components) -> jax.Array:
-        """What brings the quaternion to length one; NaN where its square overflows."""
+        """The factor that normalises the quaternion; NaN where its square overflows."""
         square = _square(moved[:4])
         return jnp.where(jnp.isfinite(square), jax.lax.rsqrt(square), jnp.nan)
 
@@ -174,7 +174,7 @@ def _turned(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) ->
 
 
 def _turning(q: Components, w: Components, cosine: jax.Array, sine: jax.Array) -> Components:
-    """The same less q, to round-off of its own size: cos(t/2) - 1 = -sin(t/2)^2 / (1 + cos(t/2))."""
+    """The change of the quaternion, to round-off of its own size: cos(t/2) - 1 = -sin(t/2)^2 / (1 + cos(t/2))."""
     near = cosine > 0.0
     less = jnp.where(near, -sine * sine * dot(w, w) / jnp.where(near, 1.0 + cosine, 1.0), cosine - 1.0)
     return quaternions.product(q, (less, *scale(sine, w)))
@@ -191,7 +191,7 @@ class _Maps:
     commutators: int | None
 
     def _stumpff(self, k: int, x: jax.Array, turn: float) -> jax.Array:
-        """That of order k of x, which is `turn` at the end of the polynomial's range."""
+        """The Stumpff function of order k of x, equal to `turn` at the end of the polynomial's range."""
         return stumpff(k, x) if self.commutators is None else stumpff_polynomial(k, x, turn)
 
     def half_turn(self, x: jax.Array) -> tuple[jax.Array, jax.Array]:
@@ -214,7 +214,7 @@ class _Maps:
 
 
 class Chart(ABC):
-    """Which coordinates a step uses around its start. A value: equal charts mean the same.
+    """The coordinates of a step around its start. A value: equal charts mean the same.
 
     A new chart subclasses this and gives coordinates for rotations and poses; states without a group are added to, and
     states of other groups move in exponential coordinates.
@@ -300,7 +300,7 @@ class SplitExponential(Exponential):
 
 
 def chart_of(owner: str, chart: Any, default: Chart) -> Chart:
-    """The chart that was given to a method, or the default one. Raises ModelError for what is not a chart."""
+    """The chart of a method, or the default one. Raises ModelError for something that is no chart."""
     if chart is None:
         return default
     instance(owner, chart, Chart, "a chart like tx.charts.Exponential()", ModelError)

@@ -39,22 +39,22 @@ class Coordinates(ABC):
 
     @abstractmethod
     def enter(self, g: jax.Array) -> Block:
-        """What is stored of the value g."""
+        """The stored form of the value g."""
 
     @abstractmethod
     def value(self, y: Block) -> jax.Array:
         """The value of the state as expressions see it."""
 
     def rate(self, omega: jax.Array) -> Block:
-        """The rate as the dynamics give it, as numbers."""
+        """The rate from the dynamics, as numbers."""
         return self.enter(omega)
 
     def velocity(self, omega: Block) -> jax.Array:
-        """The rate again, from the numbers of `rate`."""
+        """The rate of the dynamics, from the numbers of `rate`."""
         return self.value(omega)
 
     def move(self, y: Block, z: Block) -> Block:
-        """What is stored of the state with coordinates z around y. Exact enough for a stage."""
+        """The stored state at coordinates z around y, accurate enough for a stage."""
         return add(y, z)
 
     def slope(self, z: Block, moved: Block, omega: Block) -> Block:
@@ -62,7 +62,7 @@ class Coordinates(ABC):
         return self.first_slope(moved, omega)
 
     def first_slope(self, y: Block, omega: Block) -> Block:
-        """z' at z = 0: the rate itself, as in all exponential coordinates of the whole."""
+        """z' at z = 0: the rate itself, as in all exponential coordinates."""
         return omega
 
     def tangent(self, z: Block) -> jax.Array:
@@ -86,10 +86,10 @@ class Coordinates(ABC):
 
     @abstractmethod
     def sizes(self, before: Block, after: Block) -> Block:
-        """What the entries of a deviation are compared with: 1 rad for a rotation, else the size of the state."""
+        """The sizes that entries of a deviation are compared to: 1 rad for a rotation, else the size of the state."""
 
     def settle(self, moved: Block) -> Block:
-        """The end of a step: `moved`, put back into the group to round-off where rounding takes it out."""
+        """The end of a step: `moved`, projected back to the group if round-off has moved it away."""
         return moved
 
     # ---- the same as sums, for compensated addition ----
@@ -98,11 +98,11 @@ class Coordinates(ABC):
     numbers: int | None = None
 
     def shift(self, y: Block, z: Block) -> Block:
-        """What `move` adds to y, to round-off of its own size."""
+        """The increment that `move` adds to y, accurate to round-off of its own size."""
         return z
 
     def settling(self, moved: Block) -> Block:
-        """What `settle` adds; () for nothing."""
+        """The increment that `settle` adds; () for none."""
         return ()
 
 
@@ -128,7 +128,9 @@ class FlatCoordinates(Coordinates):
 
 
 class GroupCoordinates(Coordinates):
-    """g = g_0 Exp(z), z' = J_r(z)^-1 Omega, with the group's own maps: for groups that a chart does not know."""
+    """Exponential coordinates g = g_0 Exp(z), z' = J_r(z)^-1 Omega, by the group's own maps, for groups that a chart
+    does not know.
+    """
 
     def __init__(self, group: Group) -> None:
         self.group = group
@@ -163,7 +165,7 @@ _COARSE = 1e-10
 
 
 class Compensated(Coordinates):
-    """Coordinates whose stored numbers y + r come as (y, r): r is what rounding took off y so far.
+    """Coordinates with compensated summation: numbers are stored as (y, r), r the accumulated round-off of y.
 
     A step that moves y by d makes s = fl(y + (d + r)) of it, and r becomes the error of that sum, to the last bit. The
     numbers of a rotation are those of its quaternion, of which d = q (Exp(z) - 1); putting it back to length one is
@@ -194,7 +196,7 @@ class Compensated(Coordinates):
         return self._added(moved, self._plain.settling, lambda: self._plain.settle(moved))
 
     def _added(self, y: Block, shift: Callable[[Block], Block], plain: Callable[[], Block]) -> Block:
-        """y and what a shift of its numbers makes of it; `plain` where nothing is carried."""
+        """y plus an increment of its numbers; `plain` for parts without compensation."""
         high, low = self._high(y), y[self._count :]
         if not low:
             return plain()
@@ -224,7 +226,7 @@ class Compensated(Coordinates):
 
 
 def _sum(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
-    """fl(a + b), and its error, which has no derivative."""
+    """fl(a + b), and its round-off error, which has no derivative."""
     s = a + b
     fixed_a, fixed_b, fixed_s = jax.lax.stop_gradient((a, b, s))
     rest = fixed_s - fixed_a
@@ -235,11 +237,11 @@ def _sum(a: jax.Array, b: jax.Array) -> tuple[jax.Array, jax.Array]:
 
 
 class StoredState(ABC):
-    """How the states of a system are stored between steps. Pure and traceable."""
+    """The stored form of a system's states between steps. Pure and traceable."""
 
     @abstractmethod
     def enter(self, x: Arrays) -> Blocks:
-        """What is stored of a state."""
+        """The stored form of a state."""
 
     @abstractmethod
     def value(self, y: Blocks) -> Arrays:
@@ -247,7 +249,7 @@ class StoredState(ABC):
 
 
 def _part_by_part(method: str) -> Callable[..., Any]:
-    """A method of `Coordinates`, as one of all parts of a state."""
+    """A method of `Coordinates`, applied to every part of a state."""
 
     def of_all(self: StateCoordinates, *blocks: Any) -> dict[str, Any]:
         return {name: getattr(part, method)(*(block[name] for block in blocks)) for name, part in self.parts.items()}
@@ -266,12 +268,12 @@ class StateCoordinates(StoredState):
     tangent, deviation, sizes = map(_part_by_part, ("tangent", "deviation", "sizes"))
 
     def still(self, y: Blocks, group: Product) -> Blocks:
-        """The slope of a state that does not move."""
+        """The slope of a state at rest."""
         dtype = jax.tree.leaves(y)[0].dtype
         rates = {name: jnp.zeros(factor.dimension, dtype) for name, factor in group.factors.items()}
         return self.first_slope(y, self.rate(rates))
 
     def packed(self, y: Blocks, group: Product) -> tuple[jax.Array, Callable[[jax.Array], Blocks]]:
-        """The coordinates of the stored state itself, as one vector, and how to read such a vector."""
+        """The coordinates of the stored state itself, as one vector, and the function that unpacks such vectors."""
         zero, read = ravel_pytree(self.still(y, group))
         return jnp.zeros_like(zero), read

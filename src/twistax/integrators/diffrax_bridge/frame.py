@@ -1,4 +1,4 @@
-"""A system as diffrax wants it: its term; in a chart rates, coordinates and errors; one explicit step."""
+"""A system in the form that diffrax expects: its term; rates, coordinates and errors in a chart; one explicit step."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class LieTerm(diffrax.AbstractTerm):
         return t1 - t0
 
     def prod(self, vf: Any, control: Any) -> NoReturn:
-        """Raises ModelError: a solver that asks for it would add body velocities to poses."""
+        """Raises ModelError: a solver that calls it would add body velocities to poses."""
         raise ModelError(
             "a term of tx.diffrax.lie_term gives body velocities, which a plain solver cannot add to poses.\n"
             "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or give a plain solver "
@@ -58,7 +58,7 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """Names what is wrong with a term, which diffrax does not."""
+    """A base whose errors say what is wrong with a term, because diffrax does not."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))
@@ -69,14 +69,14 @@ class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
 
 
 class DirectedSystem(NamedTuple):
-    """One system among the terms, and the sense of time: 1, or -1 where diffrax integrates backwards."""
+    """One system among the terms, and the direction of time: 1, or -1 if diffrax integrates backwards."""
 
     dynamics: Dynamics
     direction: Any
 
 
 def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
-    """The systems in what diffrax passes to a solver or a controller. Raises ModelError for other terms."""
+    """The systems among the terms of a solver or a controller. Raises ModelError for other terms."""
     WrapTerm, AdjointTerm = wrapped_terms()
 
     def part(term: Any) -> DirectedSystem:
@@ -146,7 +146,7 @@ class ChartedSystem:
 
 
 class Stepped(NamedTuple):
-    """A step."""
+    """The result of a step."""
 
     x: Arrays  # the state at its end
     error: Arrays  # its estimated error, in the form of the state

@@ -198,11 +198,11 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         return ravel_pytree(self.frame.rate(self.frame.dynamics, arguments, arguments.t, h))[0]
 
     def _hands_on(self, arguments: Arguments) -> bool:
-        """Whether the last stage of a step is the first of the next; not where a table may jump in between."""
+        """Whether the last stage of a step is the first of the next (FSAL); not if a table may jump in between."""
         return bool(self.solver.tableau.fsal) and not arguments.signals.jumps
 
     def _begin(self, terms: Any, t0: Any, t1: Any, y0: Mapping[str, Any], args: Any) -> tuple[Arguments, jax.Array]:
-        """The arguments where a step begins, and its length, negative where diffrax integrates backwards."""
+        """The arguments at the start of a step, and its length, negative if diffrax integrates backwards."""
         direction = self._parts(terms)[0].direction
         arguments = read_arguments(self.frame.dynamics, direction * t0, y0, args)
         return arguments, jnp.asarray(direction * (t1 - t0), arguments.t.dtype)
@@ -270,7 +270,7 @@ class _State(eqx.Module):
 
 @dataclasses.dataclass(frozen=True)
 class _Probe(RKMK):
-    """A method of any error order, for the first step."""
+    """A method of any error order, to choose the first step."""
 
     error_order: int = 1
 
@@ -291,7 +291,7 @@ class LieController(diffrax.AbstractAdaptiveStepSizeController):
     pid: diffrax.PIDController
 
     def wrap(self, direction: Any) -> LieController:
-        """Itself: nothing here depends on the sense of time."""
+        """The controller itself: nothing here depends on the direction of time."""
         return self
 
     def init(

@@ -55,10 +55,10 @@ _ROOM = 128
 
 
 class AtStart(enum.Enum):
-    """How an event is treated whose condition is zero at the start, or past zero already.
+    """What an event does if its condition is zero at the start, or has already crossed zero there.
 
-    It is past zero on the side that the event's direction leads to. Zero means zero up to round-off. Whatever is
-    chosen, `Solution.at_start` says of which events the conditions were zero or past it.
+    "Already crossed" means that the condition is on the side of zero that the event's `direction` leads to. Zero means
+    zero to round-off. For every choice, `Solution.at_start` tells for which events this was the case.
     """
 
     #: The event is met at the start: an integration that it ends is over at once. Not where the condition is zero and
@@ -73,7 +73,8 @@ class AtStart(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Event:
-    """An integration ends where the condition becomes zero: `tx.integrate(..., event=tx.Event(condition))`.
+    """An event: by default the integration ends where its condition becomes zero,
+    `tx.integrate(..., event=tx.Event(condition))`.
 
     A step during which the sign of the condition changes is taken again up to the root, in its group and to round-off
     of the time. The condition is looked at within each step too, on the polynomial of the step at seven places, or with
@@ -129,7 +130,7 @@ class Event:
     def _take_condition(self, condition: Expr) -> None:
         if self.direction is not None:
             raise ModelError(
-                f"Event: {condition!r} says itself on which side it holds, got direction={self.direction!r} too.\n"
+                f"Event: {condition!r} has a direction of its own, got direction={self.direction!r} too.\n"
                 "  fix: leave the direction out; ~(condition) is the event where it ceases to hold"
             )
         object.__setattr__(self, "condition", margin("Event", condition))
@@ -137,13 +138,15 @@ class Event:
 
     @property
     def sense(self) -> int:
-        """1, -1, or 0 for both."""
+        """The direction of roots: 1 rising, -1 falling, 0 both."""
         return 0 if self.direction is None else 1 if self.direction == 1 else -1
 
 
 @dataclasses.dataclass(frozen=True)
 class _OfExpression:
-    """An expression as a condition, whose levels are inputs. A value: equal where the expressions are."""
+    """An expression as a condition, with the numbers it is compared to as inputs. A value: equal if the expressions
+    are.
+    """
 
     key: Any
     expr: Expr = dataclasses.field(compare=False)
@@ -197,7 +200,8 @@ class Watch:
         return Watched(values, met, halt, y.flat, none.code, crossed)
 
     def before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
-        """At the start, which is followed by `moved` a moment s later: the first step may end at a row before h.
+        """The state of the events at the start, if the step to `moved` a time s later follows: it may end at a row
+        before h.
 
         Returns:
             (m,) values to begin with; (m,) whether each condition is zero or past it; the number of the result, and the
@@ -226,7 +230,7 @@ class Watch:
         return jnp.where(noise, soon, now), zero | past, *self._begun(met, rises)
 
     def _begun(self, met: jax.Array, rises: jax.Array) -> tuple[Any, ...]:
-        """The result, the event that leads to it, and crossings, of the events that are met at the start."""
+        """The result, its event, and crossings, for the events whose condition is zero at the start."""
         none, ends = jnp.zeros((), int), len(self.terminal)
         first = jnp.where(met & np.asarray(self.terminal), np.arange(ends), ends).min()
         code = jnp.where(first < ends, Result.EVENT.value, none)

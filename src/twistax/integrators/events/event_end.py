@@ -20,7 +20,7 @@ from .crossings import Crossed
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Meeting:
-    """Where an integration meets an event that ends it."""
+    """The place where an event ends an integration."""
 
     met: Any  # whether it does, or a crossing for which there is no room
     which: Any  # the number of the event; -1 for none
@@ -30,7 +30,7 @@ class Meeting:
 
     @classmethod
     def of(cls, run: Run) -> Meeting:
-        """That of a loop that halted before its step."""
+        """The meeting of a loop that halted before its step."""
         assert run.watched is not None
         code, which, s = run.watched.halt
         met = (run.outcome.code == code) & (code != Result.SUCCESS.value)
@@ -71,7 +71,7 @@ def to_event(advance: Callable[[jax.Array, Blocks, jax.Array], Blocks], end: Blo
 
 
 def cut_at(moved: Blocks, run: Run, meeting: Meeting) -> Run:
-    """A run that halted before a step, taken on to the event within it, where the state is `moved`."""
+    """A run that halted before a step, continued to the event within it, where the state is `moved`."""
     met, s, outcome = meeting.met, meeting.s, run.outcome
     one = (met & (jax.lax.stop_gradient(s) > 0.0)).astype(outcome.accepted.dtype)
     t = jnp.where(met, meeting.t + s, outcome.t)
@@ -99,7 +99,7 @@ def saved_before(saved: Saved, parts: StepPart, ts: jax.Array, run: Run, meeting
 
 
 def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
-    """Crossings whose times move as their conditions do with all inputs; y is the state where their steps begin."""
+    """Crossings whose times are differentiable in all inputs; y is the state at the starts of their steps."""
 
     def one(row: Crossed) -> jax.Array:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t, row.which >= 0)

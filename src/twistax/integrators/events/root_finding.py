@@ -15,7 +15,7 @@ _MOST = 120
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Bracket:
-    """Where a root lies. `narrowed` halves it, or interpolates where that is known to be safe. Traceable.
+    """The bracket of a root. `narrowed` halves it, or interpolates where that is known to be safe. Traceable.
 
     A zero counts as past the root, NaN as before it, so of many zeros in a row the first is found.
 
@@ -36,7 +36,7 @@ class Bracket:
     def between(
         cls, low: jax.Array, high: jax.Array, at_low: jax.Array, at_high: jax.Array, finest: jax.Array
     ) -> Bracket:
-        """Between low and high, where the values are known.
+        """The bracket between low and high, where the values are known.
 
         Where the signs at the two ends are the same, because of round-off, the root is at the end with the smaller
         value; where at_low is zero it is low.
@@ -51,7 +51,7 @@ class Bracket:
         return jnp.where(jnp.abs(self.a[1]) < jnp.abs(self.b[1]), self.a[0], self.b[0])
 
     def narrowed(self, value: jax.Array) -> Bracket:
-        """After the function was found to have a value at the place."""
+        """The bracket after an evaluation of the function at its place."""
         (a, fa), (b, fb), x, fx = self.a, self.b, self.place, self.signed(value)
         same = jnp.sign(fx) == jnp.sign(fa)
         # What the new place replaces becomes the third one.
@@ -105,8 +105,8 @@ def near_zero(values: jax.Array) -> tuple[jax.Array, jax.Array]:
     shares = jnp.pad(place, ((1, 0), (0, 0))), jnp.pad(place, ((0, 1), (0, 0))) + 1.0
     after = after & (shares[0] >= 0.0) & (shares[0] <= 1.0)
     before = before & (shares[1] >= 0.0) & (shares[1] <= 1.0)
-    alike = jnp.sign(values[:-1]) * jnp.sign(values[1:]) > 0.0
-    return alike & (after | before), jnp.where(after, shares[0], shares[1])
+    same_sign = jnp.sign(values[:-1]) * jnp.sign(values[1:]) > 0.0
+    return same_sign & (after | before), jnp.where(after, shares[0], shares[1])
 
 
 class ExtremumSearch(NamedTuple):
@@ -124,11 +124,11 @@ class ExtremumSearch(NamedTuple):
 
     @property
     def done(self) -> jax.Array:
-        """Whether that is known, or was looked for often enough."""
+        """Whether the extremum is known, or the iterations are used up."""
         return self.past | (self.tries > _LOOKS)
 
     def narrowed(self, value: jax.Array) -> ExtremumSearch:
-        """After the function was found to have a value at the place."""
+        """The search after an evaluation of the function at its place."""
         sign, new = jnp.sign(self.low[1]), (self.place, value)
         past = sign * value <= 0.0
         first, nearer = self.tries == 0, sign * value < sign * self.middle[1]

@@ -22,7 +22,7 @@ _FEW = 3
 
 
 class Stride(NamedTuple):
-    """A step that was taken."""
+    """An accepted step."""
 
     steps: jax.Array  # the accepted steps before
     t: jax.Array
@@ -50,7 +50,7 @@ class _Job:
 
     @property
     def place(self) -> jax.Array:
-        """Where the condition is to be evaluated."""
+        """The place at which the condition is to be evaluated next."""
         root = jnp.where(self.visits, self.bracket.root, self.bracket.place)
         return jnp.where(self.looks, self.extremum.place, root)
 
@@ -80,7 +80,7 @@ class _PackedJob:
 
 
 class _Root(NamedTuple):
-    """Whether the last place is a root of a condition, and of which."""
+    """Whether the last place is a root, and of which condition."""
 
     stops: jax.Array  # whether it is there, of an event that ends the integration
     crosses: jax.Array  # whether it is there, of one that does not
@@ -89,7 +89,7 @@ class _Root(NamedTuple):
 
 
 class _Halted(NamedTuple):
-    """Where the loop over steps halts, as far as is known, with the packed state there."""
+    """The place where the loop over steps halts, as far as it is known, with the packed state there."""
 
     halt: Halt
     y: jax.Array

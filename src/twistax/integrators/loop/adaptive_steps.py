@@ -1,4 +1,4 @@
-"""Steps as long as the tolerances allow."""
+"""Adaptive steps: their lengths follow from the tolerances."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ _SEEN = 64
 
 
 class _Path(NamedTuple):
-    """The accepted steps: on which leg each lies, and where on it, as shares of the leg."""
+    """The accepted steps: the leg of each, and its place there as shares of the leg."""
 
     leg: jax.Array
     begin: jax.Array
@@ -42,7 +42,7 @@ class _Path(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """What the loop carries.
+    """The carry of the loop.
 
     Pytrees are packed into vectors: XLA would compute the test of a step again for every scalar it guards.
     """
@@ -65,7 +65,7 @@ class _State:
     rows: Any = None  # those on polynomials; of kernels also the starts of parts of steps
 
     def bare(self, **changes: Any) -> _State:
-        """Without events and rows."""
+        """The carry without events and saved rows."""
         return dataclasses.replace(self, watched=None, rows=None, **changes)
 
 
@@ -244,7 +244,7 @@ class AdaptiveSteps(Steps):
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
-        """These steps without saved times and events, with these limits: all share a kernel."""
+        """The same steps without saved times and events, with these limits, so that all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
 
     def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, StepPolynomial | None]:
@@ -376,7 +376,7 @@ def _halted(_: None, __: Stepper, before: _State, after: _State, halt: Halt, h: 
 
 
 def _before(state: _State, stop: Any) -> jax.Array:
-    """Whether the loop has not come to a stop, nor halted."""
+    """Whether the loop has neither reached a stop nor halted."""
     return (state.t < stop) & (state.code == 0)
 
 

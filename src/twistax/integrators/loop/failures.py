@@ -122,8 +122,8 @@ def _largest(value: Any) -> float:
 
 
 def _turns(stepper: Stepper, rates: dict[str, Any], h: Any) -> dict[str, float]:
-    """By how many rad each rotation and pose turns in a step, if its rate stays as it is; in exponential coordinates,
-    which alone do not hold any turn.
+    """The rotation angle, rad, of each rotation and pose during a step if its rate stays constant, in exponential
+    coordinates.
     """
     angular = {}
     if isinstance(getattr(stepper.method, "chart", Exponential()), Exponential) and _has_coordinates(stepper):

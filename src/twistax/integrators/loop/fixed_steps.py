@@ -27,7 +27,7 @@ SNAP = 1e-9
 
 
 def slack(times: Any, h: Any, eps: float) -> Any:
-    """How far from the end of a step of length h times count as on it, in s: times may be rounded too.
+    """The tolerance, s, within which a time counts as the end of a step of length h: times may be rounded too.
 
     Args:
         eps: the relative spacing of floating-point numbers in the precision of the times.
@@ -37,7 +37,7 @@ def slack(times: Any, h: Any, eps: float) -> Any:
 
 
 class Splits(NamedTuple):
-    """Where jumps lie in a sequence of steps: inside of an equal step, which they split, or at its end."""
+    """The places of jumps in a sequence of steps: inside an equal step, which they split, or at its end."""
 
     slots: Any  # (m,) in order: the number of the step that begins at each jump; beyond all steps for those left out
     times: Any  # (m,) the jumps
@@ -45,7 +45,7 @@ class Splits(NamedTuple):
 
 
 class Grid(NamedTuple):
-    """Steps from t0 of length h, split at jumps. A pytree: other numbers are another input of the same program.
+    """Steps from t0 of length h, split at jumps. A pytree: other numbers do not compile again.
 
     Step k begins at $t0 + (k - a) h$, with a the number of steps that jumps have added before it, or at a jump. A jump
     that lies at the end of an equal step replaces that end, so that derivatives with respect to its time are right.
@@ -56,7 +56,7 @@ class Grid(NamedTuple):
     splits: Splits | None = None
 
     def begin(self, k: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The start of step k, computed afresh so that it does not drift; whether it is a jump."""
+        """The start of step k, computed without accumulated error; and whether it is a jump."""
         if self.splits is None:
             return self.t0 + k.astype(self.t0.dtype) * self.h, jnp.zeros(jnp.shape(k), bool)
         slots, times, added = map(jnp.asarray, self.splits)
@@ -135,7 +135,7 @@ class Saves:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """What the loop carries."""
+    """The carry of the loop."""
 
     steps: Any  # taken so far
     y: Any
@@ -176,7 +176,7 @@ class FixedSteps(Steps):
     def bound(self) -> int:
         if self.most is None:
             raise InputError(
-                "a derivative is asked for of an integration whose inputs look like plain numbers: does u close over a "
+                "cannot differentiate this integration, whose inputs are known numbers: does u close over a "
                 "traced value that it does not use at t0?\n  fix: pass that value through params or a table"
             )
         return self.most

@@ -45,7 +45,7 @@ class _Unpacked:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Packed:
-    """A pytree in one array: XLA would compile a piece of code for each of many scalars."""
+    """A pytree in one array: XLA would compile separate code for each of many scalars."""
 
     flat: jax.Array
     read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
@@ -65,7 +65,7 @@ def opened(tree: Any) -> Any:
 
 
 def in_one(tree: Tree, dtype: Any) -> Any:
-    """The pytree of numbers, small whole ones and truth values, in one array of a type; in small functions as it is."""
+    """A pytree of numbers, small integers and booleans packed in one array; unchanged in small functions."""
     if inside_small_call():
         return tree
     leaves, structure = jax.tree.flatten(tree)
@@ -74,7 +74,7 @@ def in_one(tree: Tree, dtype: Any) -> Any:
 
 
 def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) -> Any:
-    """The kernel of the key from the cache of the system; None for states that are too wide."""
+    """The kernel of a key from the cache of the system; None if the states are too wide."""
     if sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST:
         return None
     return stepper.dynamics._functions.steps.get(key, make)
@@ -93,7 +93,9 @@ class KernelSteps(NamedTuple):
     def run(
         self, stepper: Stepper, grid: Any, first: jax.Array, stop: jax.Array, state: tuple[Blocks, Carry, Any]
     ) -> tuple[tuple[Blocks, Carry, Any], jax.Array]:
-        """Steps `first` to `stop` - 1, or until a state is not finite: the last that is, and the number of its step."""
+        """Steps `first` to `stop` - 1, or until a state is not finite: the last finite state, and the number of its
+        step.
+        """
         leaves, structure = jax.tree.flatten(state)
         results, count, _ = repeat(self.repeated, first, stop, jax.tree.leaves((grid, stepper)), leaves)
         return jax.tree.unflatten(structure, results), count

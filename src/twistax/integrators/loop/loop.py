@@ -23,7 +23,7 @@ from .progress_callback import Meter
 
 
 class Visits(NamedTuple):
-    """Where the loop stops to save: one stop for each saved time, and then the end."""
+    """The stops of the loop: one for each saved time, and the end."""
 
     stops: Any  # (n + 1,) in order, in the unit of the steps; saved times and their padding, then the end
     count: Any  # how many saved times are asked for; the rest is padding
@@ -57,7 +57,7 @@ class Steps(ABC):
         return self.result(state, saved)
 
     def all_steps(self, stepper: Stepper, inputs: Any, record: bool) -> tuple[Any, Any]:
-        """What the loop carries at the end, and what is saved at every stop."""
+        """The final carry of the loop, and what was saved at every stop."""
         state, visits = self.begin(stepper, inputs, record)
         if self.watch is not None:
             advance = functools.partial(self.advance, stepper, state)
@@ -75,14 +75,14 @@ class Steps(ABC):
         return first_rows(visit, state, visits.stops, visits.count + 1, visits.like)
 
     def _to(self, stepper: Stepper, state: Any, stop: Any) -> Any:
-        """On to a stop, with calls of the progress callback on the way."""
+        """Advance to a stop, with calls of the progress callback on the way."""
         if self.meter is None:
             return self._steps_to(stepper, stop, state, None)
         steps_to = functools.partial(self._steps_to, stepper, stop)
         return self.meter.loop(steps_to, state, *self.parts_of_progress(stepper, stop))
 
     def _steps_to(self, stepper: Stepper, stop: Any, state: Any, most: Any) -> Any:
-        """Steps to a stop, or until `most` were tried; in a kernel where there is one."""
+        """Advance to a stop, or at most `most` tries; in a kernel if there is one."""
         watched = state.watched is not None
         kernel = self.kernel(stepper, state, stop, most)
         if kernel is not None and not watched and self.in_one_kernel:
@@ -96,7 +96,7 @@ class Steps(ABC):
         return jax.lax.while_loop(lambda state: self.going(state, stop, most), one_round, state)
 
     def _with_events(self, stepper: Stepper, before: Any, after: Any) -> Any:
-        """After a step, or as before it where it meets an event that ends the integration."""
+        """The carry after a step; the one before it if an event within it ends the integration."""
         stride, taken, ends = self.stride(before, after)
         advance = functools.partial(self.advance, stepper, before)
         watched = find_crossings(self.watch, advance, stepper, stride, before.watched, taken, ends)
@@ -107,7 +107,7 @@ class Steps(ABC):
     @property
     @abstractmethod
     def bound(self) -> int:
-        """How many accepted steps there are at most, a plain number, for derivatives and dense output."""
+        """The largest possible number of accepted steps, a plain number, for derivatives and dense output."""
 
     @property
     def in_one_kernel(self) -> bool:
@@ -116,11 +116,11 @@ class Steps(ABC):
 
     @abstractmethod
     def inputs(self, y: Blocks) -> Any:
-        """What `begin` is given, from the stored state at the start."""
+        """The arguments of `begin`, from the stored state at the start."""
 
     @abstractmethod
     def begin(self, stepper: Stepper, inputs: Any, record: bool) -> tuple[Any, Visits | Any]:
-        """What the loop carries before its first step; the stops at saved times, or the end alone."""
+        """The carry before the first step, and the stops: saved times, or only the end."""
 
     @abstractmethod
     def first_step(self, state: Any) -> tuple[jax.Array, jax.Array]:
@@ -144,7 +144,7 @@ class Steps(ABC):
 
     @abstractmethod
     def stride(self, before: Any, after: Any) -> tuple[Stride, Any, tuple[Any, Any]]:
-        """The step between two states; whether it was taken; whether it is the first one and the last one."""
+        """The step between two carries: whether it was accepted, whether it is the first one and the last one."""
 
     @abstractmethod
     def halted(self, stepper: Stepper, before: Any, after: Any, watched: Watched, h: jax.Array) -> Any:
@@ -152,7 +152,7 @@ class Steps(ABC):
 
     @abstractmethod
     def row_at(self, state: Any, stop: Any) -> Any:
-        """What is saved at a stop."""
+        """The data that is saved at a stop."""
 
     @abstractmethod
     def parts_of_progress(self, stepper: Stepper, stop: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
@@ -160,7 +160,7 @@ class Steps(ABC):
 
     @abstractmethod
     def result(self, state: Any, saved: Any) -> Run:
-        """What the loop returns, from what it carries at its end and what it saved."""
+        """The result of the loop, from its final carry and the saved data."""
 
     # ---- the same steps again, for saved times, derivatives and failures ---------------------------------------------
 
@@ -196,7 +196,7 @@ def _packed(y: Any) -> Packed:
 
 
 def ended_well(code: Any) -> Any:
-    """Whether numbers of a `Result` are no failures."""
+    """Whether codes of a `Result` are no failures."""
     return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 

@@ -1,4 +1,4 @@
-"""The result of the loop over steps, and how an integration ends."""
+"""Results of the loop over steps, and of an integration."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Result(enum.IntEnum):
 
     @property
     def sentence(self) -> str:
-        """What happened, in plain words."""
+        """The result in plain words."""
         return _SENTENCES[self]
 
     def __str__(self) -> str:
@@ -50,7 +50,7 @@ _SENTENCES = {
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class LoopOutcome:
-    """How the steps went: arrays of no dimension."""
+    """Counts and codes of the loop: arrays of shape ()."""
 
     code: Any  # the number of the `Result`
     tried: Any  # steps
@@ -69,7 +69,7 @@ class Trail(NamedTuple):
 
 
 class Saved(NamedTuple):
-    """The states from which the saved times are reached, all with a leading axis n."""
+    """The states from which saved times are computed, with a leading axis n."""
 
     steps: jax.Array  # the accepted steps before each
     t: jax.Array  # time and stored state after that many steps
@@ -79,7 +79,7 @@ class Saved(NamedTuple):
 
 
 class Halt(NamedTuple):
-    """What halts the loop over steps within a step: an event that ends it, or a crossing without room."""
+    """The reason why the loop halts within a step: an event that ends it, or a crossing without room in the table."""
 
     code: jax.Array  # the number of the `Result`; zero for nothing
     which: jax.Array  # the number of the event
@@ -87,7 +87,7 @@ class Halt(NamedTuple):
 
     @classmethod
     def none(cls, t: jax.Array) -> Halt:
-        """Nothing; t is any time."""
+        """No halt; t is any time."""
         zero = jnp.zeros((), int)
         return cls(zero, zero - 1, jnp.full_like(t, jnp.inf))
 
@@ -106,7 +106,7 @@ class Watched:
     crossed: Any = None
 
     def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> Watched:
-        """The state after the loop, with so many accepted steps; `read` unpacks a state."""
+        """The state of the events after the loop, with this number of accepted steps; `read` unpacks a state."""
         table: CrossingTable | None = self.crossed
         crossed = None if table is None else table.rows(read, steps, self.halt.s)
         return dataclasses.replace(self, y=read(self.y), crossed=crossed)

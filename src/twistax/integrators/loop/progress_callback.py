@@ -81,15 +81,13 @@ def callback_of(progress: Any) -> ProgressCallback | None:
 @contextlib.contextmanager
 def calling_back(callback: ProgressCallback) -> Iterator[Meter]:
     """A meter for the loops inside. An exception of the callback is raised at the end."""
-    number, raised = next(_NUMBERS), list[Exception]()
+    number, raised, line = next(_NUMBERS), list[Exception](), getattr(callback, "__self__", None)
     _CALLBACKS[number] = callback, raised
     try:
-        yield Meter(np.asarray(number))
-        jax.effects_barrier()
+        with line if isinstance(line, Progress) else contextlib.nullcontext():  # its line is cleared at the end
+            yield Meter(np.asarray(number))
+            jax.effects_barrier()
     finally:
         del _CALLBACKS[number]
-        line = getattr(callback, "__self__", None)
-        if isinstance(line, Progress):  # an event may have ended it on the way
-            line.close()
     if raised:
         raise raised[0]

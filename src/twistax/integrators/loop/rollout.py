@@ -127,7 +127,7 @@ def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: An
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutResult:
-    """With the saved states that the loop over steps found.
+    """The rollout with the saved states of the loop.
 
     A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
     10 us.
@@ -148,7 +148,7 @@ def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutRe
 def _row(
     _: None, stepper: Stepper, x: Arrays, y: Packed, t: jax.Array, t0: jax.Array, end: jax.Array
 ) -> tuple[jax.Array, jax.Array, Arrays]:
-    """Whether a saved time was reached, whether it was lost though the steps came so far, and the values there."""
+    """Whether a saved time was reached, whether it was missed although the steps came that far; its values."""
     within = t <= end
     reached = within & all_finite(y.flat)
     values = _or_start(stepper.stored.value(y.open()), t <= t0, x)
@@ -250,7 +250,7 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
 def _not_of_failures(
     result: RolloutResult, slope: RolloutResult, moved: list[Any], ends_at_event: bool
 ) -> RolloutResult:
-    """The derivative of a rollout, NaN where it did not come so far, with respect to everything that is moved."""
+    """The derivative of a rollout by all inputs that vary; NaN if it did not reach its end."""
     good = ended_well(result.outcome.code)
     nothing = zero_of(moved)  # what no step has read yet counts too
 
@@ -274,7 +274,7 @@ def _is_symbolic(slope: Any) -> bool:
 
 
 def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
-    """The rollout by the same steps taken again, which is differentiable."""
+    """The same steps again, in a differentiable form."""
 
     def step(y: Blocks, part: StepPart) -> Blocks:
         return advance_again(stepper, part.t, y, part.h)

@@ -12,7 +12,7 @@ Tree = TypeVar("Tree")
 
 
 def nan_unless(good: jax.Array, tree: Tree) -> Tree:
-    """The arrays where they are good, else NaN; so are derivatives, where `jnp.where` would give zero.
+    """The arrays where they are good, else NaN, in values and in derivatives (`jnp.where` would give zero derivatives).
 
     In reverse the derivative with respect to what does not count, such as rows that a loss leaves out, stays zero.
     Traceable, differentiable to any order.

@@ -45,7 +45,7 @@ class _Last:
 
 
 class _Reuse(NamedTuple):
-    """What adaptive steps carry: the last step, and inverses to use again."""
+    """The carry of adaptive steps: the last step, and inverse matrices to be reused."""
 
     last: _Last
     inverses: tuple[Parts, ...]  # in use
@@ -53,7 +53,7 @@ class _Reuse(NamedTuple):
 
 
 class _SolvedStep(NamedTuple):
-    """A step whose stage equations were solved."""
+    """A step with solved stage equations."""
 
     last: _Last
     solved: jax.Array  # whether its stages solve the equations
@@ -115,7 +115,7 @@ class ImplicitRKMK(ChartMethod):
         return equations.moved(self._solution(equations))
 
     def _solution(self, equations: _StageEquations) -> jax.Array:
-        """The stages, differentiable by the implicit function theorem; NaN where they are not found."""
+        """The stages, differentiable by the implicit function theorem; NaN if Newton's method fails."""
 
         def solve(residual: Callable[..., Any], guess: jax.Array) -> jax.Array:
             step = small_call(lambda last: self._to_round_off(equations, last), self._no_last_step(equations.zero))
@@ -181,7 +181,7 @@ class ImplicitRKMK(ChartMethod):
         return StepAttempt(equations.moved(step.last.Z), learned, errors, evaluations, step.solved)
 
     def _no_last_step(self, zero: jax.Array) -> _Last:
-        """In place of a last step, before the first one."""
+        """The carry before the first step, in place of a last step."""
         none = jnp.zeros((), zero.dtype)
         return _Last(jnp.zeros((self.tableau.stages, zero.size), zero.dtype), none, none + 1.0)
 
@@ -210,7 +210,7 @@ class ImplicitRKMK(ChartMethod):
         most: int,
         rounding: Any,
     ) -> _SolvedStep:
-        """The stages by Newton's method, until the size of what remains is below 1."""
+        """The stages by Newton's method, until the scaled correction is below 1."""
         guess = self._guess(last, equations.h)
         # A step that may not be taken back gets a second guess.
         again = most == _MANY

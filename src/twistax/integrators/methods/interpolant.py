@@ -1,4 +1,4 @@
-"""Polynomials between the ends of a step, from the slopes that the step has anyway."""
+"""Polynomials between the ends of a step, from slopes that the step computes anyway."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _UNREAD = 1e-6
 
 
 class Between(enum.Enum):
-    """How states at saved times between the ends of steps are had."""
+    """How `tx.integrate` computes states at saved times that lie inside a step."""
 
     #: By one shorter step of the same method: as accurate as the ends, at the cost of a step for each saved time.
     STEP = "a shorter step"
@@ -102,7 +102,7 @@ _Tree: TypeAlias = tuple[Any, ...]
 
 @functools.cache
 def _trees(size: int) -> list[_Tree]:
-    """The rooted trees of so many nodes."""
+    """The rooted trees with this number of nodes."""
     return sorted({tuple(sorted(forest)) for forest in _forests(size - 1, size - 1)})
 
 

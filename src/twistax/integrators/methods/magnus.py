@@ -95,7 +95,7 @@ class Magnus(Method):
 
     @property
     def _nodes(self) -> np.ndarray:
-        """Those of Gauss and Legendre in [0, 1]."""
+        """The Gauss-Legendre nodes in [0, 1]."""
         return 0.5 * (np.polynomial.legendre.leggauss(_EXPANSIONS[self.order][0])[0] + 1.0)
 
     def check(self, dynamics: Dynamics) -> None:

@@ -1,4 +1,4 @@
-"""Newton's method with a Jacobian that is kept, and the inverses it solves with, without a library."""
+"""Newton's method with a Jacobian that is reused, and its linear solves without a library."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Newton(NamedTuple):
 def newton(
     update: Map, size: Map, guess: jax.Array, contraction: jax.Array, most: int, again: bool, rounding: Any
 ) -> Newton:
-    """Z <- Z - update(Z) from a guess, until what is left to come is below 1. Pure and traceable.
+    """Z <- Z - update(Z) from a guess, until the scaled correction is below 1. Pure and traceable.
 
     It ends early where updates grow, are not finite, or `most` are made. Updates that stop falling while they are below
     1e3 times `rounding` are solved as well as can be. `size` is that of an update in units of what is asked for,
@@ -126,7 +126,7 @@ class Factors:
         return functools.reduce(jnp.add, parts)
 
     def damped(self, e: jax.Array) -> jax.Array:
-        """An error with what stiff parts add to it damped: e for h J small, of the order of e / |h J|^2 for it large.
+        """An error estimate with stiff components damped: e for small h J, of the order of e / |h J|^2 for large h J.
 
         Two solves with I - g0 h J; without a real eigenvalue one with (I - h J / mu) (I - h J / conj(mu)).
         """

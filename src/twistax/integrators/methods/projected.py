@@ -30,7 +30,8 @@ def _of_inner(method: str) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Projected(Method):
-    """A method whose steps are brought back to the manifold of the system. `tx.integrate` makes it where there is one.
+    """A method with a projection to the manifold of the system after every step. `tx.integrate` makes it if there is a
+    manifold.
 
     Attributes:
         inner: the method that takes the steps.
@@ -96,7 +97,7 @@ def projected(method: Method) -> Projected:
 
 
 def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
-    """Raise InputError for a start that is known and off the system's manifold."""
+    """Raise InputError for a known start that is not on the system's manifold."""
     functions = dynamics._functions
     if is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
         return

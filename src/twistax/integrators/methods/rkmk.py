@@ -94,7 +94,7 @@ class RKMK(ChartMethod):
     def _to_the_end(
         self, field: VectorField, t: jax.Array, y: Blocks, rate: Blocks, h: jax.Array
     ) -> tuple[Slopes, tuple[Blocks, Blocks], int]:
-        """The slopes of all stages up to the end of the step, the state and the rate there, and how many there are."""
+        """The slopes of all stages up to the end of the step, the state and the rate there, and their number."""
         local = self.coordinates(field.dynamics)
         (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(rate)
 
@@ -150,7 +150,7 @@ class RKMK(ChartMethod):
 
 
 class Slopes(NamedTuple):
-    """The slopes of all stages, one a row, and how to read a row as the pytree it is."""
+    """The slopes of all stages as rows, and the function that unpacks a row."""
 
     rows: jax.Array
     read: Callable[[jax.Array], Any]

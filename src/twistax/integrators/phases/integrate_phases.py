@@ -63,7 +63,7 @@ class Phase(StepOptions):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class PhasesOptions(FlightOptions):
-    """What `tx.integrate_phases` takes besides the phases and the start."""
+    """The options of `tx.integrate_phases`."""
 
     links: Sequence[Link] | None = None
 
@@ -149,7 +149,7 @@ class _Flight:
 
     def _one(self, index: int, t: Any, x: Mapping[str, Any], dtype: Any) -> Solution:
         phase, options = self.phases[index], self.options
-        limit, save_at, progress = _limit(phase, t), options.save_at, None
+        limit, save_at, progress = _limit(phase, t), options.save_at, options.progress
         known = {leaf.name for leaf in phase.dynamics.parameters} | set(phase.params or {})
         names = {leaf.name for leaf in phase.dynamics.controls}
         u = options.u
@@ -180,7 +180,7 @@ class _Flight:
         return self.params | dict(phase.params or {})
 
     def _next(self, index: int, solution: Solution, good: Any) -> tuple[Any, dict[str, Any]]:
-        """Time and states with which the next phase begins."""
+        """Time and states at the start of the next phase."""
         t: Any = solution.ts[-1]
         end = {name: value[-1] for name, value in solution.xs.items()}
         if is_traced(solution.code):
@@ -199,7 +199,7 @@ def _share(callback: ProgressCallback, index: int, count: int) -> ProgressCallba
 
 
 def _named(phases: Any) -> tuple[list[str], list[str]]:
-    """The names of phases, and what messages call them."""
+    """The names of phases, and their names in messages."""
     if not isinstance(phases, (list, tuple)) or not phases:
         raise InputError(f"integrate_phases expects a list of tx.Phase(...), got {short(phases)}")
     names: list[str] = []
@@ -217,7 +217,7 @@ def _named(phases: Any) -> tuple[list[str], list[str]]:
 def _checked(
     phases: Sequence[Phase], labels: list[str], links: Any, params: Mapping[str, Any], controls: Any
 ) -> list[Link]:
-    """The link of every join, after a look at all that can be known before anything is integrated."""
+    """The link of every join, after all checks that are possible before an integration."""
     count = len(phases) - 1
     if links is not None and (not isinstance(links, (list, tuple)) or len(links) != count):
         raise ModelError(f"links expects a list of {count}, one for each join of two phases, got {short(links)}")
@@ -256,7 +256,7 @@ def _by_event(phase: Phase) -> bool:
 
 
 def _limit(phase: Phase, t: Any) -> Any:
-    """When the phase ends at the latest. Raises InputError for an end before its start; NaN where that is traced."""
+    """The latest end of the phase. Raises InputError for an end before its start; NaN for a traced one."""
     if is_traced((t, phase.t1, phase.duration)):
         t = jnp.asarray(t)
         end = t + jnp.asarray(phase.duration, t.dtype) if phase.t1 is None else jnp.asarray(phase.t1, t.dtype)
@@ -282,7 +282,7 @@ def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event:
 
 
 def _met(solution: Solution, limit: Any, throw: bool) -> Solution:
-    """The solution, marked as failed where the phase ended without its event. Raises IntegrationError."""
+    """The solution, marked as failed if the phase ended without its event. Raises IntegrationError."""
     missed = solution.code == Result.SUCCESS.value
     if is_traced(solution.code):
         return dataclasses.replace(solution, code=jnp.where(missed, Result.NO_EVENT.value, solution.code))

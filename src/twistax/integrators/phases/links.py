@@ -1,4 +1,4 @@
-"""Where a phase begins: the last states of the phase before, and jumps of some of them."""
+"""The start of a phase: the last states of the phase before, and jumps of some of them."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ Link = Mapping[Any, Any] | Callable[..., Any] | None
 
 
 def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set[str]:
-    """The names of the parameters that a link reads, as far as that is known.
+    """The names of the parameters that a link reads, if they are known.
 
     Raises:
         ModelError: it names no state of the next phase, or reads what the phase before does not have at its end.
@@ -40,7 +40,7 @@ def check_link(place: str, link: Link, before: Dynamics, after: Dynamics) -> set
         name, expr = state.name, link.get(state.name)
         if name not in link and (name not in last or last[name].key() != state.key()):
             raise ModelError(
-                f"{place} says nothing of {name!r}, which the phase before does not have with that shape and group; "
+                f"{place} has no value for {name!r}, which the phase before does not have with that shape and group; "
                 f"it has: {listed(last, name)}.\n  fix: links=[..., {{{name!r}: ...}}, ...]"
             )
         if not isinstance(expr, Expr):
@@ -75,7 +75,7 @@ def by_name(place: str, link: Mapping[Any, Any], after: Dynamics) -> dict[str, A
 def linked(
     place: str, link: Link, before: Dynamics, after: Dynamics, t: Any, x: Arrays, params: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The states with which a phase begins, from those that the phase before ended with."""
+    """The initial states of a phase, from the final states of the phase before."""
     dtype = next(iter(x.values())).dtype
     changes: Mapping[Any, Any] = link(t, dict(x), dict(params)) if callable(link) else link or {}
     if not isinstance(changes, Mapping):
@@ -88,7 +88,7 @@ def linked(
     for state in after.states:
         name = state.name
         if name not in jumps and name not in x:
-            raise ModelError(f"{place} says nothing of {name!r}, which the phase before does not have")
+            raise ModelError(f"{place} has no value for {name!r}, which the phase before does not have")
         label = f"{place}[{name!r}]"
         start[name] = cast(label, real_array(label, jumps.get(name, x.get(name))), dtype, on_host=True)
     return start

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -14,7 +14,7 @@ import numpy as np
 from ...checks import listed
 from ...errors import InputError, in_phase
 from ...jax_inside import is_traced
-from ...plots import chosen, draw, group_of, panels
+from ...plots import Pictured, draw
 from ...system.dynamics import Arrays
 from ..loop.rollout import wide
 from ..results.solution import AnySolution, Solution, Stats, need_one, need_within, times_to_evaluate
@@ -27,20 +27,22 @@ if TYPE_CHECKING:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class PhasedSolution(AnySolution):
-    """Phases of a flight, and the whole. A pytree, so that jit, vmap and derivatives apply.
+    """The result of `tx.integrate_phases`: one `Solution` for each phase. A pytree, so that jit, vmap and derivatives
+    apply.
 
-    With saved times each phase has rows for its start, the saved times within, and its end: a join has one row before
-    and one after the jump. Inside of jit, and in batches, each phase has rows for all saved times: those that it does
-    not cover lie on its start or its end, and are NaN after its event.
+    With `save_at` each phase has rows for its start, for the saved times inside it, and for its end. So a switch
+    between two phases has two rows: before and after the jump. Under `jit` and `vmap` each phase has a row for every
+    saved time: rows before its start repeat the start, rows after its end repeat the end, or are NaN if an event ended
+    it.
 
     Attributes:
-        phases: the `Solution` of each, up to the first that failed, with `ts`, `xs`, `outputs`, `event`, `result`.
-        starts: the states with which each begins, after the jump, by name.
-        t_starts: the time when each begins, s.
-        code: the number of the Result of the whole: that of the first phase that failed, else of the last one.
-        save_at: (n,) the saved times that were asked for; None for none.
+        phases: the `Solution` of each phase up to the first that failed, with `ts`, `xs`, `outputs`, `event`, `result`.
+        starts: the states at the start of each phase, after the jump, by name.
+        t_starts: the time at the start of each phase, s.
+        code: the number of the overall Result: that of the first phase that failed, else of the last phase.
+        save_at: (n,) the saved times that were asked for, or None.
         names: of the phases.
-        on_grid: whether all phases have rows for all saved times.
+        on_grid: whether every phase has a row for every saved time.
     """
 
     phases: tuple[Solution, ...]
@@ -108,24 +110,28 @@ class PhasedSolution(AnySolution):
             states = {k: jnp.where(wide(after, v), here[k], v) for k, v in states.items() if _alike(here.get(k), v)}
         return states
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The states that all phases have over time, a matplotlib figure with gaps at the joins.
 
         Args:
-            names: of the states to draw; all that phases have in common unless given.
-            units: labels of values by name, such as {"v": "m/s"}.
+            names: of the states and joints to draw; all states that phases have in common if left out.
+            units: of values by name, as of `Solution.plot`.
         Raises:
             InputError: a name that not all phases have; no saved times; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
         """
         parts = self._reached("plot")
         if self.save_at is None:
-            raise InputError("plot: ends of phases are no curve.\n  fix: tx.integrate_phases(..., save_at=times)")
-        drawn = []
-        for name in chosen(names, list(self.xs), units):
-            pieces = [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
-            drawn += panels(name, group_of(pieces[0][1]), pieces, (units or {}).get(name, ""))
-        return draw(drawn)
+            raise InputError(
+                "plot expects saved times, got only the ends of the phases.\n"
+                "  fix: tx.integrate_phases(..., save_at=times)"
+            )
+        system = None if self.phases[0].stepper is None else self.phases[0].stepper.dynamics.system
+
+        def pieces(name: str) -> list[tuple[Any, Any]]:
+            return [(np.asarray(part.ts), np.asarray(part.xs[name])) for part in parts]
+
+        return draw(Pictured(list(self.xs), [], pieces, {} if system is None else system.labels, units).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """An animation of all phases in three dimensions, with the states that all have; see `Solution.show`.
@@ -138,7 +144,10 @@ class PhasedSolution(AnySolution):
 
         parts = self._reached("show")
         if self.save_at is None:
-            raise InputError("show: ends of phases are no motion.\n  fix: tx.integrate_phases(..., save_at=times)")
+            raise InputError(
+                "show expects saved times, got only the ends of the phases.\n"
+                "  fix: tx.integrate_phases(..., save_at=times)"
+            )
         signals = [lambda of=of: joined([getattr(part, of) for part in parts]) for of in ("us", "outputs")]
         params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
         ts = np.concatenate([np.asarray(part.ts) for part in parts])

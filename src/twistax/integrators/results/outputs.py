@@ -22,7 +22,8 @@ from ..times import room_for
 
 
 def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
-    """The controls at times (n,), or (..., n) of a batch: those that hold from then on; where a table ends, up to then.
+    """The controls at times (n,), or (..., n) of a batch: values to the right of each time; at the end of a table those
+    to the left.
 
     They are differentiable with respect to the rows of tables.
     """
@@ -77,7 +78,7 @@ def _each(function: Callable[..., Arrays], stepper: Stepper, ts: jax.Array, *res
 
 
 def _in_rows(make: Callable[[], Callable[..., Arrays]], stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
-    """The function at all times; known times are padded, so that another number of them compiles nothing."""
+    """The function at all times; known times are padded, so that another number of them does not compile again."""
     count = ts.shape[-1]
     if is_traced((stepper, ts, xs)) or ts.ndim > 1 or not count:
         return _called(make, stepper, ts, xs)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from abc import ABC, abstractmethod
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -16,7 +16,7 @@ from ...checks import listed, real_array
 from ...errors import InputError
 from ...groups.columns import Column
 from ...jax_inside import is_traced
-from ...plots import chosen, draw, group_of, panels
+from ...plots import Pictured, draw
 from ...system.dynamics import Arrays
 from ...units import same_unit, seconds
 from ..charts.coordinates import Blocks
@@ -54,16 +54,16 @@ class Stats:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class Crossings:
-    """Where conditions of events that do not end the integration became zero, in the order of their times.
+    """The roots of event conditions that did not end the integration, in the order of their times.
 
-    Under jit and in batches there are rows for `max_crossings` of them; those beyond the count are NaN.
+    Under `jit` and `vmap` the arrays have `max_crossings` rows; rows from `count` on are NaN.
 
     Attributes:
         ts: (n,) times in s.
         xs: states by name, leading axis n.
-        events: (n,) the number of the event of each, as it was given; -1 beyond the count.
-        directions: (n,) 1 where the condition rises along the integration, -1 where it falls; 0 beyond the count.
-        count: how many there are.
+        events: (n,) index of the event in `event=`; -1 in unused rows.
+        directions: (n,) 1 if the condition rises along the integration, -1 if it falls; 0 in unused rows.
+        count: number of crossings.
     """
 
     ts: jax.Array
@@ -74,7 +74,7 @@ class Crossings:
 
     @classmethod
     def of(cls, rows: CrossingRows) -> Crossings:
-        """Those of a rollout; where numbers are known without the rows beyond the count."""
+        """The crossings of a rollout; if numbers are known without the unused rows."""
         if is_traced(rows):
             return cls(rows.ts, rows.xs, rows.which, rows.directions, rows.used)
         count = int(rows.used)
@@ -112,13 +112,13 @@ def _between() -> Callable[[Stepper, Trail, jax.Array], Arrays]:
 
 
 class AnySolution(ABC):
-    """Base of `Solution` and `PhasedSolution`: how it ended, and its table."""
+    """Base of `Solution` and `PhasedSolution`: the result code, and the table."""
 
     code: Any  # the number of a `Result`
 
     @property
     def result(self) -> Any:
-        """How it ended, a `Result`; of traced or mapped solutions an array of codes, which compare with `Result`."""
+        """The `Result`; for traced or mapped solutions an array of codes, which compare with `Result`."""
         unknown = is_traced(self.code) or np.ndim(self.code) > 0
         return self.code if unknown else Result(int(self.code))
 
@@ -171,12 +171,12 @@ def times_to_evaluate(t: Any, dtype: Any) -> jax.Array:
 
 
 def _room(start: Any, end: Any) -> Any:
-    """How far outside of a span times may be, for rounding."""
+    """The tolerance for times outside of a span, for rounding."""
     return 1e-6 * (end - start)
 
 
 def need_within(ts: Any, start: Any, end: Any, span: str) -> None:
-    """Raise InputError for times to evaluate at beyond a span, in words `span`, up to round-off."""
+    """Raise InputError for times outside of a span, described by `span`, up to round-off."""
     (start, end), times = sorted((float(start), float(end))), np.ravel(ts)
     room = _room(start, end)
     outside = ~((times >= start - room) & (times <= end + room))
@@ -266,7 +266,7 @@ class Solution(AnySolution):
             InputError: no dense output was kept; times outside of what was integrated.
         """
         if self.dense is None:
-            raise InputError("this solution kept no dense output.\n  fix: tx.integrate(..., dense=True)")
+            raise InputError("this solution has no dense output.\n  fix: tx.integrate(..., dense=True)")
         trail = self.dense.trail
         ts = times_to_evaluate(t, trail.t.dtype)
         if ts.ndim > 1:
@@ -277,24 +277,29 @@ class Solution(AnySolution):
         states: Arrays = jitted(_between, self.dense.stepper, trail, ts.reshape(-1))
         return {name: value[0] for name, value in states.items()} if ts.ndim == 0 else states
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """The saved states over time, a matplotlib figure; poses as positions and Euler angles in deg.
 
+        Entries of a mechanism are named by joint, with a panel for each unit.
+
         Args:
-            names: of the states to draw; all unless given.
-            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+            names: of states, outputs and joints to draw, such as `plot("rpm", "panel")`; all states if left out.
+            units: of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given. Of a mechanism
+                {"qd": "rpm"} or {"panel": "deg"} converts from rad and rad/s, m and m/s.
         Raises:
             InputError: a name that is not there; one saved time alone; a solution that is traced or of a batch.
             ModelError: matplotlib is not installed.
         """
         need_one("plot", self)
         if len(self.ts) < 2:
-            raise InputError("plot: one saved time is no curve.\n  fix: tx.integrate(..., save_at=times)")
-        ts, drawn = np.asarray(self.ts), []
-        for name in chosen(names, list(self.xs), units):
-            x = np.asarray(self.xs[name])
-            drawn += panels(name, group_of(x), [(ts, x)], (units or {}).get(name, ""))
-        return draw(drawn)
+            raise InputError("plot expects two saved times or more, got one.\n  fix: tx.integrate(..., save_at=times)")
+        ts, system = np.asarray(self.ts), None if self.stepper is None else self.stepper.dynamics.system
+        outputs, labels = ([], {}) if system is None else (list(system.outputs), system.labels)
+
+        def pieces(name: str) -> list[tuple[Any, Any]]:
+            return [(ts, np.asarray(self.xs[name] if name in self.xs else self.outputs[name]))]
+
+        return draw(Pictured(list(self.xs), outputs, pieces, labels, units).panels(names))
 
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """The motion in three dimensions: an animation in one HTML file that needs no network, with a time slider.

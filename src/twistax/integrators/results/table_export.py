@@ -20,7 +20,7 @@ from ..times import room_for
 
 @dataclasses.dataclass(frozen=True)
 class Rotations:
-    """How a rotation becomes columns.
+    """The columns of a rotation in a table.
 
     Attributes:
         names: of the columns.
@@ -94,7 +94,7 @@ class Columns(Layout):
         return [column for part in group.parts for column in self._of_part(name, part, part.of(array))]
 
     def _of_part(self, name: str, part: ElementPart, array: np.ndarray) -> list[Column]:
-        """Of a part of an element: a rotation, a position, or entries."""
+        """The columns of a part of an element: a rotation, a position, or entries."""
         if part.unit == "rad" and array.shape[1:] == (3, 3):
             numbers = _read(self.rotations, array)
             return [
@@ -172,7 +172,7 @@ def write_csv(columns: list[Column], path: Any) -> None:
 
 
 def frame_of(columns: list[Column]) -> Any:
-    """The columns as a DataFrame, called by their headers.
+    """The columns as a DataFrame.
 
     Raises:
         ModelError: pandas is not installed.

@@ -1,4 +1,4 @@
-"""What a splitting method asks of free motion; points and rigid bodies, whose momenta stand still in the world."""
+"""Free motion for splitting methods: points and rigid bodies, whose momenta are constant in the world."""
 
 from __future__ import annotations
 
@@ -34,10 +34,10 @@ class Flows(StoredState):
 
     @abstractmethod
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
-        """The stored states dt later by the main part of the free motion."""
+        """The stored states after dt under the main part of the free motion."""
 
     def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
-        """The same by the flows of the rest, one after the other; backwards in the opposite order."""
+        """The stored states after dt under the flows of the other parts in turn; in reverse order if backwards."""
         return y
 
     @abstractmethod
@@ -45,12 +45,12 @@ class Flows(StoredState):
         """The stored states after dt under forces that give these rates at rest: momenta change, positions stay."""
 
     def settle(self, y: Blocks) -> Blocks:
-        """The stored states, put back into the group to round-off."""
+        """The stored states, projected back to the group."""
         return y
 
 
 class FreeMotion(ABC):
-    """Which states of a system move freely between kicks, and how. A value: equal where it means the same, hashable.
+    """The states of a system that move freely between kicks, and their motion. A hashable value.
 
     Attributes:
         position: the name of the state that the free motion moves.
@@ -64,11 +64,11 @@ class FreeMotion(ABC):
 
     @abstractmethod
     def check(self, dynamics: Dynamics) -> None:
-        """Whether states and parameters are of the right kind. Raises ModelError, which names what is not."""
+        """Whether states and parameters have the right kind. Raises ModelError, which names what has not."""
 
     @abstractmethod
     def rates(self, dynamics: Dynamics, x: Arrays, params: Arrays) -> Arrays:
-        """The rates of the two states in free motion, in plain form: what a system is held against."""
+        """The rates of the two states in free motion, in plain form, with which a system is compared."""
 
     @abstractmethod
     def flows(self, dynamics: Dynamics, params: Arrays) -> Flows:
@@ -86,7 +86,8 @@ def name_of(leaf: Any) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class FreeParticle(FreeMotion):
-    """A point, or anything else with $p' = v$: two states without a group, of one shape. Free, it goes straight ahead.
+    """A particle, or any other system with $p' = v$: two states of one shape without a group, in uniform motion when
+    free.
 
     The rate of v is the acceleration; no mass is needed.
 
@@ -349,12 +350,12 @@ class _BodyFlows(Flows):
         return self.part.value((*stored[:4], *add(value(stored[4:]), scale(-1.0, self._arm(stored)))))
 
     def _arm(self, pose: Components) -> Components:
-        """From the origin of the frame to the centre of mass of a pose, in world axes; of an attitude nothing."""
+        """From the origin of the frame of a pose to the centre of mass, in world axes; empty for an attitude."""
         return quaternions.rotate(pose[:4], arrays(self.own.center, pose[0])) if self.own.center else ()
 
 
 def _turned(q: Components, vectors: Components) -> Components:
-    """Every three numbers turned by q."""
+    """Every three numbers rotated by q."""
     parts = [quaternions.rotate(q, vectors[i : i + 3]) for i in range(0, len(vectors), 3)]
     return tuple(number for part in parts for number in part)
 
@@ -363,7 +364,7 @@ def _turned(q: Components, vectors: Components) -> Components:
 
 
 def begun(values: Components) -> Components:
-    """A sum that starts at these values."""
+    """A compensated sum that starts at these values."""
     return (*values, *(jnp.zeros_like(value) for value in values))
 
 

@@ -60,7 +60,7 @@ class Composition(Coefficients):
 
     @property
     def nodes(self) -> np.ndarray:
-        """The middles of the stages, in steps: where forces act."""
+        """The middles of the stages, in steps: the times of the kicks."""
         return np.cumsum(self.weights) - 0.5 * self.weights
 
     @property
@@ -70,7 +70,7 @@ class Composition(Coefficients):
 
 
 def _mirrored(*half: float) -> list[float]:
-    """Weights that read the same backwards, from the first one to that in the middle."""
+    """The palindrome of weights that are given up to the middle one."""
     return [*half, *reversed(half[:-1])]
 
 

@@ -1,4 +1,4 @@
-"""The inertia of a rigid body as free motion needs it: about the point that moves straight ahead, as exact flows."""
+"""The inertia of a rigid body for free motion: about the point that moves uniformly, as exact flows."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ def _weighted(row: Sequence[Number], v: Components) -> jax.Array:
 
 @dataclasses.dataclass(frozen=True)
 class BodyAxes:
-    """Axes of a body, and which part each plays.
+    """Axes of a body, and the role of each.
 
     The two with the nearest moments are `like` and `rest`: in a symmetric body `rest` then moves nothing.
     """
@@ -75,7 +75,7 @@ class _Axis:
     strength: Number
 
     def flow(self, q: Components, L: Components, dt: jax.Array) -> Components:
-        """The attitude dt later; L is the momentum in world axes."""
+        """The attitude after dt; L is the momentum in world axes."""
         momentum = quaternions.rotate(conjugate(q), L)
         half = 0.5 * dt * self.strength * _weighted(self.n, momentum)
         return quaternions.product(q, (jnp.cos(half), *scale(jnp.sin(half), arrays(self.n, half))))
@@ -83,7 +83,7 @@ class _Axis:
 
 @dataclasses.dataclass(frozen=True)
 class Spin:
-    """L . J^-1 L / 2 for the momentum L, as a sum whose terms have exact flows: L stays in the world.
+    """The kinetic energy L . J^-1 L / 2 as a sum of terms with exact flows; L is constant in the world.
 
     J^-1 = k I + sum_i s_i n_i n_i^T over fixed axes n_i. The first two terms together are a symmetric body: it turns
     about L at the rate k |L| and about its axis at s (n . L). Each of the others turns it about its own axis. Three
@@ -101,7 +101,7 @@ class Spin:
 
     @classmethod
     def of(cls, tensor: np.ndarray) -> Spin:
-        """Of a constant tensor (3, 3), symmetric and positive."""
+        """The spin of a constant tensor (3, 3), symmetric and positive."""
         frame = BodyAxes.of(tensor)
         inverse = np.linalg.inv(tensor)
         about_axes = np.einsum("ij,ik,kj->j", frame.axes, inverse, frame.axes)
@@ -117,7 +117,7 @@ class Spin:
 
     @classmethod
     def of_moments(cls, moments: Components, frame: BodyAxes) -> Spin:
-        """Of traced moments about the body's own axes, which are those of the frame."""
+        """The spin of traced moments about the axes of the frame."""
         inverse, eye = [1.0 / moment for moment in moments], np.eye(3).tolist()
         main, rest = (_Axis(eye[i], inverse[i] - inverse[frame.like]) for i in (frame.main, frame.rest))
         J, J_inv = (
@@ -152,7 +152,7 @@ class Spin:
         return cls(rows, [unpack(row) for row in inverse], k, single(frame.main), other_axes)
 
     def symmetric(self, q: Components, L: Components, dt: jax.Array) -> Components:
-        """The attitude dt later by the symmetric part; L is the momentum in world axes. For any dt."""
+        """The attitude after any time dt under the symmetric part; L is the momentum in world axes."""
         turned = q if self.main is None else self.main.flow(q, L, dt)
         return quaternions.product(quaternions.exp(scale(dt * self.isotropic, L)), turned)
 

@@ -26,7 +26,7 @@ _CHECKED: weakref.WeakKeyDictionary[Dynamics, set[tuple[FreeMotion, ...]]] = wea
 
 
 class _AllParts(StoredState):
-    """The flows of all parts, which share no state."""
+    """The flows of all parts, which have no states in common."""
 
     def __init__(self, parts: Sequence[Flows]) -> None:
         self.parts = parts
@@ -40,7 +40,7 @@ class _AllParts(StoredState):
 
 @dataclasses.dataclass(frozen=True)
 class Splitting(Method):
-    """A splitting method for bodies in a potential, explicit, reversible and symplectic: for long runs.
+    """A splitting method for bodies in a potential: explicit, reversible and symplectic, for long integrations.
 
     For forces and torques that depend on poses, time, controls and parameters, but not on velocities. With S the exact
     free motion of symmetric bodies, r_1, r_2, ... those of what else is in the kinetic energy, and K the kick by all
@@ -134,7 +134,7 @@ _OTHERWISE = "tx.RKMK(tableau) takes every system"
 
 
 def _check(dynamics: Dynamics, motions: Sequence[FreeMotion]) -> None:
-    """Hold a system against the free motions of its parts. Raises ModelError with what is different.
+    """Compare a system with the free motions of its parts. Raises ModelError with the differences.
 
     Rates that are free motion and kicks have three marks, and these are looked at where states are random numbers: the
     rates of positions are those of the free motion; the derivatives of the rates of velocities with respect to all
@@ -234,7 +234,7 @@ def _judge(motion: FreeMotion, compared: dict[str, Any]) -> None:
 
 
 def _drawn(dynamics: Dynamics, rng: np.random.Generator) -> tuple[Any, ...]:
-    """A time, tangents of states, controls, parameters, and a direction to move the parameters in."""
+    """A random time, tangents of states, controls, parameters, and a direction of the parameters."""
     d = {
         state.name: rng.normal(size=state.group.dimension) * np.ravel(1.0 if state.scale is None else state.scale)
         for state in dynamics.states
@@ -247,7 +247,7 @@ def _drawn(dynamics: Dynamics, rng: np.random.Generator) -> tuple[Any, ...]:
 
 
 def _near(parameter: Parameter, rng: np.random.Generator) -> np.ndarray:
-    """A value near the parameter's own, of the same form; where it has none, one that a real body may have."""
+    """A random value near the default of a parameter, of the same form; without a default one of a real body."""
     share = rng.uniform(0.8, 1.2)
     if parameter.value is not None:
         return np.asarray(share * parameter.value)

@@ -54,8 +54,8 @@ class LayeredAtmosphere:
     def __post_init__(self) -> None:
         for name in ("pressure_at_base", "gravity", "radius", "molar_mass", "gas_constant", "heat_ratio"):
             positive(self, name, getattr(self, name))
-        for each in (self.bases, self.lapses, self.temperature_at_base):
-            reals("LayeredAtmosphere: bases, lapses and temperatures", each, ModelError)
+        for values in (self.bases, self.lapses, self.temperature_at_base):
+            reals("LayeredAtmosphere: bases, lapses and temperatures", values, ModelError)
         if len(self.bases) != len(self.lapses) or not self.bases:
             raise ModelError(
                 f"LayeredAtmosphere expects a lapse for each base, got {len(self.bases)} bases "
@@ -148,7 +148,7 @@ _SMALL = LayeredAtmosphere(
 
 
 class _OfAltitude(Entrywise):
-    """Base of temperature and pressure."""
+    """Base class of temperature and pressure."""
 
     altitude: Operand
     air: LayeredAtmosphere = US1976

@@ -138,11 +138,11 @@ def east_north_up(latitude: ExprLike, longitude: ExprLike) -> Expr:
 
 
 class OffPole(Entrywise):
-    """0 where there is a north, NaN at a pole, entry by entry: a summand of what exists off the poles alone.
+    """0 at latitudes that have a north direction, NaN at the poles, entry by entry. Added to quantities that do not
+    exist at the poles.
 
-    A latitude counts as a pole where its cosine is at most four units of round-off: 1e-15, 6 nm on the Earth, in double
-    precision, 5e-7, 3 m, in single precision. There the cosine of the latitude is noise, and so is all that is divided
-    by it.
+    A latitude counts as a pole if its cosine is at most four units of round-off: 1e-15 in double precision (6 nm on the
+    Earth), 5e-7 in single precision (3 m). The cosine of the latitude is noise there, and so is every quotient by it.
 
     Shapes: s -> s.
 
@@ -219,7 +219,7 @@ def _latitude_and_altitude_jvp(
 
 
 def _direction(y: Array, x: Array) -> tuple[Array, Array]:
-    """Sine and cosine of the angle of the point (x, y); zeros at the origin."""
+    """Sine and cosine of the angle of the point (x, y); zero at the origin."""
     square = x * x + y * y
     scale = 1.0 / jnp.sqrt(jnp.where(square == 0.0, 1.0, square))
     return y * scale, x * scale

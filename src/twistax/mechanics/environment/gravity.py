@@ -78,13 +78,13 @@ class J2:
 
 
 def gradient_torque(gm: float, position: ExprLike, inertia: ExprLike) -> Expr:
-    """$3 GM / r^5 p x I p$ (3,), N m: what the pull of a point mass exerts on a body about its centre of mass.
+    """The gravity-gradient torque $3 GM / r^5 p x I p$ (3,), N m, of a point mass on a body, about its centre of mass.
 
-    To first order in the size of the body over its distance.
+    It is correct to first order in the size of the body over its distance.
 
     Args:
         gm: gravitational constant times mass, m3/s2.
-        position: p (3,) of the body's centre of mass from that of the planet, in body axes, m.
+        position: p (3,) of the body's centre of mass from the centre of the planet, in body axes, m.
         inertia: I (3, 3) about the centre of mass in body axes, kg m2.
     Raises: ModelError if gm is not positive; ShapeError.
     Source: Hughes, Spacecraft Attitude Dynamics, section 8.1.

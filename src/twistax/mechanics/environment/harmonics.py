@@ -67,7 +67,7 @@ class Harmonics:
 
     @cached_property
     def degree(self) -> int:
-        """The largest."""
+        """The largest degree."""
         return max((n for n, *_ in self.terms), default=0)
 
     def up_to(self, degree: int, order: int | None = None) -> Harmonics:
@@ -140,7 +140,7 @@ class HarmonicPull(Expr):
 
 
 def _plain(n: int, m: int) -> float:
-    """What a normalised coefficient is multiplied with to be one without normalisation."""
+    """The factor from a fully normalised coefficient to one that is not normalised."""
     return math.sqrt((1 if m == 0 else 2) * (2 * n + 1) * math.factorial(n - m) / math.factorial(n + m))
 
 
@@ -149,14 +149,14 @@ def _parts(
 ) -> tuple[Array, Array, Array]:
     """x, y and z of a term, in GM / R^2."""
     level, up = (_plain(n, m) / _plain(n + 1, order) for order in (m, m + 1))
-    down = -(n - m + 1) * level * (C * V[n + 1, m] + S * W[n + 1, m])
+    z = -(n - m + 1) * level * (C * V[n + 1, m] + S * W[n + 1, m])
     if m == 0:
-        return -up * C * V[n + 1, 1], -up * C * W[n + 1, 1], down
+        return -up * C * V[n + 1, 1], -up * C * W[n + 1, 1], z
     up_v, up_w, low_v, low_w = V[n + 1, m + 1], W[n + 1, m + 1], V[n + 1, m - 1], W[n + 1, m - 1]
     low = (n - m + 2) * (n - m + 1) * _plain(n, m) / _plain(n + 1, m - 1)
-    along = 0.5 * (low * (C * low_v + S * low_w) - up * (C * up_v + S * up_w))
-    across = 0.5 * (low * (S * low_v - C * low_w) + up * (S * up_v - C * up_w))
-    return along, across, down
+    x = 0.5 * (low * (C * low_v + S * low_w) - up * (C * up_v + S * up_w))
+    y = 0.5 * (low * (S * low_v - C * low_w) + up * (S * up_v - C * up_w))
+    return x, y, z
 
 
 def _read(file: str) -> Harmonics:

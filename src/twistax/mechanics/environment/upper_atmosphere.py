@@ -25,23 +25,23 @@ __all__ = ["US1976_TO_1000_KM", "UpperAtmosphere"]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class UpperAtmosphere:
-    """An atmosphere of layers, above them a table by altitude, and above the table gases in hydrostatic balance.
+    """An atmosphere up to any altitude: layers, then a table by altitude, then gases in diffusive equilibrium.
 
-    The table is read by cubic splines of the temperature and of the logarithms. Beyond its last altitude $z_1$ the last
-    temperature T holds and every gas falls by its own weight under a pull that falls with the square of the distance:
-    $n_i = n_i1 exp(-g_0 M_i (H - H_1) / (R_u T))$, $H = r z / (r + z)$. Pressure is the sum of $n_i$, density that of
-    $M_i n_i$, both scaled to the table's last values, so both are continuous. Light gases prevail with altitude.
-    Gravity, radius and gas constant are those of `below`.
+    The table is interpolated by cubic splines of the temperature and of the logarithms of pressure and density. Above
+    its last altitude $z_1$ the temperature T is constant, and each gas has its own scale height under gravity that
+    falls with the square of the distance: $n_i = n_i1 exp(-g_0 M_i (H - H_1) / (R_u T))$, $H = r z / (r + z)$. Pressure
+    is the sum of $n_i$ and density the sum of $M_i n_i$, both scaled so that they continue the table. Light gases
+    dominate at high altitude. Gravity, radius and gas constant are those of `below`.
 
     Attributes:
         below: the layers, up to the first altitude of the table.
         table: rows of geometric altitude, km, temperature, K, ln(p / Pa), ln(rho / (kg/m3)).
-        gases: molar mass, kg/kmol, and number density, of each gas at the last altitude; numbers may be in any unit.
-            By default one gas, of the mean molar mass there.
+        gases: molar mass, kg/kmol, and number density, of each gas at the last altitude; numbers may be in any unit. By
+            default one gas, of the mean molar mass there.
     Raises:
         ModelError: gases that are no pairs of positive numbers.
     Source: U.S. Standard Atmosphere, 1976, NOAA-S/T 76-1562, equation (36) without its eddies, thermal diffusion and
-        flow, for gases above 500 km.
+    flow, for gases above 500 km.
     """
 
     below: LayeredAtmosphere
@@ -81,7 +81,7 @@ class UpperAtmosphere:
         return Where(z <= bottom, low, high)
 
     def _left(self, z: Expr, top: float, by_mass: bool) -> Expr:
-        """The share of the last pressure, or of the last density, that is left at altitudes from the last one up."""
+        """The ratio of pressure or density to its value at the last altitude, at altitudes above."""
         air = self.below
         temperature, log_pressure, log_density = np.asarray(self.table)[-1, 1:]
         mean = np.exp(log_density - log_pressure) * air.gas_constant * temperature

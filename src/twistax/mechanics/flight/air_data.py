@@ -1,4 +1,4 @@
-"""What the air does to a body that moves through it: angles, Mach number, pressures, and forces in three kinds of axes.
+"""Air data of a body in flight (angles, Mach number, pressures), and aerodynamic forces in three kinds of axes.
 
 Body axes: x forward, y to the right, z down.
 """
@@ -88,13 +88,14 @@ class AirData:
 
     @cached_property
     def impact_pressure(self) -> Expr:
-        """What a pitot tube reads over p, (), Pa: $p ((1 + M^2 / 5)^(7/2) - 1)$, behind a shock by Rayleigh's formula.
+        """The impact pressure of a pitot tube (), Pa: $p ((1 + M^2 / 5)^(7/2) - 1)$, above Mach 1 Rayleigh's formula
+        behind a normal shock.
 
         Source: NACA Report 1135, Equations, tables and charts for compressible flow (1953), eqs. (44) and (100).
         """
         square = self.mach * self.mach
-        behind = 166.921580 * square**3.5 / (7.0 * Max(square, 1.0) - 1.0) ** 2.5
-        return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, behind) - 1.0)
+        ratio_behind_shock = 166.921580 * square**3.5 / (7.0 * Max(square, 1.0) - 1.0) ** 2.5
+        return self.pressure * (Where(square < 1.0, (1.0 + 0.2 * square) ** 3.5, ratio_behind_shock) - 1.0)
 
 
 #: The rotation (3, 3) to body axes from the axes in which coefficients are given.
@@ -102,31 +103,34 @@ AirAxes: TypeAlias = Callable[[AirData], Expr]
 
 
 def body_axes(air: AirData) -> Expr:
-    """Coefficients along body axes: (C_X, C_Y, C_Z)."""
+    """Force coefficients along body axes: (C_X, C_Y, C_Z)."""
     return Constant([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]])
 
 
 def stability_axes(air: AirData) -> Expr:
-    """x along the velocity without its sideways part, y as in body axes: (-C_D, C_Y, -C_L) without sideslip."""
+    """Force coefficients along stability axes, (-C_D, C_Y, -C_L): x along the velocity without sideslip, y as in body
+    axes.
+    """
     s, c = Sin(air.alpha), Cos(air.alpha)
     return Block([[c, 0.0, -s], [0.0, 1.0, 0.0], [s, 0.0, c]])
 
 
 def wind_axes(air: AirData) -> Expr:
-    """x along the velocity, z in the plane of symmetry: (-C_D, C_Y, -C_L)."""
+    """Force coefficients along wind axes, (-C_D, C_Y, -C_L): x along the velocity, z in the plane of symmetry."""
     s, c = Sin(air.beta), Cos(air.beta)
     return stability_axes(air) @ Block([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
 
 
 def _not_negative(place: str, value: ExprLike) -> None:
-    """Raise ModelError for a number below 0; what an expression comes to is not known."""
+    """Raise ModelError for a number below 0; the value of an expression is not known."""
     known = value.value if isinstance(value, Constant) else value
     if not isinstance(known, Expr):
         number(place, known, "0 or more", lambda x: 0.0 <= x < np.inf, ModelError)
 
 
 def drag(air: AirData, area: ExprLike) -> Expr:
-    """$-rho V C_D S u / 2$ (3,) in body axes, N, of C_D S = area (), m2; smooth at rest.
+    """The drag force $-rho V C_D S u / 2$ (3,) in body axes, N, for an area C_D S (), m2, and the air velocity u;
+    smooth at rest.
 
     Raises: ShapeError; ModelError for a number below 0.
     """
@@ -138,14 +142,14 @@ def drag(air: AirData, area: ExprLike) -> Expr:
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Aerodynamics:
-    """Areas and lengths that coefficients refer to.
+    """Reference area, lengths and axes of aerodynamic coefficients.
 
     Attributes:
         area: S, m2.
-        span: b, of roll and yaw, m.
-        chord: c, of pitch, m.
-        reference: where the moments are taken, (3,) from the body's origin, m.
-        axes: of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
+        span: b, m, the length of roll and yaw coefficients.
+        chord: c, m, the length of pitch coefficients.
+        reference: moment reference point, (3,) from the body's origin, m.
+        axes: axes of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
     Raises: ShapeError, ModelError for values that are no such numbers or expressions, or are below 0.
     """
 
@@ -169,18 +173,13 @@ class Aerodynamics:
         return Concat(self.span, self.chord, self.span)
 
     def reduced_rates(self, air: AirData) -> Expr:
-        """(p b, q c, r b) / (2 V) (3,), of rates relative to the air; 0 at rest, where they exert nothing."""
-        moves = air.airspeed > 0.0
-        return Where(moves, 0.5 / Where(moves, air.airspeed, 1.0), 0.0) * air.rate * self.lengths
+        """The dimensionless rates (p b, q c, r b) / (2 V) (3,) relative to the air; 0 at zero airspeed."""
+        has_airspeed = air.airspeed > 0.0
+        return Where(has_airspeed, 0.5 / Where(has_airspeed, air.airspeed, 1.0), 0.0) * air.rate * self.lengths
 
     def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
-        """[f; tau] (6,) at the body's origin in its axes: q S R C_f, and q S R (b C_l, c C_m, b C_n) moved there.
-
-        Args:
-            air: the air data.
-            force: coefficients (3,) in `axes`, or three of them.
-            moment: coefficients (3,) of roll, pitch and yaw, in `axes`, or three of them.
-        Raises: ShapeError.
+        """The wrench [f; tau] (6,) at the body's origin, in its axes: $q S R C_f$, and $q S R (b C_l, c C_m, b C_n)$
+        moved there.
         """
         of_kind("Aerodynamics.wrench", "air", air, AirData)
         R, load = self.axes(air), air.dynamic_pressure * self.area

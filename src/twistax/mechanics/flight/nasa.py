@@ -1,4 +1,4 @@
-"""A flight as a table with the columns of NASA's published trajectories, to be laid beside them.
+"""Columns of NASA's published trajectories for a flight, so that both can be compared.
 
 Source of names and units: the files that come with NASA/TM-2015-218675, Check-Cases for Verification of
 6-Degree-of-Freedom Flight Vehicle Simulations (2015).
@@ -72,14 +72,14 @@ _QUANTITIES: tuple[tuple[str, str, str, str, tuple[str, ...]], ...] = (
 
 @dataclasses.dataclass(frozen=True)
 class NasaColumns(Layout):
-    """The columns of NASA's check-cases: `solution.to_csv(path, flight.NasaColumns())`.
+    """Table columns with the names and units of NASA's check-cases: `solution.to_csv(path, flight.NasaColumns())`.
 
-    Those of `Vehicle.outputs()` are there, and the altitude rate $h' = -v_d$. Outputs of yours join them by their
-    names: local_gravity, speed_of_sound, pressure, temperature, mach and dynamic_pressure (), aero_force and
-    aero_moment (3,). What a system does not have is left out.
+    They cover `Vehicle.outputs()` and the altitude rate $h' = -v_d$. Other outputs of the system are included if they
+    have one of these names: local_gravity, speed_of_sound, pressure, temperature, mach and dynamic_pressure (),
+    aero_force and aero_moment (3,). Columns that the system does not have are left out.
 
     Attributes:
-        si: in m, s, rad, kg, N, Pa and K, as the files called _si; else in feet, degrees, slugs, pounds and knots.
+        si: in m, s, rad, kg, N, Pa and K, as in the files called _si; else in feet, degrees, slugs, pounds and knots.
     Raises: ModelError for an `si` that is no bool.
     """
 
@@ -93,7 +93,7 @@ class NasaColumns(Layout):
         outputs = {name: np.asarray(value) for name, value in solution.outputs.items()}
         if "ned_velocity" in outputs:
             outputs = {"altitude_rate": -outputs["ned_velocity"][:, 2]} | outputs
-        found = [Column("time", "", np.asarray(solution.ts))]
+        columns = [Column("time", "", np.asarray(solution.ts))]
         for quantity, name, english, si, components in _QUANTITIES:
             if name in outputs:
                 unit = si if self.si else english
@@ -104,10 +104,10 @@ class NasaColumns(Layout):
                     )
                 values = values / float(UNITS[unit]) if unit else values
                 parts = zip(components or ("",), values.reshape(len(values), -1).T, strict=True)
-                found += [Column("_".join(filter(None, (quantity, unit, part))), "", own) for part, own in parts]
-        if len(found) == 1:
+                columns += [Column("_".join(filter(None, (quantity, unit, part))), "", v) for part, v in parts]
+        if len(columns) == 1:
             raise InputError(
                 f"NasaColumns expects outputs of a flight, such as 'position', got {listed(outputs)}.\n"
                 "  fix: integrate vehicle.system(...), or name outputs as NasaColumns says"
             )
-        return found
+        return columns

@@ -36,7 +36,7 @@ Axes: TypeAlias = Callable[[ExprLike, ExprLike], Expr]
 
 @runtime_checkable
 class Gravity(Protocol):
-    """Gravity of a planet, as `environment.gravity` has it."""
+    """A model of the gravity of a planet, such as one of `environment.gravity`."""
 
     @property
     def axisymmetric(self) -> bool:
@@ -52,7 +52,7 @@ class Gravity(Protocol):
 
 @runtime_checkable
 class Air(Protocol):
-    """An atmosphere, as `environment.atmosphere` has it: functions of geometric altitude in m."""
+    """A model of the atmosphere, such as one of `environment.atmosphere`: functions of geometric altitude in m."""
 
     def temperature(self, altitude: ExprLike) -> Expr:
         """K."""
@@ -69,12 +69,12 @@ class Air(Protocol):
 
 @dataclasses.dataclass(frozen=True)
 class Planet:
-    """A planet that turns about its z axis.
+    """A planet that turns about its z axis: its figure, gravity and atmosphere.
 
     Attributes:
-        figure: the ellipsoid that latitudes and altitudes refer to, and its rate of rotation.
-        gravity: its pull.
-        air: at rest relative to the planet.
+        figure: the ellipsoid to which latitudes and altitudes refer, and its rate of rotation.
+        gravity: its gravity.
+        air: its atmosphere, at rest relative to the planet.
     Raises: ModelError for a part that is no such thing.
     """
 
@@ -136,20 +136,23 @@ REFERENCE_TAKES = ("planet", "latitude", "altitude", "ned_velocity")
 
 
 def inertial_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """Axes that do not turn: zeros."""
+    """Inertial axes, for rates relative to space: their rate is zero."""
     return Constant([0.0, 0.0, 0.0])
 
 
 def fixed_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """Planet-fixed axes: W (cos(latitude), 0, -sin(latitude))."""
+    """Planet-fixed axes, for rates relative to the planet: their rate in north-east-down axes is W (cos(latitude), 0,
+    -sin(latitude)).
+    """
     return planet.figure.rate * Concat(Cos(latitude), 0.0, -Sin(latitude))
 
 
 def local_axes(planet: Planet, latitude: ExprLike, altitude: ExprLike, ned_velocity: ExprLike) -> Expr:
-    """North-east-down axes, which turn with the planet and as the body moves over it.
+    """North-east-down axes, for rates relative to the local horizon. They turn with the planet and with the motion over
+    it.
 
-    To the rate of the planet comes (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N + h)), with M and N of
-    `Ellipsoid.radii`. At the poles, where no axes point north, the rate is NaN.
+    Their rate is that of the planet plus the transport rate (v_e / (N + h), -v_n / (M + h), -v_e tan(latitude) / (N +
+    h)), with M and N the radii of `Ellipsoid.radii`. At the poles, which have no north direction, it is NaN.
 
     Source: P. Groves, Principles of GNSS, Inertial, and Multisensor Integrated Navigation Systems (2013), eq. (5.44).
     """

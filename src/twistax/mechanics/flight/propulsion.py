@@ -1,4 +1,4 @@
-"""Engines, and what burning does to a body beside the thrust.
+"""Engines, and the effect of burning propellant besides thrust.
 
 Six-vectors are [f; tau] at the body's origin in its axes.
 """
@@ -26,13 +26,14 @@ STANDARD_GRAVITY = 9.80665
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Engine:
-    """An engine in its place. Thrust and mass flow are expressions of throttle, Mach number, altitude, often by tables.
+    """An engine at a point of a body. Thrust and mass flow are expressions of throttle, Mach number and altitude, often
+    tables.
 
     Attributes:
         thrust: (), N.
-        mass_flow: what it takes from the body, (), kg/s, positive.
+        mass_flow: the flow out of the body, (), kg/s, positive.
         position: where the thrust acts and the gas leaves, (3,), m.
-        direction: of the thrust, (3,), of length 1; an expression where it is gimballed.
+        direction: of the thrust, (3,), of length 1; an expression if it is gimballed.
     Raises: ShapeError, ModelError for values that are no such numbers or expressions.
     """
 
@@ -98,23 +99,23 @@ def rocket(
 
 
 def burning(V: ExprLike, flow: ExprLike, kilogram: SpatialInertia, outlet: ExprLike) -> Expr:
-    """The wrench (6,) that mass on its way out exerts, beside the thrust: Coriolis forces and jet damping.
+    """The wrench (6,) of mass that leaves a body, besides the thrust: Coriolis force and jet damping.
 
-    With w the body's rate, f the flow, c and J the centre and the inertia about the origin of what a kilogram takes
-    from the body, and r the outlet,
+    With w the body's rate, f the mass flow, c and J the centre and the inertia about the origin of one kilogram of the
+    mass that leaves, and r the outlet,
 
         $force = -2 f w x (r - c), moment = f (J w - r x (w x r) - w x (c x r))$
 
-    It makes $M V' = F - ad*_V(M V)$, with F the sum of all wrenches and M that of the mass there is, the balance of
-    momentum of a body with a steady flow along a line from c to r. Left out is what a changing flow exerts, f' (r - c)
-    and $f' (c x r)$. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the jet
-    damping of textbooks.
+    With this wrench $M V' = F - ad*_V(M V)$, F the sum of all wrenches and M the momentary inertia, is the balance of
+    momentum of a body with a steady flow along a line from c to r. The effect of a changing flow, f' (r - c) and
+    $f' (c x r)$, is left out. Along an axis of symmetry, about the centre of mass, the moment is $-(I' + f l^2) w$, the
+    jet damping of textbooks.
 
     Args:
         V: the body's twist (6,).
         flow: f, kg/s, positive out.
-        kilogram: the derivative of the body's inertia by its mass. Of a tank that empties evenly: a body of 1 kg at its
-            centre with its inertia per mass. Of one whose level falls: the layer at the surface.
+        kilogram: the derivative of the body's inertia by its mass. For a tank that empties evenly: a body of 1 kg at
+            its centre with its inertia per mass. For a tank whose level falls: the layer at the surface.
         outlet: r (3,), m, such as the engine's position.
     Raises: ShapeError.
     Source: derived from the balance of momentum over the body's volume; Cornelisse, Schoyer and Wakker, Rocket

@@ -1,4 +1,4 @@
-"""What instruments in a vehicle read. Biases may be numbers, Parameters, or states that noise drives."""
+"""Measurements of instruments in a vehicle. Biases may be numbers, Parameters, or states that noise drives."""
 
 from __future__ import annotations
 
@@ -19,7 +19,9 @@ __all__ = ["Imu", "ImuReading", "probe"]
 
 
 class ImuReading(NamedTuple):
-    """The specific_force (3,), m/s2, and the rate relative to inertial axes (3,), rad/s, in the sensor's axes."""
+    """What an IMU measures, in its axes: the specific_force (3,), m/s2, and the rate relative to inertial axes (3,),
+    rad/s.
+    """
 
     specific_force: Expr
     rate: Expr
@@ -27,7 +29,7 @@ class ImuReading(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Imu:
-    """Three accelerometers and three gyroscopes in one place.
+    """An inertial measurement unit: three accelerometers and three gyroscopes at one point of a body.
 
     Attributes:
         position: (3,) in body axes, m.
@@ -53,13 +55,8 @@ class Imu:
         check_element("Imu", "mounting", of_shape("Imu", "mounting", self.mounting, (3, 3)))
 
     def read(self, V: ExprLike, acceleration: ExprLike, gravitation: ExprLike) -> ImuReading:
-        """What it reads: $v' + w x v + w' x r + w x (w x r) - a_g$, and w, in its axes, with biases.
-
-        Args:
-            V: the body's twist (6,).
-            acceleration: its rate V' (6,), as `Vehicle.acceleration` has it.
-            gravitation: acceleration by gravity (3,) in body axes, m/s2.
-        Raises: ShapeError.
+        """The specific force $v' + w x v + w' x r + w x (w x r) - a_g$ and the rate w, in the sensor's axes, with
+        biases.
         """
         twist, rate = of_shape("Imu", "V", V, (6,)), of_shape("Imu", "acceleration", acceleration, (6,))
         pull = of_shape("Imu", "gravitation", gravitation, (3,))
@@ -71,7 +68,8 @@ class Imu:
 
 
 def probe(air: AirData, position: ExprLike) -> AirData:
-    """The air data at a position in the body (3,), m, such as a boom with vanes: there the body's rate adds $w x r$.
+    """The air data at a position (3,), m, in the body, such as vanes on a boom: the rate of the body adds $w x r$ to
+    the velocity.
 
     Raises: ShapeError.
     """

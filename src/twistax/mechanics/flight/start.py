@@ -1,4 +1,4 @@
-"""The state of a body from what people say of it: where it is, how it moves over the ground, how it is turned."""
+"""The initial state of a vehicle from its position, its velocity over the ground and its attitude."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ __all__ = ["numbers", "start"]
 
 
 def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> np.ndarray:
-    """The numbers that an expression amounts to, in double precision and without compiling.
+    """The numerical value of an expression, in double precision, without compiling.
 
-    `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as numbers, by the function that makes it an expression.
+    `numbers(EARTH.local_pose(0.6, 0.1, 9e3))` is a pose as an array.
 
     Args:
         values: of the leaves it depends on: states, controls, parameters, the time.
-    Raises: ModelError where a leaf is left, or the result is not finite.
+    Raises: ModelError if a leaf has no value, or the result is not finite.
     """
     for leaf in values or {}:
         if not isinstance(leaf, Leaf):
@@ -53,14 +53,14 @@ def numbers(expression: ExprLike, values: Mapping[Leaf, Any] | None = None) -> n
 
 def _folded(*expressions: Expr) -> list[np.ndarray]:
     """The numbers that expressions of numbers amount to, what they share computed once. Raises ModelError."""
-    found = canonicalize_all(expressions)
-    for expr in found:
+    folded = canonicalize_all(expressions)
+    for expr in folded:
         if not isinstance(expr, Constant):
             raise ModelError(
                 f"numbers expects an expression with finite numbers at the values given, got {short(expr)}.\n"
                 "  fix: give a value for each of its states, controls and parameters"
             )
-    return [np.array(expr.value, float) for expr in found if isinstance(expr, Constant)]
+    return [np.array(expr.value, float) for expr in folded if isinstance(expr, Constant)]
 
 
 def start(
@@ -77,24 +77,25 @@ def start(
     pose: str = "g",
     twist: str = "V",
 ) -> dict[str, Any]:
-    """The state at a place: its pose in inertial axes and its body twist relative to them, in double precision.
+    """The state of a vehicle from geodetic position, velocity over the ground and attitude: its pose in inertial axes
+    and its body twist relative to them, in double precision.
 
-    A number has a unit of `tx.units`, or is in m, s and rad. Traced values may come, as in a Monte Carlo over starts;
-    the state is then traced, in JAX's precision, an angle that is out of range is not seen, and a rate relative to axes
-    that do not exist is NaN.
+    Numbers have a unit of `tx.units`, or are in m, s and rad. Values may be traced, for example in a Monte Carlo
+    simulation over starts. The state is then traced too, in JAX's precision; angles are not checked, and a rate
+    relative to axes that do not exist is NaN.
 
-    At a pole north-east-down are the axes of the meridian of the longitude given. They do not turn at any finite rate
-    there, so nothing can be said relative to `local_axes`.
+    At a pole north-east-down axes are those of the meridian of `longitude`. They do not turn at a finite rate there, so
+    a rate relative to `local_axes` does not exist.
 
     Args:
         latitude, longitude: geodetic.
         altitude: above the ellipsoid.
         ned_velocity: relative to the turning planet, north, east and down.
-        euler: roll, pitch and yaw of the body relative to north-east-down, turned about z, y and x in this order.
+        euler: roll, pitch and yaw of the body relative to north-east-down: turns about z, y and x in this order.
         rate: about body axes.
-        relative_to: what the rate is relative to: `fixed_axes`, so that it stands still on the planet if it is zero,
-            `local_axes`, as of a steady flight, or `inertial_axes`.
-        planet: where it is.
+        relative_to: the axes to which the rate is relative: `fixed_axes` (zero for a body at rest on the planet),
+            `local_axes` (zero in steady flight), or `inertial_axes`.
+        planet: where the vehicle is.
         t: the time, which turns the planet.
         pose, twist: names of the states.
     Raises:
@@ -103,7 +104,7 @@ def start(
     """
     of_kind("start", "planet", planet, Planet)
     callable_with("start: relative_to", relative_to, REFERENCE_TAKES, ModelError)
-    given = {
+    arguments = {
         "latitude": _angle("latitude", latitude, 0.25),
         "longitude": _angle("longitude", longitude, 1.0),
         "altitude": _taken("altitude", altitude, metres),
@@ -112,23 +113,23 @@ def start(
         "rate": _taken("rate", rate, radians / seconds, (3,)),
         "t": _taken("t", t, seconds),
     }
-    traced = is_traced(given)
-    own: dict[str, Any] = {k: Parameter(k, np.shape(v)) if traced else Constant(v) for k, v in given.items()}
-    north, east, up, over_ground = (own[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
-    turn = planet.figure.to_inertial(own["t"])
-    local, attitude = turn @ north_east_down(north, east), EulerRotation(own["euler"])
+    traced = is_traced(arguments)
+    leaves: dict[str, Any] = {k: Parameter(k, np.shape(v)) if traced else Constant(v) for k, v in arguments.items()}
+    north, east, up, over_ground = (leaves[name] for name in ("latitude", "longitude", "altitude", "ned_velocity"))
+    turn = planet.figure.to_inertial(leaves["t"])
+    local, attitude = turn @ north_east_down(north, east), EulerRotation(leaves["euler"])
     position = turn @ planet.figure.position(north, east, up)
     carried = Cross([0.0, 0.0, planet.figure.rate], position)
     velocity = attitude.T @ (over_ground + local.T @ carried)
     spin = relative_to(planet, north, up, over_ground)
     if not traced:
-        _need_rate(relative_to, spin, given["latitude"])
-    turning = own["rate"] + attitude.T @ spin
+        _need_rate(relative_to, spin, arguments["latitude"])
+    turning = leaves["rate"] + attitude.T @ spin
     state: dict[str, Expr] = {pose: Pose(local @ attitude, position), twist: Concat(velocity, turning)}
     if not traced:
         return dict(zip(state, _folded(*state.values()), strict=True))
     dtype = jax.dtypes.canonicalize_dtype(np.float64)
-    inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in given.items()}, dtype)
+    inputs = Inputs(0.0, {}, {}, {name: jnp.asarray(value, dtype) for name, value in arguments.items()}, dtype)
     return dict(zip(state, evaluate_all([*state.values()], lambda leaf: leaf.read(inputs)), strict=True))
 
 

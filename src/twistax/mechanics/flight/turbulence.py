@@ -24,7 +24,7 @@ Scales: TypeAlias = Callable[[Expr], tuple[tuple[Any, Any, Any], tuple[Any, Any,
 
 
 class Gust(NamedTuple):
-    """Motion of the air that turbulence adds, its velocity, m/s, and rate, rad/s, and the state_rate of its state."""
+    """The air velocity, m/s, and air rate, rad/s, of turbulence in body axes, and the state_rate of its filters."""
 
     velocity: Expr
     rate: Expr
@@ -32,7 +32,7 @@ class Gust(NamedTuple):
 
 
 def even_turbulence(lengths: Any, intensities: Any) -> Scales:
-    """The same at all heights, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
+    """Turbulence scales that are the same at all heights, as above 2000 ft: $L_u = L_v = L_w = 1750$ ft.
 
     Args:
         lengths: (L_u, L_v, L_w), m, positive.
@@ -47,7 +47,8 @@ def even_turbulence(lengths: Any, intensities: Any) -> Scales:
 
 
 def low_altitude_turbulence(wind: Any) -> Scales:
-    """Between 10 and 1000 ft over the ground, where the wind 20 ft above it is given; outside the values at the ends.
+    """Turbulence scales between 10 and 1000 ft over the ground, from the wind at 20 ft. Outside, the values at the ends
+    hold.
 
     With h in ft: $L_w = h$, $L_u = L_v = h / (0.177 + 0.000823 h)^(1.2)$, $sigma_w = 0.1 u_20$ and
     $sigma_u = sigma_v = sigma_w / (0.177 + 0.000823 h)^(0.4)$.
@@ -61,18 +62,18 @@ def low_altitude_turbulence(wind: Any) -> Scales:
     def scales(height: Expr) -> tuple[tuple[Any, Any, Any], tuple[Any, Any, Any]]:
         h = Min(Max(height / float(feet), 10.0), 1000.0)
         factor = 0.177 + 0.000823 * h
-        along, size = float(feet) * h / factor**1.2, sigma / factor**0.4
-        return (along, along, float(feet) * h), (size, size, sigma)
+        length, size = float(feet) * h / factor**1.2, sigma / factor**0.4
+        return (length, length, float(feet) * h), (size, size, sigma)
 
     return scales
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Dryden:
-    """Gusts along and about body axes, as frozen patterns that the vehicle flies through.
+    """Dryden turbulence: gusts in body axes, as a frozen pattern that the vehicle flies through.
 
-    The state (8,) starts at zero; the noise is a control (4,). The air's rates follow from the gradients of its
-    velocity: $q = -dw/dx$ and $r = dv/dx$, filtered by the span.
+    White noise passes through filters. The filter state (8,) starts at zero; the noise is a control (4,). The rates of
+    the air follow from the gradients of its velocity: $q = -dw/dx$ and $r = dv/dx$, filtered by the span.
 
     Attributes:
         scales: `low_altitude_turbulence(...)`, `even_turbulence(...)`, or a function of the height.

@@ -1,4 +1,4 @@
-"""A body over a planet: its pose and twist, and all that follows from them."""
+"""A rigid body in flight over a planet: its pose and twist, and the quantities that follow from them."""
 
 from __future__ import annotations
 
@@ -29,18 +29,18 @@ __all__ = ["Vehicle"]
 
 
 class Vehicle:
-    """A rigid body over a planet, by two states: its pose g in inertial axes and its body twist V.
+    """A rigid body in flight over a planet. Its states are the pose g in inertial axes and the body twist V.
 
-    What is below is made when it is first read, each once, so that whatever is not used costs nothing. Angles are in
+    The properties are expressions, each made when it is first read, so what is not used costs nothing. Angles are in
     rad. The longitude of `place` is the geographic one.
 
-    On the planet's axis there is no north: `attitude`, `euler`, `ned_velocity` and a wind are NaN there, and so is
-    `rate(local_axes)` at a pole.
+    On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
+    and so is `rate(local_axes)` at a pole.
 
     Args:
         planet: figure, rotation, gravity and air.
         wind: velocity of the air over the planet, a function of (place, t).
-        turbulence: gusts beside the wind; their state and noise belong to `system`.
+        turbulence: gusts in addition to the wind; their state and noise become part of `system`.
         pose, twist: names of the states.
     Raises:
         ModelError: planet is not a `Planet`, turbulence is not a `Dryden`, or wind is not a function of (place, t).
@@ -180,11 +180,11 @@ class Vehicle:
         }
         if self.turbulence is not None and self._gust is not None:
             motion[self.turbulence.state] = self._gust.state_rate
-        given = {state if isinstance(state, str) else state.name for state in rates or {}}
-        own = [name for name in (getattr(state, "name", state) for state in motion) if name in given]
-        if own:
+        named = {state if isinstance(state, str) else state.name for state in rates or {}}
+        motion_states = [name for name in (getattr(state, "name", state) for state in motion) if name in named]
+        if motion_states:
             raise ModelError(
-                f"Vehicle.system expects rates of further states, got {listed(own)}, the motion itself.\n"
+                f"Vehicle.system expects rates of further states, got {listed(motion_states)}, the motion itself.\n"
                 "  fix: put what acts on the body into wrench, or write a System of vehicle.acceleration(body, wrench)"
             )
         ready = self.outputs()
@@ -197,7 +197,7 @@ class Vehicle:
         return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
-        """What flights are compared by.
+        """The outputs by which flights are usually compared.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
         attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
@@ -228,23 +228,25 @@ class Vehicle:
 
     @cached_property
     def _over(self) -> Geodetic:
-        """With the longitude from the inertial x axis, which needs no turn."""
+        """The geodetic position with the longitude from the inertial x axis, which does not need the rotation of the
+        planet.
+        """
         return self.planet.figure.geodetic(self.position)
 
     @cached_property
     def _local(self) -> Expr:
-        """From north-east-down to inertial axes; NaN on the axis of the planet, where there is no north."""
+        """The rotation from north-east-down to inertial axes; NaN on the axis of the planet, which has no north."""
         off_axis = Where(Norm(self.position[:2]) > 0.0, 1.0, np.nan)
         return north_east_down(self._over.latitude, self._over.longitude * off_axis)
 
     @cached_property
     def _ground_velocity(self) -> Expr:
-        """Relative to the planet, in inertial axes."""
+        """The velocity relative to the planet, in inertial axes."""
         return self.planet.figure.air_velocity(self.position, self.velocity)
 
     @cached_property
     def _steady_air_velocity(self) -> Expr:
-        """Relative to the wind, in body axes."""
+        """The velocity relative to the wind, in body axes."""
         velocity = self._ground_velocity
         if self.wind is not CALM:
             blown = of_shape("Vehicle", "the wind's velocity", self.wind(self.place, self.time), (3,))

@@ -51,11 +51,11 @@ CALM = Steady((0.0, 0.0, 0.0))
 
 @dataclasses.dataclass(frozen=True)
 class Profile:
-    """A wind that changes linearly with altitude between given ones, and stays what it is below and above them.
+    """A wind by altitude: linear between the altitudes of a table, constant below and above.
 
     Attributes:
         altitudes: increasing, m.
-        velocities: north-east-down at these, m/s.
+        velocities: (n, 3) of the air, north-east-down at these altitudes, m/s.
     Raises: InputError for other units or shapes; ModelError where altitudes do not increase.
     """
 
@@ -83,13 +83,13 @@ class Profile:
 
 @dataclasses.dataclass(frozen=True)
 class LogarithmicShear:
-    """The wind near the ground, $u(h) = u_20 ln(h / z_0) / ln(h_20 / z_0)$ from a direction; zero below z_0.
+    """The logarithmic wind profile near the ground: $u(h) = u_20 ln(h / z_0) / ln(h_20 / z_0)$, zero below z_0.
 
-    h_20 is 20 ft.
+    h_20 is 20 ft. The direction is the same at all heights.
 
     Attributes:
         speed: u_20, 20 ft above the ground, m/s.
-        towards: where the wind blows to, clockwise from north, rad.
+        towards: the direction the wind blows to, clockwise from north, rad.
         roughness: z_0, m: 0.15 ft in terminal flight, 2 ft elsewhere.
         ground: altitude of the ground, m.
     Raises: InputError for other units; ModelError where the roughness is not between 0 and 20 ft.
@@ -103,8 +103,8 @@ class LogarithmicShear:
 
     def __post_init__(self) -> None:
         for name, unit in (("speed", _SPEED), ("towards", radians), ("roughness", metres), ("ground", metres)):
-            found = float(taken(f"LogarithmicShear: {name}", getattr(self, name), unit))
-            object.__setattr__(self, name, found)
+            value = float(taken(f"LogarithmicShear: {name}", getattr(self, name), unit))
+            object.__setattr__(self, name, value)
         if not 0.0 < self.roughness < _TWENTY_FEET:
             raise ModelError(f"LogarithmicShear expects a roughness between 0 and 20 ft, got {self.roughness!r} m")
 

@@ -20,7 +20,7 @@ from .xml_file import Element
 
 @dataclasses.dataclass(frozen=True)
 class _Doubt:
-    """A link with a mass or inertia that no body has.
+    """A link with a mass or inertia that no real body has.
 
     Attributes:
         why: the error of `SpatialInertia`.
@@ -79,19 +79,19 @@ class Choices:
         self._bodies, self._rounded = list[str](), list[str]()
 
     def of(self, owner: str, what: str, value: Any) -> Any:
-        """The value, or a Parameter `<owner>_<what>` with it."""
+        """The value, or if asked for a Parameter `<owner>_<what>` with that value."""
         name = f"{owner}_{what}"
         self.known.append(name)
         chosen = self.wanted if isinstance(self.wanted, bool) else name in self.wanted
         return Parameter(name, value=np.asarray(value, dtype=np.float64)) if chosen else value
 
     def origin(self, owner: str, R: np.ndarray, p: np.ndarray) -> Any:
-        """The pose of an origin, an expression where its position was asked for."""
+        """The pose of an origin; an expression if its position is a Parameter."""
         position = self.of(owner, "origin", p)
         return matrix(R, p) if position is p else Pose(R, position)
 
     def body(self, owner: str, mass: float, center: Any, R: Any, tensor: Any, element: Element) -> SpatialInertia:
-        """The body of a link, its tensor about its centre of mass in axes R."""
+        """The body of a link, from its inertia tensor about its centre of mass in axes R."""
         products = tensor - np.diag(np.diag(tensor))
         other_signs = tensor - 2.0 * products
         tensor = R @ tensor @ R.T
@@ -115,7 +115,7 @@ class Choices:
         )
 
     def judge(self, links: Collection[Link], base: str) -> None:
-        """Decide about the doubts, by what is fixed together and so moves as one body.
+        """Refuse or note the doubtful links, judged by the bodies that they form with all that is fixed to them.
 
         A link gets a note if it does not move, if the whole body is physical, if the caller accepts the link as it is,
         or if the whole body has a positive definite spatial inertia and the caller demands no more. If all moving
@@ -149,10 +149,10 @@ class Choices:
             else:
                 refused.append(owner)
         if refused:
-            doubt, others = self.doubts[refused[0]], ", ".join(map(repr, refused[1:]))
+            doubt, further = self.doubts[refused[0]], ", ".join(map(repr, refused[1:]))
             raise doubt.element.wrong(
                 f"link {refused[0]!r} has a mass or inertia that no body has{doubt.hint}. {doubt.why}\n"
-                + (f"  so have {others}\n" if others else "")
+                + (f"  so have {further}\n" if further else "")
                 + f"  or take them as they are by physical={dict.fromkeys(refused, False)}"
             )
 
@@ -161,14 +161,14 @@ class Choices:
         if self._rounded:
             self.notes.append(f"inertias that are round-off, here zero: of {listed(self._rounded)}")
         for name in sorted(set() if isinstance(self.wanted, bool) else self.wanted - set(self.known)):
-            raise ModelError(f"load: the model calls no parameter {name!r}; expected: {listed(self.known, name)}")
+            raise ModelError(f"load: the model has no parameter {name!r}; there are: {listed(self.known, name)}")
         for name in self.physical if isinstance(self.physical, Mapping) else ():
             if name not in self._bodies:
                 raise ModelError(f"load: physical names {name!r}; links with a mass are: {listed(self._bodies, name)}")
 
 
 def _objection(mass: Any, center: Any, tensor: Any) -> str | None:
-    """Why no body has these; None if one may have them."""
+    """Why no real body has this mass and inertia; None if one may."""
     try:
         SpatialInertia(mass=mass, center_of_mass=center, inertia=tensor)
     except TwistaxError as error:

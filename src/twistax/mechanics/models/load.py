@@ -87,12 +87,12 @@ def load(
 
 
 def _folder(root: Element, within: str | Path | None) -> Path:
-    """Where other files may be. Raises ModelError for a folder that the file is not in."""
-    own = root.path.resolve().parent
+    """The folder within which other files may be opened. Raises ModelError if the file is not in it."""
+    file_folder = root.path.resolve().parent
     if within is None:
-        return own
+        return file_folder
     folder = path_of("load: within", within).resolve()
-    if not own.is_relative_to(folder):
+    if not file_folder.is_relative_to(folder):
         raise ModelError(f"load: within expects a folder that {str(root.path)!r} is in, got {str(within)!r}")
     return folder
 

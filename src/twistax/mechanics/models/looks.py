@@ -1,4 +1,4 @@
-"""What links look like, from a file's boxes, cylinders, balls and capsules. What cannot be drawn ends in a note.
+"""Shapes of links from the boxes, cylinders, balls and capsules of a file. What cannot be drawn is noted.
 
 Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readthedocs.io, body/geom.
 """
@@ -23,7 +23,7 @@ _SHOWN = 2
 
 
 class UrdfLooks:
-    """The shapes of the links of a robot: those of <visual>, where none of them can be drawn those of <collision>.
+    """The shapes of the links of a robot: those of <visual>, or if none of them can be drawn those of <collision>.
 
     Args:
         robot: the root element; its materials are known by name.
@@ -45,7 +45,7 @@ class UrdfLooks:
 
     @property
     def notes(self) -> list[str]:
-        """What is not drawn, and how often."""
+        """What was not drawn, with counts."""
         return [f"{what}, {count} times" for what, count in sorted(self._left_out.items())]
 
     def of(self, link: Element) -> tuple[Shape, ...]:
@@ -55,7 +55,7 @@ class UrdfLooks:
         return tuple(shown or [shape for solid in link.all("collision") for shape in self._shape(solid)])
 
     def _shape(self, element: Element) -> list[Shape]:
-        """One, or none and a note."""
+        """A tuple of one shape; empty, with a note, if it cannot be drawn."""
         geometry = element.first("geometry")
         solid = geometry.children[0] if geometry is not None and geometry.children else element
         try:
@@ -99,7 +99,7 @@ def _painted(rgba: Any) -> tuple[Color, float]:
 def looks_of_mjcf(
     model: Any, mujoco: Any, rotation: Callable[[Any], NDArray[np.float64]]
 ) -> tuple[dict[int, tuple[Shape, ...]], int]:
-    """By the number of a body the shapes in its axes, those that MuJoCo draws, else its others.
+    """The shapes of every body, by its number and in its axes: those that MuJoCo draws, or else the hidden ones.
 
     Args:
         model: a `mujoco.MjModel`.
@@ -116,7 +116,7 @@ def looks_of_mjcf(
         int(kinds.mjGEOM_CAPSULE): lambda a, b, c, looks: Capsule(a, 2.0 * b, **looks),
     }
     shown: dict[int, list[Shape]] = collections.defaultdict(list)
-    others: dict[int, list[Shape]] = collections.defaultdict(list)
+    hidden: dict[int, list[Shape]] = collections.defaultdict(list)
     for i in range(model.ngeom):
         color, opacity = _painted(model.geom_rgba[i])
         if opacity == 0.0:
@@ -129,7 +129,7 @@ def looks_of_mjcf(
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
         if kind in known:
-            (others if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
+            (hidden if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
         else:
             left_out += 1
-    return {i: tuple(shown[i] or others[i]) for i in range(model.nbody)}, left_out
+    return {i: tuple(shown[i] or hidden[i]) for i in range(model.nbody)}, left_out

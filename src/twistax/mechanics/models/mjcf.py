@@ -50,7 +50,7 @@ class _Servo:
 
 
 class Mjcf:
-    """The links of a model, and what the file has beside them.
+    """The links of an MJCF model, and notes on the rest of the file.
 
     Args:
         root: the element <mujoco>.
@@ -96,7 +96,7 @@ class Mjcf:
         return getattr(self.model, kind)(i).name or f"{kind}_{i}"
 
     def _switched_on(self, what: str) -> bool:
-        """Whether the file leaves a part of the dynamics in: of its <flag>."""
+        """Whether the <flag> of the file leaves a part of the dynamics enabled."""
         return not self.model.opt.disableflags & getattr(self.mujoco.mjtDisableBit, f"mjDSBL_{what}")
 
     # ---- bodies ------------------------------------------------------------------------------------------------------
@@ -119,15 +119,15 @@ class Mjcf:
             joint, before, after = self._joint(j)
             mount = before if isinstance(joint, Free) else _after(mount, before)
             last = j == joints[-1] and not (after - _UNIT).any()
-            own = name if last else free_name(joint.name, self._taken)
-            self._taken.add(own)
+            link_name = name if last else free_name(joint.name, self._taken)
+            self._taken.add(link_name)
             carried, looks = (body, self._looks[i]) if last else (None, ())
             drive, mimic = self._drive(j), self._mimics.get(j)
-            link = Link(joint, carried, mount, parent=parent, name=own, drive=drive, mimic=mimic, shapes=looks)
+            link = Link(joint, carried, mount, parent=parent, name=link_name, drive=drive, mimic=mimic, shapes=looks)
             self.links.append(link)
             if last:
                 return
-            mount, parent = after, own
+            mount, parent = after, link_name
         self._add_fixed(name, body, mount, parent, self._looks[i])
 
     def _add_fixed(self, name: str, body: Any, mount: Any, parent: str | None, shapes: tuple[Shape, ...] = ()) -> None:
@@ -193,23 +193,23 @@ class Mjcf:
             "friction": float(model.dof_frictionloss[at]) * self._switched_on("FRICTIONLOSS"),
             "stiffness": float(model.jnt_stiffness[j]) * self._switched_on("SPRING"),
         }
-        given: dict[str, Any] = {what: self.choices.of(name, what, value) for what, value in numbers.items() if value}
+        options: dict[str, Any] = {what: self.choices.of(name, what, value) for what, value in numbers.items() if value}
         rest: Any = float(model.qpos_spring[model.jnt_qposadr[j]]) if single else 0.0
         if servo.stiffness:
-            own = given.get("stiffness", 0.0)
-            rest = (own * rest + servo.offset) / (own + servo.stiffness)
+            spring_stiffness = options.get("stiffness", 0.0)
+            rest = (spring_stiffness * rest + servo.offset) / (spring_stiffness + servo.stiffness)
         for what in ("armature", "damping", "stiffness"):
             if getattr(servo, what):
-                given[what] = given.get(what, 0.0) + getattr(servo, what)
+                options[what] = options.get(what, 0.0) + getattr(servo, what)
         if single and model.jnt_limited[j] and self._switched_on("LIMIT"):
-            given |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
-        return Drive(rest=rest if "stiffness" in given else 0.0, gear=servo.gear, effort=servo.limits, **given)
+            options |= dict(zip(("lower", "upper"), map(float, model.jnt_range[j]), strict=True))
+        return Drive(rest=rest if "stiffness" in options else 0.0, gear=servo.gear, effort=servo.limits, **options)
 
     # ---- actuators ---------------------------------------------------------------------------------------------------
 
     def _actuators(self) -> dict[int, _Servo]:
-        """By joint the actuator whose control is the joint's."""
-        model, found = self.model, dict[int, _Servo]()
+        """For each joint the actuator whose control becomes that of the joint."""
+        model, servos = self.model, dict[int, _Servo]()
         for a in range(model.nu):
             j = int(model.actuator_trnid[a, 0])
             what = self._actuator(a)
@@ -220,20 +220,20 @@ class Mjcf:
                 self.notes.append(f"{what}, which the file switches off")
             elif not self._is_linear(a):
                 self.notes.append(f"{what}, whose force is no linear function of control and motion")
-            elif j in found:
+            elif j in servos:
                 self.notes.append(f"{what}: its joint has another one, whose control is used")
             elif single:
-                found[j] = self._servo(a, j)
+                servos[j] = self._servo(a, j)
                 # MuJoCo has delays from its version 4 on.
                 if delay := float(getattr(model, "actuator_delay", np.zeros(model.nu))[a]):
                     self.notes.append(f"{what}: the delay of its control, {delay:g} s")
             else:
-                found[j] = _Servo()
+                servos[j] = _Servo()
                 self.notes.append(f"{what}: all torques of its joint are controls, without its gear and limits")
-        return found
+        return servos
 
     def _actuator(self, a: int) -> str:
-        """What an actuator is called in notes."""
+        """The name of an actuator in notes."""
         name, joint = self.model.actuator(a).name, self._name("joint", int(self.model.actuator_trnid[a, 0]))
         return f"actuator {name!r} of joint {joint!r}" if name else f"an actuator of joint {joint!r}"
 

@@ -47,7 +47,7 @@ class Closure:
 
 @dataclasses.dataclass(frozen=True)
 class _Led:
-    """A joint's position: ratio times that of its leader, plus offset."""
+    """The position of a joint: ratio times that of its leader, plus offset."""
 
     leader: int
     ratio: float = 1.0
@@ -55,7 +55,7 @@ class _Led:
 
 
 class Equalities:
-    """What the equalities of a model are here.
+    """The equality constraints of an MJCF model as mimic joints and closures.
 
     Args:
         mujoco: the module.
@@ -93,7 +93,7 @@ class Equalities:
         return self._model.equality(e).name or f"equality_{e}"
 
     def _follow(self, e: int, what: str) -> None:
-        """A linear relation: the leaders of its two joints are related, so one of them follows from now on."""
+        """Apply a linear relation of two joints: one of their leaders follows the other from now on."""
         model = self._model
         first, second = int(model.eq_obj1id[e]), int(model.eq_obj2id[e])
         shift, ratio, *more = (float(c) for c in model.eq_data[e, :5])
@@ -135,5 +135,5 @@ class Equalities:
             self.closures.append(Closure(self._called(e), Pose if weld else Point, places))
 
     def _carrier(self, body: int) -> int:
-        """The body that it is fixed to."""
+        """The body to which it is fixed."""
         return int(self._model.body_weldid[body])

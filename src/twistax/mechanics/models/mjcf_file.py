@@ -42,7 +42,7 @@ def compiler(element: Element) -> Any:
 
 
 class Compiled:
-    """A file as MuJoCo compiles it, without what its dynamics do not need.
+    """A file compiled by MuJoCo, without the parts that do not affect the dynamics.
 
     Args:
         root: the element <mujoco>.
@@ -72,10 +72,10 @@ class Compiled:
             raise
         except ValueError as error:
             raise self._said(str(error)) from None
-        self.warnings = [f"MuJoCo warns: {str(each.message).strip()}" for each in caught]
+        self.warnings = [f"MuJoCo warns: {str(warning.message).strip()}" for warning in caught]
 
     def _with_included(self, element: Element, depth: int = 0) -> Element:
-        """The element with what it includes in place. Raises ModelError where something is not to be read."""
+        """The element with included files in place. Raises ModelError for a file that may not be read."""
         if element.tag in _REFUSED and (element.tag != "model" or "file" in element.attributes):
             raise element.wrong(_REFUSED[element.tag])
         if depth > _DEEPEST:
@@ -126,7 +126,7 @@ class Compiled:
         return f"<{head}>\n{inner.removesuffix(chr(10))}</{element.tag}>\n" if inner else f"<{head}/>\n"
 
     def _said(self, message: str) -> ModelError:
-        """MuJoCo's message with the place in the file that it is about."""
+        """An error with MuJoCo's message and the place in the file."""
         at = re.search(r"line (\d+)", message)
         element = self._elements[int(at[1]) - 1] if at else self._about(message)
         return element.wrong(re.sub(r"^(XML )?Error:\s*", "", message.strip()).splitlines()[0])
@@ -138,8 +138,8 @@ class Compiled:
         return max(inside, key=lambda pair: pair[0], default=(0, self._root))[1]
 
     def _lighten(self, spec: Any, mujoco: Any) -> None:
-        """Take out what the dynamics of the bodies do not need: so meshes need not be there."""
-        for kind, each in (
+        """Remove what does not affect the dynamics, so that its meshes need not exist."""
+        for kind, elements in (
             ("sensors", spec.sensors),
             ("keyframes", spec.keys),
             ("tuples", spec.tuples),
@@ -147,11 +147,11 @@ class Compiled:
             ("contact exclusions", spec.excludes),
             ("skins", spec.skins),
         ):
-            self._delete(spec, kind, each)
+            self._delete(spec, kind, elements)
         joints = (mujoco.mjtTrn.mjTRN_JOINT, mujoco.mjtTrn.mjTRN_JOINTINPARENT)
-        others = [actuator for actuator in spec.actuators if actuator.trntype not in joints]
-        self._delete(spec, "actuators of tendons, sites and bodies", others)
-        of_tendons = [each for each in spec.equalities if each.type == mujoco.mjtEq.mjEQ_TENDON]
+        not_of_joints = [actuator for actuator in spec.actuators if actuator.trntype not in joints]
+        self._delete(spec, "actuators of tendons, sites and bodies", not_of_joints)
+        of_tendons = [equality for equality in spec.equalities if equality.type == mujoco.mjtEq.mjEQ_TENDON]
         self._delete(spec, "equalities of tendons", of_tendons)
         self._delete(spec, "tendons", spec.tendons)
         needed = set[str]()
@@ -168,26 +168,26 @@ class Compiled:
             if material is not None:  # it is gone when geoms are drawn
                 named.rgba = material.rgba
             named.material = ""
-        for each in [*spec.materials, *spec.textures, *spec.hfields]:
-            spec.delete(each)
+        for asset in [*spec.materials, *spec.textures, *spec.hfields]:
+            spec.delete(asset)
 
-    def _without_shapes(self, spec: Any, mujoco: Any, body: Any, moves: bool, needed: set[str]) -> None:
-        """Take out geoms that come from files, but for those from which the mass of a body that moves follows."""
+    def _without_shapes(self, spec: Any, mujoco: Any, body: Any, is_moving: bool, needed: set[str]) -> None:
+        """Remove geoms that refer to files, except those that determine the mass of a moving body."""
         by_geoms = spec.compiler.inertiafromgeom == mujoco.mjtInertiaFromGeom.mjINERTIAFROMGEOM_TRUE
-        moves = moves or bool(body.joints)
+        is_moving = is_moving or bool(body.joints)
         for geom in list(body.geoms):
             if geom.type != mujoco.mjtGeom.mjGEOM_HFIELD and not geom.meshname:
                 continue
-            if moves and (by_geoms or not body.explicitinertial):
+            if is_moving and (by_geoms or not body.explicitinertial):
                 needed.add(geom.meshname)
             else:
                 self._delete(spec, "geoms of meshes and height fields", [geom])
         for child in body.bodies:
-            self._without_shapes(spec, mujoco, child, moves, needed)
+            self._without_shapes(spec, mujoco, child, is_moving, needed)
 
-    def _delete(self, spec: Any, kind: str, each: Any) -> None:
-        found = list(each)
-        for one in found:
-            spec.delete(one)
-        if found:
-            self.left_out[kind] += len(found)
+    def _delete(self, spec: Any, kind: str, elements: Any) -> None:
+        deleted = list(elements)
+        for element in deleted:
+            spec.delete(element)
+        if deleted:
+            self.left_out[kind] += len(deleted)

@@ -30,7 +30,7 @@ from .xml_file import Element
 
 
 class Urdf:
-    """The links of a robot, and what the file has beside them.
+    """The links of a URDF robot, and notes on the rest of the file.
 
     Args:
         robot: the root element.
@@ -74,7 +74,7 @@ class Urdf:
         return Link(kind(name), self._body(root), np.eye(4), name=self._tree.root, shapes=self._looks.of(root))
 
     def _length(self, robot: Element) -> float:
-        """The largest distance of a joint or a centre of mass from the frame it is written in, m; 1 without any."""
+        """The largest distance of a joint or a centre of mass from the frame in which it is given, m; 1 without any."""
         inertials = [inertial for link in robot.all("link") for inertial in link.all("inertial")]
         origins = [element.first("origin") for element in (*robot.all("joint"), *inertials)]
         return max((float(np.linalg.norm(self._placed(origin)[1])) for origin in origins), default=0.0) or 1.0
@@ -127,8 +127,8 @@ class Urdf:
         if kind == "planar":
             from ..inertia_frames import rotation_to
 
-            along = unit_vector(f"Planar {name!r}", "axis", axis)
-            return Planar(name), None if np.array_equal(along, [0.0, 0.0, 1.0]) else rotation_to(tuple(along))
+            normal = unit_vector(f"Planar {name!r}", "axis", axis)
+            return Planar(name), None if np.array_equal(normal, [0.0, 0.0, 1.0]) else rotation_to(tuple(normal))
         raise element.wrong(
             f"expected the type revolute, continuous, prismatic, fixed, floating or planar, got {kind!r}"
         )
@@ -143,7 +143,7 @@ class Urdf:
         return z @ y @ x + 0.0, origin.numbers("xyz", 3, np.zeros(3))
 
     def _angle(self, angle: float) -> tuple[float, float]:
-        """Cosine and sine."""
+        """Cosine and sine of an angle."""
         turns = round(angle / (0.5 * math.pi))
         if abs(angle - turns * 0.5 * math.pi) <= self.quarter_turns:
             return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[turns % 4]
@@ -176,7 +176,7 @@ class Urdf:
         return Drive(**numbers, **({} if limit is None else self._limits_of(element, limit)))
 
     def _limits_of(self, element: Element, limit: Element) -> dict[str, float]:
-        """The limits of a joint. Those that stand for something else are noted."""
+        """The limits of a joint. Limits that stand for "no limit" are noted."""
         name, kind = element.text("name"), element.text("type")
         numbers = dict[str, float]()
         for what, attribute in (("speed", "velocity"), ("effort", "effort")):

@@ -60,7 +60,7 @@ class UrdfTree:
                 above = self.end(joint, "parent")
                 if above in passed:
                     circle = passed[passed.index(above) :]
-                    raise joint.wrong(f"links carry each other in a circle: {listed(circle)}")
+                    raise joint.wrong(f"the links form a cycle: {listed(circle)}")
                 passed.append(above)
         roots = [name for name in self.links if name not in carriers]
         if len(roots) > 1:
@@ -91,7 +91,7 @@ class UrdfTree:
                     f"it follows {name!r}, which is {leader.text('type')} and has not one freedom: {self._singles()}"
                 )
             if name in chain:
-                raise joint.wrong(f"the joints {listed(chain)} follow each other in a circle")
+                raise joint.wrong(f"the joints {listed(chain)} form a cycle")
             chain.append(name)
         if joint.text("type") not in SINGLE:
             raise joint.wrong("a joint that follows another has the type revolute, continuous or prismatic")

@@ -1,4 +1,4 @@
-"""The elements and attributes of URDF, and what a file has besides them.
+"""The elements and attributes of URDF, and notes on those of a file that are not used.
 
 Source: the pages of http://wiki.ros.org/urdf/XML, and the parser urdfdom for what they leave out.
 """
@@ -111,7 +111,9 @@ def _refuse_repeated(elements: list[Element], kind: str) -> None:
 
 
 def _look(element: Element, unused: dict[str, list[int]]) -> None:
-    """Collect what is not used of an element and of all within it, with lines. Raises ModelError for what is twice."""
+    """Collect the unused attributes and children of an element and its descendants, with lines. Raises ModelError for
+    duplicates.
+    """
     kind = _VOCABULARY[element.tag]
     for name in element.attributes:
         if name not in kind.attributes.split() and not name.startswith("xmlns"):

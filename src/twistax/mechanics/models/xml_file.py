@@ -1,4 +1,4 @@
-"""An XML file as elements that know their lines. What could expand, or bring in other files, is refused."""
+"""An XML file as elements that know their lines. Entities and external files are refused."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Element:
         return f"<{self.tag}{'' if name is None else f' name={name!r}'}>"
 
     def wrong(self, what: str) -> ModelError:
-        """An error that says where it is."""
+        """A ModelError that names the place of the element."""
         return ModelError(f"{self.place}: {what}")
 
     def all(self, tag: str) -> list[Element]:
@@ -67,7 +67,6 @@ class Element:
         return [child for child in self.children if child.tag == tag]
 
     def first(self, tag: str) -> Element | None:
-        """The first child of one tag."""
         return next(iter(self.all(tag)), None)
 
     def text(self, name: str) -> str:
@@ -172,11 +171,11 @@ def read_xml(path: Path, caller: str = "load", document_type: bool = False, note
         parser.Parse(data, True)
     except expat.ExpatError as error:
         line = error.lineno + skipped
-        raise ModelError(f"{path.name}, line {line}: this is no XML: {expat.ErrorString(error.code)}") from None
+        raise ModelError(f"{path.name}, line {line}: this is not XML: {expat.ErrorString(error.code)}") from None
     except ModelError:
         raise
     except (LookupError, ValueError) as error:  # the encoding that it names
-        raise ModelError(f"{path.name}: this is no XML: {error}") from None
+        raise ModelError(f"{path.name}: this is not XML: {error}") from None
     return roots[0]
 
 

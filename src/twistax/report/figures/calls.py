@@ -1,7 +1,5 @@
 """What a call of `tx.integrate` costs beside its steps: in Python, and for saved times."""
 
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

@@ -1,7 +1,5 @@
 """What lowering and importing cost, how often a landing is found, and the time at an error beside diffrax."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

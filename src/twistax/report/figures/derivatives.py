@@ -1,7 +1,5 @@
 """How accurate derivatives are and what they cost: of a step, and of an integration."""
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable
 from typing import Any

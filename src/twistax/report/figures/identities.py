@@ -5,8 +5,6 @@ of frame b to frame a. Where a pairing is checked, each side is transformed by i
 the difference, relative to the largest entry of the reference where that is above 1.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Sequence
 from types import SimpleNamespace

@@ -1,7 +1,5 @@
 """What a lookup in a table of numbers costs: by its points, its axes and its kind."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import jax

@@ -1,7 +1,5 @@
 """Robots from their files: operations, seconds to compile, and times beside Pinocchio, whose results are compared."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import importlib.util

@@ -1,7 +1,5 @@
 """Small matrices by `tx.fast`: beside C in a scan, and beside JAX."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import runpy

@@ -1,7 +1,5 @@
 """What a step costs: in every chart, through diffrax, and beside C."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import shutil

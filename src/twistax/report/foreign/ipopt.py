@@ -45,7 +45,7 @@ def stated(problem: Foreign | Phased) -> Nlp:
     opti = needed("casadi", "'twistax[casadi]'").Opti()
     phases = problem.phases if isinstance(problem, Phased) else [problem]
     written = [_Statement(phase, opti) for phase in phases]
-    total = sum(each.written() for each in written)
+    total = sum(statement.written() for statement in written)
     for before, after in itertools.pairwise(written):
         for i, (name, var) in enumerate(after.problem.states.items()):
             if var.start is None:

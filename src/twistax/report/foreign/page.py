@@ -79,20 +79,20 @@ class Beside(Report):
 
     def _summary(self) -> list[Row]:
         """Counts, and ratios over the problems that both solve at one optimum."""
-        found = self._measured()
-        worse = {part: apart(self._problems[part], mine, theirs) for part, (theirs, mine) in found.items()}
-        alike = [found[part] for part, size in worse.items() if abs(size) <= SAME]
-        good = [mine.solved and not worse[part] > SAME for part, (_, mine) in found.items()]
+        measured = self._measured()
+        worse = {part: apart(self._problems[part], mine, theirs) for part, (theirs, mine) in measured.items()}
+        pairs = [measured[part] for part, size in worse.items() if abs(size) <= SAME]
+        good = [mine.solved and not worse[part] > SAME for part, (_, mine) in measured.items()]
         counts = {
-            "problems": len(found),
-            "SOLVED by IPOPT": sum(theirs.solved for theirs, _ in found.values()),
-            "SOLVED by twistax": sum(mine.solved for _, mine in found.values()),
+            "problems": len(measured),
+            "SOLVED by IPOPT": sum(theirs.solved for theirs, _ in measured.values()),
+            "SOLVED by twistax": sum(mine.solved for _, mine in measured.values()),
             "SOLVED at IPOPT's optimum or better": sum(good),
-            "SOLVED at one optimum": len(alike),
+            "SOLVED at one optimum": len(pairs),
         }
         rows = [judged(Row(_ALL, what, "count", value=float(count)), between()) for what, count in counts.items()]
         for what, bars in _RATIOS.items():
-            values = [ratio for pair in alike if math.isfinite(ratio := _ratios(*pair)[what])]
+            values = [ratio for pair in pairs if math.isfinite(ratio := _ratios(*pair)[what])]
             for word, pick, bar in (("median", median, bars[0]), ("worst", max, bars[1])):
                 row = Row(_ALL, f"{what}, {word}", _BY, value=float(pick(values)) if values else math.nan)
                 rows.append(judged(row, at_most(bar)))
@@ -106,20 +106,20 @@ class Beside(Report):
         return {}
 
     def context(self) -> dict[str, Any]:
-        found = self._measured()
-        table = [self._line(part, *sides) for part, sides in found.items()]
+        measured = self._measured()
+        table = [self._line(part, *sides) for part, sides in measured.items()]
         summary = [[row.what, row.came, row.bar, row.verdict] for row in self._summary()]
         return {
             "about": self._texts["about"],
             "note": self._texts["note"],
             "table": (_HEAD, table, 1),
             "summary": (["", "came", "asked for", ""], summary, 1),
-            "sources": [self._source(self._problems[part]) for part in found],
+            "sources": [self._source(self._problems[part]) for part in measured],
         }
 
     def _line(self, part: str, theirs: Side, mine: Side) -> list[str]:
         problem, row = self._problems[part], self._row(part)
-        words = dict(each.split(": ", 1) for each in row.note.split("; ") if ": " in each) if row else {}
+        words = dict(entry.split(": ", 1) for entry in row.note.split("; ") if ": " in entry) if row else {}
         ratios = _ratios(theirs, mine)
         shown = lambda x: number(x) if math.isfinite(x) else "-"  # noqa: E731
         both = lambda name, scale: [shown(scale * getattr(side, name)) for side in (theirs, mine)]  # noqa: E731

@@ -230,8 +230,8 @@ class Phased:
 
     def twistax(self) -> Any:
         """The problem as users of this package state it."""
-        stated = [(phase.name, *phase.stated()) for phase in self.phases]
-        return Problem([Phase(system, best, name=name, **options) for name, system, best, options in stated])
+        statements = [(phase.name, *phase.stated()) for phase in self.phases]
+        return Problem([Phase(system, best, name=name, **options) for name, system, best, options in statements])
 
 
 def _side(limit: float) -> float | None:
@@ -242,5 +242,5 @@ def _sides(name: str, low: float, expr: Any, high: float) -> dict[str, Any]:
     """An equality, or an inequality for each side that has a limit."""
     if low == high:
         return {name: expr == low}
-    found = {f"{name}, low": expr >= low} if low > -math.inf else {}
-    return found | ({f"{name}, high": expr <= high} if high < math.inf else {})
+    sides = {f"{name}, low": expr >= low} if low > -math.inf else {}
+    return sides | ({f"{name}, high": expr <= high} if high < math.inf else {})

@@ -93,8 +93,8 @@ def _watched() -> Iterator[list[Any]]:
     found: list[Any] = []
     made = cuda_kernel.CudaKernel.__init__
 
-    def watched(self: Any, tile: Any) -> None:
-        made(self, tile)
+    def watched(self: Any, body: Any) -> None:
+        made(self, body)
         found.append(self)
 
     cuda_kernel.CudaKernel.__init__ = watched  # type: ignore[method-assign]
@@ -133,8 +133,8 @@ def values() -> Rows:
             yield from _tried(functools.partial(_values, f"{what}, {np.dtype(dtype).name}", batch, inputs, dtype))
 
 
-def _values(what: str, batch: Any, inputs: Any, dtype: Any, by: Any = KERNELS) -> Rows:
-    function, arguments = jax.jit(batch(by)), inputs(1000, dtype)
+def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
+    function, arguments = jax.jit(batch(KERNELS)), inputs(1000, dtype)
     expected = function(*_placed(arguments, "cpu"))
     given = _placed(arguments, "cuda")
     with _watched() as kernels:
@@ -143,7 +143,7 @@ def _values(what: str, batch: Any, inputs: Any, dtype: Any, by: Any = KERNELS) -
     yield Row(f"values, {what}", "kernels against the CPU", _difference(found, expected), "relative")
     yield from first.rows(what, f"{len(kernels)} kernels compiled")
     for each in kernels:
-        code, kind = each.lease.code.device, f"{type(each.tile).__name__} of {each.tile.program.operations}"
+        code, kind = each.handle.code.device, f"{type(each.body).__name__} of {each.body.program.operations}"
         yield Row(f"registers, {what}", kind, float(code.registers), "")
         yield Row(f"local memory, {what}", kind, float(code.local), "bytes")
 
@@ -249,28 +249,16 @@ def adaptive() -> Rows:
             yield from _tried(functools.partial(_timed, what, batch, _states, by, BATCH, dtype))
 
 
-def layouts() -> Rows:
-    """Arrays row by row, as they are, and entry by entry, for the same kernels; and how many threads start together."""
-    for by_columns, block in ((False, 64), (True, 64), (True, 128), (False, 32), (False, 128), (False, 256)):
-        cuda_kernel.BY_COLUMNS, cuda_kernel.BLOCK = by_columns, block
-        # Another value: other kernels.
-        own = tx.Native(threads=block + by_columns)
-        for what, batch, inputs in _functions()[::5] if block == 64 else ():
-            run = functools.partial(_values, f"{what}, columns: {by_columns}", batch, inputs, np.float32, own)
-            yield from (row for row in _tried(run) if not row.what.startswith("of it"))
-        for dtype in _TYPES:
-            for what, batch, inputs, count, steps in (
-                ("100 calls in a jit", cases.calls, cases.joints, BATCH, 100),
-                ("100 calls in a jit", cases.calls, cases.joints, LARGE, 100),
-                ("Jacobian of it", cases.slopes, cases.joints, BATCH, 1),
-                ("RKMK4", cases.rollout, _states, BATCH, cases.STEPS),
-                ("adaptive, 11 rows saved", functools.partial(cases.adaptive, rows=11), _states, BATCH, 1),
-            ):
-                if block != 64 and (what != "100 calls in a jit" or dtype is np.float64):
-                    continue
-                run = functools.partial(_timed, what, batch, inputs, own, count, dtype, steps)
-                by = f"{'columns' if by_columns else 'rows'}, {block} threads"
-                yield from (row._replace(by=by) for row in _tried(run) if row.unit.startswith("ns"))
+def blocks() -> Rows:
+    """Threads in a block."""
+    for threads in (32, 64, 128, 256):
+        cuda_kernel.BLOCK = threads
+        backend = tx.Native(threads=threads)  # another value: other kernels
+        for count in (BATCH, LARGE):
+            run = functools.partial(
+                _timed, "100 calls in a jit", cases.calls, cases.joints, backend, count, np.float32, 100
+            )
+            yield from (row._replace(by=f"{threads} threads") for row in _tried(run) if row.unit.startswith("ns"))
 
 
 # ---- beside a device -------------------------------------------------------------------------------------------------
@@ -307,6 +295,6 @@ SECTIONS: Mapping[str, tuple[Callable[[], Rows], float]] = {
     "without": (on_cpu, 40.0),
     "with, again": (on_cpu, 40.0),
     "without, again": (on_cpu, 40.0),
-    "layouts": (layouts, 90.0),
+    "blocks": (blocks, 60.0),
     "rollouts": (rollouts, 60.0),
 }

@@ -1,7 +1,5 @@
 """What is asked of a measurement, and what it may answer: a number, an integration that ended early, or an error."""
 
-from __future__ import annotations
-
 import dataclasses
 import importlib
 import importlib.util

@@ -1,7 +1,5 @@
 """A measurement: what is done, what is asked of the number that comes, and the sections that measurements stand in."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

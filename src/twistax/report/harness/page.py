@@ -1,7 +1,5 @@
 """How results are shown: pages and tables as Markdown and HTML, each written once as a template, and figures."""
 
-from __future__ import annotations
-
 import base64
 import html
 import io

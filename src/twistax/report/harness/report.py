@@ -1,7 +1,5 @@
 """A report: parts measured one after the other, judged, drawn and written as a page; and one made of sections."""
 
-from __future__ import annotations
-
 import argparse
 import functools
 import math

@@ -37,8 +37,9 @@ class Origin:
     def now(cls, effort: Mapping[str, Any], versions: Mapping[str, str] | None = None) -> Origin:
         """The origin of rows that are measured now; `versions` are of further packages."""
         root = Path(twistax.__file__).parent
-        left_out = {*(root / "demo").rglob("*"), Path(__file__).with_name("page.py")}
-        files = [path for path in sorted({*root.rglob("*")} - left_out) if path.suffix in (".py", ".c", ".json", ".ll")]
+        pages = {Path(__file__).with_name("page.py"), *Path(__file__).with_name("templates").rglob("*")}
+        read = {path for path in root.rglob("*") if path.suffix in (".py", ".c", ".json", ".ll", ".toml")}
+        files = sorted(read - pages - {*(root / "demo").rglob("*")})
         code = _digest(b"".join(path.read_bytes() for path in files))
         return cls({name: _version(name) for name in _VERSIONED} | dict(versions or {}), code, _machine(), dict(effort))
 

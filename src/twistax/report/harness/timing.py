@@ -1,7 +1,5 @@
 """How things are timed: compiling apart, competitors compared and then called in turn, calls waited for, medians."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import math

@@ -4,8 +4,6 @@ Source: Dolan, More, Munson, Benchmarking optimization software with COPS 3.0 (2
 values those of the finest meshes of its tables.
 """
 
-from __future__ import annotations
-
 import math
 from typing import Any
 

@@ -26,12 +26,12 @@ def reduced_bends(result: Any) -> Array:
     """
     problem, warm = result.problem, result.warm
     with in_double():
-        given = problem.started().given
-        core = problem.core(1e-6, warm.point, given)
+        data = problem.started().instance
+        core = problem.core(1e-6, warm.point, data)
         program: NonlinearProgram = core.made.setdefault(
-            "second order", NonlinearProgram(core.staged, given, with_copies=False)
+            "second order", NonlinearProgram(core.staged, data, with_copies=False)
         )
-        x, lower, upper, of_bounds, of_rows = program.start(warm, given, core.units(warm.point, given))
+        x, lower, upper, of_bounds, of_rows = program.start(warm, data, core.units(warm.point, data))
         _, g = program.values(x)
         _, slopes = program.first_derivatives(x)
         bends = program.lagrangian_hessian(x, 1.0, of_rows)

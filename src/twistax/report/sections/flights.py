@@ -1,7 +1,5 @@
 """Larger problems of the page of optima: an ascent in phases, a quadrotor past spheres, an arm, a chain of masses."""
 
-from __future__ import annotations
-
 import itertools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Problems as OpenSCvx states and solves them, and ours; both are integrated by our dense rollout."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import itertools

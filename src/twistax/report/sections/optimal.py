@@ -1,7 +1,5 @@
 """Distances of solved problems from known optima, on fixed and refined meshes; solves by IPOPT and Fatrop."""
 
-from __future__ import annotations
-
 import functools
 import statistics
 import tempfile

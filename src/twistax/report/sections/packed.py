@@ -1,7 +1,5 @@
 """A problem with all its states in one vector, whose entries then have units of their own."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

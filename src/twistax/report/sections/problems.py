@@ -1,7 +1,5 @@
 """Trajectory problems whose optimum is known: exactly, as published, or by a convex solver on the same mesh."""
 
-from __future__ import annotations
-
 import dataclasses
 import math
 from collections.abc import Callable, Mapping

@@ -31,11 +31,11 @@ class _Count(NamedTuple):
 @functools.cache
 def _tries(used: Sequence[Strategy]) -> dict[tuple[str, int | None], tuple[bool, float, int]]:
     """Whether each problem is SOLVED from each start, at what cost, and in how many steps."""
-    found = {}
+    tries = {}
     for (name, it), seed in itertools.product(PROBLEMS.items(), _SEEDS):
         result = it.problem.solve(seed=seed, strategies=used)
-        found[name, seed] = result.solved, float(result.cost), result.iterations
-    return found
+        tries[name, seed] = result.solved, float(result.cost), result.iterations
+    return tries
 
 
 def _count(used: Sequence[Strategy]) -> _Count:
@@ -47,10 +47,10 @@ def _count(used: Sequence[Strategy]) -> _Count:
 
 
 def _rows(name: str, used: tuple[Strategy, ...]) -> list[Measurement]:
-    whole = len(PROBLEMS) * len(_SEEDS)
+    total = len(PROBLEMS) * len(_SEEDS)
     return [
-        slow(name, f"SOLVED, of {whole}", between(), lambda: float(_count(used).solved)),
-        slow(name, f"at the best optimum, of {whole}", between(), lambda: float(_count(used).best)),
+        slow(name, f"SOLVED, of {total}", between(), lambda: float(_count(used).solved)),
+        slow(name, f"at the best optimum, of {total}", between(), lambda: float(_count(used).best)),
         slow(name, "steps in all", between(), lambda: float(_count(used).steps)),
     ]
 

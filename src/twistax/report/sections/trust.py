@@ -52,28 +52,27 @@ class Restated:
     reach: Mapping[str, float]
 
     def __call__(self, problem: Any) -> Any:
-        """The same problem."""
-        stated = [problem.stated] if problem.alone else [vars(phase) for phase in problem.phases]
-        leaves = {
-            e.name: e for own in stated for e in (*own["dynamics"].system.states, *own["dynamics"].system.controls)
-        }
+        """The problem in the new units."""
+        parts = [problem.stated] if problem.alone else [vars(phase) for phase in problem.phases]
+        systems = [part["dynamics"].system for part in parts]
+        leaves = {leaf.name: leaf for system in systems for leaf in (*system.states, *system.controls)}
         flat = lambda leaf: isinstance(leaf, Control) or leaf.group.flat  # noqa: E731
         sizes = dict(zip(leaves, itertools.cycle((self.size, 1.0 / self.size))))
         sizes |= {name: 1.0 for name, leaf in leaves.items() if not flat(leaf)}
         units = _Units(self, sizes, {name: self._leaf(e, sizes[name]) if flat(e) else e for name, e in leaves.items()})
         units.exchange.update((e.key(), units.old(name)) for name, e in leaves.items())
         if problem.alone:
-            return tx.trajectory.Problem(**units.statement(stated[0]))
-        links = [{units.leaves[name_of(k)]: units.new(k, v) for k, v in own.items()} for own in problem.stated["links"]]
-        phases = [tx.trajectory.Phase(**units.statement(own)) for own in stated]
+            return tx.trajectory.Problem(**units.statement(parts[0]))
+        links = [{units.leaves[name_of(k)]: units.new(k, v) for k, v in x.items()} for x in problem.stated["links"]]
+        phases = [tx.trajectory.Phase(**units.statement(part)) for part in parts]
         return tx.trajectory.Problem(**problem.stated | {"dynamics": phases, "links": links})
 
     def _leaf(self, leaf: State | Control, size: float) -> Any:
         far = _FAR * self.width * self.reach[leaf.name]
         low, high = (self._limit(limit, side * far) * size for limit, side in ((leaf.min, -1.0), (leaf.max, 1.0)))
-        own = {name: getattr(leaf, name) for name in ("guess", "scale")}
-        own = {name: value * size for name, value in own.items() if value is not None}
-        return type(leaf)(leaf.name, shape=leaf.shape, min=low, max=high, **own)
+        options = {name: getattr(leaf, name) for name in ("guess", "scale")}
+        options = {name: value * size for name, value in options.items() if value is not None}
+        return type(leaf)(leaf.name, shape=leaf.shape, min=low, max=high, **options)
 
     @staticmethod
     def _limit(limit: Any, far: float) -> Any:
@@ -84,13 +83,13 @@ class Restated:
 class _Units:
     """New leaves, and how many of their units make an old one, by name."""
 
-    restated: Restated
+    change: Restated
     sizes: Mapping[str, float]
     leaves: Mapping[str, Any]
     exchange: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        self.exchange[tx.Time().key()] = tx.Time() / self.restated.size
+        self.exchange[tx.Time().key()] = tx.Time() / self.change.size
 
     def old(self, name: str) -> Any:
         """What a leaf was, of the new one."""
@@ -101,35 +100,35 @@ class _Units:
         size = self.sizes[name_of(leaf)]
         return size * (substitute(value, self.exchange) if isinstance(value, tx.Expr) else np.asarray(value))
 
-    def statement(self, stated: Mapping[str, Any]) -> dict[str, Any]:
+    def statement(self, statement: Mapping[str, Any]) -> dict[str, Any]:
         """What a problem or a phase is stated with."""
-        size, width = self.restated.size, self.restated.width
-        system, objective, put = stated["dynamics"].system, stated["objective"], self._put
+        size, width = self.change.size, self.change.width
+        system, objective, put = statement["dynamics"].system, statement["objective"], self._put
         rates = {self.leaves[s]: self.sizes[s] / size * put(rate) for s, rate in system.rates.items()}
-        constraints: Any = {name: put(each) for name, each in system.constraints.items()}
-        found = dict(stated) | {"dynamics": tx.compile(tx.System(rates=rates, constraints=constraints))}
+        constraints: Any = {name: put(expr) for name, expr in system.constraints.items()}
+        changed = dict(statement) | {"dynamics": tx.compile(tx.System(rates=rates, constraints=constraints))}
         if objective is not None:
             final, running = (
                 None if part is None else put(part) / size**power
                 for part, power in ((objective.final, 1), (objective.running, 2))
             )
-            found["objective"] = type(objective)(final, running=running)
+            changed["objective"] = type(objective)(final, running=running)
         for end in ("initial", "final"):
-            values, asked = split(end, stated[end])
-            found[end] = [self._values(values), *map(put, asked.values())]
-        found["guess"] = self._values(stated["guess"] or {})
-        times = np.asarray(stated["final_time"]) * size
-        found["final_time"] = (times[0] / width, times[1] * width) if times.ndim else float(times)
-        guess = stated["final_time_guess"]
+            values, conditions = split(end, statement[end])
+            changed[end] = [self._values(values), *map(put, conditions.values())]
+        changed["guess"] = self._values(statement["guess"] or {})
+        times = np.asarray(statement["final_time"]) * size
+        changed["final_time"] = (times[0] / width, times[1] * width) if times.ndim else float(times)
+        guess = statement["final_time_guess"]
         # Not the default, which does not move with the limits: their middle is a bad guess, and so a hard start.
-        found["final_time_guess"] = float(np.mean(found["final_time"])) if guess is None else guess * size
-        return found
+        changed["final_time_guess"] = float(np.mean(changed["final_time"])) if guess is None else guess * size
+        return changed
 
     def _put(self, expr: Any) -> Any:
         return substitute(expr, self.exchange)
 
-    def _values(self, given: Mapping[Any, Any]) -> dict[Any, Any]:
-        return {self.leaves[name_of(leaf)]: self.new(leaf, value) for leaf, value in given.items()}
+    def _values(self, by_leaf: Mapping[Any, Any]) -> dict[Any, Any]:
+        return {self.leaves[name_of(leaf)]: self.new(leaf, value) for leaf, value in by_leaf.items()}
 
 
 @dataclasses.dataclass(frozen=True)
@@ -154,7 +153,7 @@ def _stays(result: Any) -> bool:
     return bool(closer.solved) and _alike(closer.cost, result.cost)
 
 
-class Sweep:
+class StartSweep:
     """All solves of one problem.
 
     Args:
@@ -193,45 +192,46 @@ class Sweep:
             raise RuntimeError(
                 f"plainly stated it ends at {plain.cost:.9g}, where a closer solve does not stay, or at a saddle"
             )
-        found = [each for own in itertools.product(SIZES, WIDTHS) for each in self._of(Restated(*own, reach), STARTS)]
+        changes = [Restated(*factors, reach) for factors in itertools.product(SIZES, WIDTHS)]
+        trials = [trial for change in changes for trial in self._of(change, STARTS)]
         if self.known.problem.alone:
-            found += [each for size in SIZES for each in self._of(Restated(size, 1.0, reach), 1, packed)]
-        return found
+            trials += [trial for size in SIZES for trial in self._of(Restated(size, 1.0, reach), 1, packed)]
+        return trials
 
-    def _of(self, restated: Restated, starts: int, form: Callable[[Any], Any] = lambda own: own) -> Iterator[Tried]:
-        problem = form(restated(self.known.problem))
+    def _of(self, change: Restated, starts: int, form: Callable[[Any], Any] = lambda same: same) -> Iterator[Tried]:
+        problem = form(change(self.known.problem))
         for start in range(starts):
             result = problem.solve(seed=start or None)
-            found = Tried(result.solved, result.cost * restated.size, result.iterations)
+            trial = Tried(result.solved, result.cost * change.size, result.iterations)
             # At once, so that the problem can go: of a hundred compiled ones the memory maps of a process run out.
-            if found.solved and not _alike(found.cost, self.known.result.cost):
+            if trial.solved and not _alike(trial.cost, self.known.result.cost):
                 stays = _stays(result)
-                found = dataclasses.replace(found, stays=stays, is_saddle=stays and is_saddle(result))
-            yield found
+                trial = dataclasses.replace(trial, stays=stays, is_saddle=stays and is_saddle(result))
+            yield trial
         del problem, result
         gc.collect()
 
     @functools.cached_property
     def best(self) -> float:
         """The cost of the best that was found."""
-        costs = [each.cost for each in self.tried if each.solved]
+        costs = [trial.cost for trial in self.tried if trial.solved]
         sign = self.known.problem.sign
         return sign * min((sign * cost for cost in costs), default=math.nan)
 
     @functools.cached_property
     def elsewhere(self) -> list[Tried]:
         """SOLVED at other costs than the best one."""
-        return [each for each in self.tried if each.solved and not _alike(each.cost, self.best)]
+        return [trial for trial in self.tried if trial.solved and not _alike(trial.cost, self.best)]
 
     @property
     def wrong(self) -> list[Tried]:
         """Those of them at no stationary point: a closer solve does not stay."""
-        return [each for each in self.elsewhere if not each.stays]
+        return [trial for trial in self.elsewhere if not trial.stays]
 
     @property
     def saddles(self) -> list[Tried]:
         """Those of the others where the objective falls to second order."""
-        return [each for each in self.elsewhere if each.is_saddle]
+        return [trial for trial in self.elsewhere if trial.is_saddle]
 
     def apart(self) -> float:
         """The best, relative to the known optimum."""
@@ -239,7 +239,7 @@ class Sweep:
 
     def spread(self) -> float:
         """The largest relative difference of those at the best."""
-        same = [each.cost for each in self.tried if each.solved and _alike(each.cost, self.best)]
+        same = [trial.cost for trial in self.tried if trial.solved and _alike(trial.cost, self.best)]
         return max((abs(cost / self.best - 1.0) for cost in same), default=math.nan)
 
 
@@ -249,31 +249,33 @@ _DENSE_AT_ENDS = Mesh(0.5 - 0.5 * np.cos(np.linspace(0.0, np.pi, 41)))
 _FAST = _given(problems.fastest, 1.0, (0.5, 6.0), 1.0)
 
 SWEEPS = {
-    "least time of a mass: 2 s, 21 nodes": Sweep(Known(_FAST, 2.0, 1e-5)),
-    "brachistochrone: 1.80160 s, 51 nodes": Sweep(Known(problems.brachistochrone, 1.80160, 1e-3)),
-    "Bryson-Denham: 4, 61 nodes": Sweep(Known(problems.bryson_denham, 4.0, 5e-3)),
-    "Goddard: 1.01284, 51 nodes": Sweep(Known(problems.goddard, 1.01284, 1e-5)),
-    "cart-pole of Kelly: 58.8077, 51 nodes": Sweep(Known(problems.cart_pole, 58.8077, 1e-2)),
-    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": Sweep(Known(problems.reorientation, 3.24307, 1e-3)),
-    "rendezvous, norm as cost: 1.212619, 31 nodes": Sweep(
+    "least time of a mass: 2 s, 21 nodes": StartSweep(Known(_FAST, 2.0, 1e-5)),
+    "brachistochrone: 1.80160 s, 51 nodes": StartSweep(Known(problems.brachistochrone, 1.80160, 1e-3)),
+    "Bryson-Denham: 4, 61 nodes": StartSweep(Known(problems.bryson_denham, 4.0, 5e-3)),
+    "Goddard: 1.01284, 51 nodes": StartSweep(Known(problems.goddard, 1.01284, 1e-5)),
+    "cart-pole of Kelly: 58.8077, 51 nodes": StartSweep(Known(problems.cart_pole, 58.8077, 1e-2)),
+    "half turn of Bilimoria and Wie: 3.24307 s, 51 nodes": StartSweep(Known(problems.reorientation, 3.24307, 1e-3)),
+    "rendezvous, norm as cost: 1.212619, 31 nodes": StartSweep(
         Known(_given(problems.rendezvous, "norm as cost"), 1.212619, 1e-5)
     ),
-    "rendezvous, a slack: 1.212619, 31 nodes": Sweep(
+    "rendezvous, a slack: 1.212619, 31 nodes": StartSweep(
         Known(_given(problems.rendezvous, "norm below a slack"), 1.212619, 1e-5)
     ),
-    "hypersensitive: 1.33, 41 nodes": Sweep(
+    "hypersensitive: 1.33, 41 nodes": StartSweep(
         Known(_given(problems.hypersensitive, nodes=_DENSE_AT_ENDS), 1.3308069, 5e-2)
     ),
-    "landing of the demo: 27,260 kg, 25 nodes": Sweep(Known(problems.landing, 27_260.0, 1e-4)),
-    "Panda from shelf to shelf: 0.860227 s, 41 nodes": Sweep(Known(flights.panda, 0.860227, 1e-5)),
-    "robot arm of COPS: 9.14093 s, 51 nodes": Sweep(Known(cops.robot_arm, 9.14093, 1e-3)),
-    "particle steering of COPS, linear: 0.554571 s, 51 nodes": Sweep(Known(cops.particle_steering, 0.554571, 2e-6)),
-    "catalyst mixing of COPS: 0.0480556, 101 nodes": Sweep(Known(cops.catalyst_mixing, 0.0480556, 1e-5)),
-    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": Sweep(
+    "landing of the demo: 27,260 kg, 25 nodes": StartSweep(Known(problems.landing, 27_260.0, 1e-4)),
+    "Panda from shelf to shelf: 0.860227 s, 41 nodes": StartSweep(Known(flights.panda, 0.860227, 1e-5)),
+    "robot arm of COPS: 9.14093 s, 51 nodes": StartSweep(Known(cops.robot_arm, 9.14093, 1e-3)),
+    "particle steering of COPS, linear: 0.554571 s, 51 nodes": StartSweep(
+        Known(cops.particle_steering, 0.554571, 2e-6)
+    ),
+    "catalyst mixing of COPS: 0.0480556, 101 nodes": StartSweep(Known(cops.catalyst_mixing, 0.0480556, 1e-5)),
+    "Delta III in four phases, linear: 7,529.712 kg, 29 nodes": StartSweep(
         Known(flights.delta_iii, 7529.712, 1e-5), solved=_STATED
     ),
     # A way past spheres for each side of each: many optima, and not every start is SOLVED.
-    "quadrotor past three spheres: 1.489138 s, 31 nodes": Sweep(
+    "quadrotor past three spheres: 1.489138 s, 31 nodes": StartSweep(
         Known(flights.quadrotor, 1.489138, 1e-5, {"guesses": STARTS * 2}), solved=0.0
     ),
 }
@@ -282,12 +284,12 @@ TRUST: Section = [
     slow(name, by, expected, measure, sweep)
     for name, sweep in SWEEPS.items()
     for by, expected, measure in (
-        ("best, from the known", at_most(sweep.known.bar), Sweep.apart),
-        ("SOLVED", between(low=sweep.solved), lambda own: sum(each.solved for each in own.tried)),
-        ("SOLVED at no stationary point", at_most(0), lambda own: len(own.wrong)),
-        ("SOLVED at other stationary points", between(), lambda own: len(own.elsewhere) - len(own.wrong)),
-        ("SOLVED at saddles", at_most(0), lambda own: len(own.saddles)),
-        ("largest difference of the rest", at_most(_SAME), Sweep.spread),
-        ("most steps", between(), lambda own: max(each.iterations for each in own.tried)),
+        ("best, from the known", at_most(sweep.known.bar), StartSweep.apart),
+        ("SOLVED", between(low=sweep.solved), lambda sweep: sum(trial.solved for trial in sweep.tried)),
+        ("SOLVED at no stationary point", at_most(0), lambda sweep: len(sweep.wrong)),
+        ("SOLVED at other stationary points", between(), lambda sweep: len(sweep.elsewhere) - len(sweep.wrong)),
+        ("SOLVED at saddles", at_most(0), lambda sweep: len(sweep.saddles)),
+        ("largest difference of the rest", at_most(_SAME), StartSweep.spread),
+        ("most steps", between(), lambda sweep: max(trial.iterations for trial in sweep.tried)),
     )
 ]

@@ -1,7 +1,5 @@
 """What is evaluated: a free body and chains, as systems of the package and in plain matrices."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Sequence

@@ -1,7 +1,5 @@
 """`python -m twistax report --speed`: what is compared and timed, its bars, and the tables and figures of its page."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

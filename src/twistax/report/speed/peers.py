@@ -1,7 +1,5 @@
 """The contenders of other packages: OpenSCvx, Pinocchio, and C code of CasADi."""
 
-from __future__ import annotations
-
 import ctypes
 import functools
 import subprocess

@@ -1,7 +1,5 @@
 """Events and jumps of controls at the edges of steps."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Integrations that cannot reach their end, and input that is refused."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

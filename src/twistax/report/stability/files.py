@@ -1,7 +1,5 @@
 """Files of models: what is refused by name and line, what is noted and how it moves, and which folder may be read."""
 
-from __future__ import annotations
-
 import tempfile
 from pathlib import Path
 from typing import Any

@@ -1,7 +1,5 @@
 """Air above 86 km beside the published tables, and local axes at a pole."""
 
-from __future__ import annotations
-
 from typing import Any
 
 import numpy as np

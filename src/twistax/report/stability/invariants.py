@@ -1,7 +1,5 @@
 """Drift of energy, momentum and orthonormality; and bodies with extreme inertias, masses and positions."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping

@@ -5,8 +5,6 @@ floating point numbers at the largest entry of the block (for the position of ex
 Beyond 1 rad the figure is divided by the angle, because rounding the angle itself moves the exact result that far.
 """
 
-from __future__ import annotations
-
 import functools
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass

@@ -1,7 +1,5 @@
 """Masses that move within bodies, and closed loops whose rows nearly depend on one another."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """Failed integrations in batches, derivatives and processes; rates with rounding noise; drift in single precision."""
 
-from __future__ import annotations
-
 import functools
 import subprocess
 import sys

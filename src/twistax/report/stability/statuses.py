@@ -1,7 +1,5 @@
 """Whether SOLVED means what it says: rows without slope, meshes too coarse, limits between nodes, warm starts."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

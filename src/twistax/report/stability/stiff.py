@@ -1,7 +1,5 @@
 """Steps far longer than the fastest time constant of a system, and rotations of more than a full turn in a step."""
 
-from __future__ import annotations
-
 import functools
 from typing import Any
 

@@ -1,7 +1,5 @@
 """The integrators of the report: each builds a program of a scene; programs of a scene are timed in turn."""
 
-from __future__ import annotations
-
 import dataclasses
 import functools
 import json

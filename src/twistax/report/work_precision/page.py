@@ -1,7 +1,5 @@
 """`python -m twistax report`: scenes by methods, and what the page shows of them."""
 
-from __future__ import annotations
-
 import argparse
 import dataclasses
 import functools

@@ -46,10 +46,10 @@ def _ordered(name: str) -> Any:
     """le_to, lt_to: the order of all numbers, NaN behind them and equal to itself."""
 
     def compare(g: Graph, a: int, b: int) -> int:
-        behind = on(g, "ne", b, b)
+        is_greater = on(g, "ne", b, b)
         if name == "lt":
-            behind = OPERATIONS["and"].on(g)(behind, on(g, "eq", a, a))
-        return OPERATIONS["or"].on(g)(on(g, name, a, b), behind)
+            is_greater = OPERATIONS["and"].on(g)(is_greater, on(g, "eq", a, a))
+        return OPERATIONS["or"].on(g)(on(g, name, a, b), is_greater)
 
     return lambda reader, eqn, *arrays: [each(functools.partial(compare, reader.graph), *arrays)]
 
@@ -60,9 +60,9 @@ def _converted(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
 
 
 def _reduced(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
-    """Nothing, where it names the type's own precision."""
-    own, p = jnp.finfo(eqn.invars[0].aval.dtype), eqn.params
-    return [a] if (p["exponent_bits"], p["mantissa_bits"]) == (own.nexp, own.nmant) else None
+    """The operand itself, if the precision is that of its type."""
+    precision, p = jnp.finfo(eqn.invars[0].aval.dtype), eqn.params
+    return [a] if (p["exponent_bits"], p["mantissa_bits"]) == (precision.nexp, precision.nmant) else None
 
 
 def _same(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
@@ -112,20 +112,20 @@ def _dot_general(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | 
     inner = math.prod(a.shape[i] for i in left)
     A = a.transpose([*left_batch, *left_free, *left]).reshape(math.prod(batch), math.prod(rows), inner).tolist()
     B = b.transpose([*right_batch, *right_free, *right]).reshape(math.prod(batch), math.prod(columns), inner).tolist()
-    found = [
+    entries = [
         functools.reduce(g.add, map(g.mul, row, column), g.zero)
         for above, below in zip(A, B, strict=True)
         for row in above
         for column in below
     ]
-    return [nodes(found, (*batch, *rows, *columns))]
+    return [nodes(entries, (*batch, *rows, *columns))]
 
 
 def _full_precision(p: Mapping[str, Any]) -> bool:
     """Whether the processor's own products are meant: an algorithm may round the factors."""
-    given = p["precision"]
-    each = given if isinstance(given, tuple) else (given,)
-    return all(one is None or isinstance(one, lax.Precision) for one in each)
+    precision = p["precision"]
+    both = precision if isinstance(precision, tuple) else (precision,)
+    return all(one is None or isinstance(one, lax.Precision) for one in both)
 
 
 def _product_work(eqn: Any) -> Mapping[str, int]:
@@ -160,8 +160,8 @@ def _reduction(
         if not all(lists):
             return None if empty is None else [np.full(shape, g.constant(empty, np.dtype(result.dtype)), np.int64)]
         if many is not None and jnp.issubdtype(result.dtype, jnp.floating) and max(map(len, lists), default=0) > 2:
-            return [nodes([g.node(many, *each) for each in lists], shape)]
-        return [nodes([functools.reduce(OPERATIONS[pair].on(g), each) for each in lists], shape)]
+            return [nodes([g.node(many, *terms) for terms in lists], shape)]
+        return [nodes([functools.reduce(OPERATIONS[pair].on(g), terms) for terms in lists], shape)]
 
     return Entry(name, read, takes, work=_reduction_work(pair), **{"inside": SMALL, **more})
 
@@ -169,10 +169,10 @@ def _reduction(
 def _cumulative(name: str, pair: str) -> Entry:
     def read(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
         axis, backwards = eqn.params["axis"], -1 if eqn.params["reverse"] else 1
-        found = np.moveaxis(a, axis, -1)[..., ::backwards].copy()
-        for index in np.ndindex(*found.shape[:-1]):
-            found[index] = list(itertools.accumulate(found[index].tolist(), OPERATIONS[pair].on(reader.graph)))
-        return [np.moveaxis(found[..., ::backwards], -1, axis)]
+        totals = np.moveaxis(a, axis, -1)[..., ::backwards].copy()
+        for index in np.ndindex(*totals.shape[:-1]):
+            totals[index] = list(itertools.accumulate(totals[index].tolist(), OPERATIONS[pair].on(reader.graph)))
+        return [np.moveaxis(totals[..., ::backwards], -1, axis)]
 
     return Entry(name, read, "axis reverse", inside=SMALL, work=lambda eqn: {pair: eqn.outvars[0].aval.size})
 
@@ -184,17 +184,17 @@ def _place_of(name: str, further: str) -> Entry:
         g, dtype = reader.graph, np.dtype(eqn.params["index_dtype"])
         real = jnp.issubdtype(eqn.invars[0].aval.dtype, jnp.inexact)
         lists, shape = gathered(a, tuple(map(int, eqn.params["axes"])))
-        found = []
-        for first, *others in lists:
+        places = []
+        for first, *rest in lists:
             best, place = first, g.constant(0, dtype)
-            for k, entry in enumerate(others, start=1):
+            for k, entry in enumerate(rest, start=1):
                 better = on(g, further, entry, best)
                 if real:
                     first_nan = OPERATIONS["and"].on(g)(on(g, "ne", entry, entry), on(g, "eq", best, best))
                     better = OPERATIONS["or"].on(g)(better, first_nan)
                 best, place = g.select(better, entry, best), g.select(better, g.constant(k, dtype), place)
-            found.append(place)
-        return [nodes(found, shape)]
+            places.append(place)
+        return [nodes(places, shape)]
 
     one_axis = lambda p: len(p["axes"]) == 1  # noqa: E731
     return Entry(name, read, "axes index_dtype", when=one_axis, inside=SMALL, work=_reduction_work(name))
@@ -235,16 +235,16 @@ def _cholesky(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     g, n = reader.graph, a.shape[-1]
     if n > _LARGEST:
         return None
-    found = np.full(a.shape, g.zero)
+    factors = np.full(a.shape, g.zero)
     for index in np.ndindex(*a.shape[:-2]):
-        A, L = a[index], found[index]
+        A, L = a[index], factors[index]
         for j in range(n):
             for i in range(j, n):
                 rest = int(A[i, j])
                 for k in range(j):
                     rest = g.sub(rest, g.mul(int(L[i, k]), int(L[j, k])))
                 L[i, j] = on(g, "sqrt", rest) if i == j else g.div(rest, int(L[j, j]))
-    return [found]
+    return [factors]
 
 
 def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
@@ -261,13 +261,13 @@ def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     rows = [g.constant(i, index) for i in range(n)]
     pivots, order = list(rows), list(rows)
     for k in range(n):
-        others = [i for i in range(k + 1, n) if A[i, k] != g.zero]
+        candidates = [i for i in range(k + 1, n) if A[i, k] != g.zero]
         best = on(g, "abs", int(A[k, k]))
-        for i in others:
+        for i in candidates:
             size = on(g, "abs", int(A[i, k]))
             better = on(g, "gt", size, best)
             best, pivots[k] = g.select(better, size, best), g.select(better, rows[i], pivots[k])
-        for i in others:
+        for i in candidates:
             swap = on(g, "eq", pivots[k], rows[i])
             for j in range(n):
                 low, high = int(A[i, j]), int(A[k, j])

@@ -1,4 +1,4 @@
-"""Cotangents on the graph, each a product that is not taken before it must."""
+"""Cotangents on the graph, each a product that is multiplied out only where necessary."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Cotangent(NamedTuple):
     rate: int
 
     def through(self, g: Graph, slope: int | tuple[int, int]) -> Cotangent:
-        """That of an argument of an operation with this derivative."""
+        """The cotangent of an argument of an operation with this derivative."""
         if isinstance(slope, tuple):
             return Cotangent(g.scaled(g.over(slope[0], self.rate), self.weight), slope[1])
         if self.rate == g.one:
@@ -41,7 +41,7 @@ class Cotangent(NamedTuple):
 
 
 class Cotangents(Mapping[int, int]):
-    """The cotangents of nodes, sums of what each reader of a node gives it."""
+    """The cotangents of nodes, each the sum of the contributions of its readers."""
 
     def __init__(self, graph: Graph) -> None:
         self._graph = graph
@@ -57,7 +57,7 @@ class Cotangents(Mapping[int, int]):
         weights[term.rate] = term.weight if known is None else g.joined(known, term.weight)
 
     def of(self, node: int) -> list[Cotangent]:
-        """That of a node whose readers have all given theirs: the terms of a sum.
+        """The terms of the cotangent of a node, once all its readers have contributed.
 
         A few products stay apart, as those of r^2 that is read by 1 / r^2 and by its root: each has its size.
         """
@@ -73,8 +73,8 @@ class Cotangents(Mapping[int, int]):
             return [Cotangent(_sum(g, terms), g.one)]
         relative = [term for term in terms if g.reciprocal_of(term.rate) is not None and not g.may_be_cut(term.weight)]
         rest = [term for term in terms if term not in relative]
-        found = [_joined(g, node, relative)] if relative else []
-        return [*found, Cotangent(_sum(g, rest), g.one)] if rest else found
+        joined = [_joined(g, node, relative)] if relative else []
+        return [*joined, Cotangent(_sum(g, rest), g.one)] if rest else joined
 
     def __getitem__(self, node: int) -> int:
         return _sum(self._graph, self.of(node))
@@ -95,8 +95,8 @@ def _joined(g: Graph, node: int, terms: Sequence[Cotangent]) -> Cotangent:
     Their sum as a number may have a derivative out of range, as that of r^-5 by r^2 at r = 7e6, where its product with
     the derivative of r^2 is not. The weights, changes of the result with relative ones of d, have the result's size.
     """
-    own = g.div(g.one, node)
-    rate = own if any(term.rate == own for term in terms) else terms[0].rate
+    inverse = g.div(g.one, node)
+    rate = inverse if any(term.rate == inverse for term in terms) else terms[0].rate
     divisor = g.reciprocal_of(rate)
     assert divisor is not None
     weights = (

@@ -1,4 +1,4 @@
-"""What an entry of the table says of a primitive of JAX, or of an operation on scalars."""
+"""Entries of the table of primitives, and operations on scalars."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
 class Entry:
-    """What is known of a primitive of JAX. Compared and hashed by identity.
+    """The entry of a primitive of JAX. Compared and hashed by identity.
 
     Attributes:
         name: of the primitive.
@@ -83,7 +83,7 @@ class Entry:
         return self.name
 
     def understands(self, eqn: Any) -> bool:
-        """Whether the values of an equation's parameters are ones that are read.
+        """Whether the entry handles the values of an equation's parameters.
 
         Raises:
             Unread: it has other parameters than are known.
@@ -91,7 +91,7 @@ class Entry:
         return self.when(parameters(eqn, *_names(self.takes)))
 
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-        """The results of an equation as nodes; None: it stays a call of JAX.
+        """The results of an equation as nodes; None if it stays a call.
 
         Raises:
             Unread: a parameter has a form that is not known.
@@ -117,7 +117,7 @@ moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
 
 
 class Forms(NamedTuple):
-    """How an operation is written in another language, by the type of its last argument; None: it is not.
+    """The forms of an operation in another language, by the type of its last argument; None if there is none.
 
     In C: an expression in $a, $b, $c; $T and $R are the types of the arguments and the result, $U is an unsigned
     type to add integers in, $f the suffix of libm's names, $least and $most the ends of the result's type.
@@ -185,19 +185,19 @@ class Operation(Entry):
         return [each(self.on(reader.graph), *arrays)]
 
     def on(self, g: Graph) -> Callable[..., int]:
-        """What makes its node from those of the arguments."""
+        """The function that makes its node from those of the arguments."""
         return functools.partial(g.node, self) if self.maker is None else self.maker(g)
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         """sum_i (partial_i) t_i for each set of tangents t."""
         if self.partials is None:
-            return [None] * len(along)
-        partials, found = self.partials(g, arguments, node), []
-        for tangents in along:
+            return [None] * len(directions)
+        partials, results = self.partials(g, arguments, node), []
+        for tangents in directions:
             pairs = zip(partials, tangents, strict=True)
             terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
-            found.append(functools.reduce(g.add, terms) if terms else None)
-        return found
+            results.append(functools.reduce(g.add, terms) if terms else None)
+        return results
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent
@@ -217,9 +217,9 @@ def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
 class Select(Operation):
     """a where c, else b. Derivatives are selected too: nothing of the other branch is multiplied."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         zero = g.constant(0.0, g.dtypes[node])
-        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in along]
+        chosen = [[zero if t is None else t for t in tangents[1:]] for tangents in directions]
         return [None if pair == [zero, zero] else g.select(arguments[0], *pair) for pair in chosen]
 
     def cotangents(
@@ -232,9 +232,9 @@ class Select(Operation):
 class Convert(Operation):
     """The conversion to another type. Linear between floating-point types, else of no derivative."""
 
-    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, along: Tangents) -> list[int | None]:
+    def tangents(self, g: Graph, arguments: tuple[int, ...], node: int, directions: Tangents) -> list[int | None]:
         linear = self._linear(g, arguments, node)
-        return [g.node(self, t) if linear and t is not None else None for (t,) in along]
+        return [g.node(self, t) if linear and t is not None else None for (t,) in directions]
 
     def cotangents(
         self, g: Graph, arguments: tuple[int, ...], node: int, cotangent: Cotangent

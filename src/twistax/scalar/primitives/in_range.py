@@ -37,9 +37,9 @@ def quotient(a: Any, b: Any) -> jax.Array:
     if not jnp.issubdtype(dtype, jnp.floating) or a.dtype != b.dtype:
         return a / b
     shape = jnp.broadcast_shapes(a.shape, b.shape)
-    numerator, divisor = varying_alike([jnp.broadcast_to(each, shape) for each in (a, b)])
-    found: jax.Array = quotient_p.bind(numerator, divisor)
-    return found
+    numerator, divisor = varying_alike([jnp.broadcast_to(x, shape) for x in (a, b)])
+    result: jax.Array = quotient_p.bind(numerator, divisor)
+    return result
 
 
 def _quotient_jvp(primals: Any, tangents: Any) -> Any:
@@ -74,8 +74,8 @@ _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 
 def apart(x: jax.Array) -> jax.Array:
     """x, of which XLA takes no part into products with others: those may be out of range."""
-    found: jax.Array = apart_p.bind(x)
-    return found
+    result: jax.Array = apart_p.bind(x)
+    return result
 
 
 apart_p = _defined("apart", lambda x: jax.lax.optimization_barrier(x), lambda x: x.update(weak_type=False))
@@ -99,8 +99,8 @@ def scales(dtype: Any, terms: int) -> tuple[float, float, float]:
 
 def norm(x: Any) -> jax.Array:
     """The root of the sum of squares of all entries. Its derivative is $sum (x_i / |x|) dx_i$; all are zero at zero."""
-    found: jax.Array = norm_p.bind(x, kept=0)
-    return found
+    result: jax.Array = norm_p.bind(x, kept=0)
+    return result
 
 
 def _norm(x: jax.Array, *, kept: int) -> jax.Array:
@@ -123,8 +123,8 @@ def _norm_jvp(primals: Any, tangents: Any, *, kept: int) -> Any:
     size = y.reshape(*y.shape, *(1 for _ in x.shape[kept:]))
     zero = size == 0.0
     # At zero the numerator is a number too: so is its derivative zero.
-    along = quotient(jnp.where(zero, 0.0, x).astype(x.dtype), jnp.where(zero, 1.0, size).astype(x.dtype))
-    return y, jnp.sum(along * ad.instantiate_zeros(dx), axis=tuple(range(kept, x.ndim)))
+    direction = quotient(jnp.where(zero, 0.0, x).astype(x.dtype), jnp.where(zero, 1.0, size).astype(x.dtype))
+    return y, jnp.sum(direction * ad.instantiate_zeros(dx), axis=tuple(range(kept, x.ndim)))
 
 
 def _norm_batched(arguments: Any, axes: Any, *, kept: int) -> Any:

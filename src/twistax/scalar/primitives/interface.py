@@ -1,4 +1,4 @@
-"""What the table of primitives needs of a graph of scalars and of a reader of jaxprs; and arrays of nodes."""
+"""The interfaces of a graph of scalars and of a reader of jaxprs for the table of primitives; and arrays of nodes."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class Limits:
 
 
 class Graph(Protocol):
-    """A graph of scalars; `ScalarGraph` says what its methods do."""
+    """The interface of `ScalarGraph`, which documents the methods."""
 
     dtype: np.dtype[Any]
     limits: Limits
@@ -66,16 +66,16 @@ class Graph(Protocol):
 
 
 class Reader(Protocol):
-    """What reads jaxprs into a graph; `JaxprReader` says what its methods do."""
+    """The interface of `JaxprReader`, which documents the methods."""
 
-    whole: bool
+    keeps_calls: bool
 
     @property
     def graph(self) -> Graph: ...
     def read(self, program: ClosedJaxpr, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def inlined(self, program: Any, inputs: Sequence[Nodes]) -> list[Nodes]: ...
     def known(self, arrays: Iterable[Nodes]) -> bool: ...
-    def call(self, eqn: Any, arrays: Sequence[Nodes], own: ClosedJaxpr | None = None) -> list[Nodes]: ...
+    def call(self, eqn: Any, arrays: Sequence[Nodes], body: ClosedJaxpr | None = None) -> list[Nodes]: ...
 
 
 # ---- arrays of nodes -------------------------------------------------------------------------------------------------

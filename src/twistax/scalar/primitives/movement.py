@@ -1,4 +1,4 @@
-"""Operations that move entries, and take and put them at places: on arrays of nodes they are NumPy's own."""
+"""Operations that move, select and insert entries, on arrays of nodes by NumPy."""
 
 from __future__ import annotations
 
@@ -22,18 +22,18 @@ def _moving(name: str, takes: str, function: Callable[..., Any], inside: Any = S
     """By a function of the parameters and of arrays, of numbers as of nodes, that gives an array or a list of them."""
 
     def read(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
-        found = function(eqn.params, *arrays)
-        return [np.asarray(row) for row in found] if eqn.primitive.multiple_results else [found]
+        moved = function(eqn.params, *arrays)
+        return [np.asarray(row) for row in moved] if eqn.primitive.multiple_results else [moved]
 
     return moving(name, read, takes, inside=inside, **more)
 
 
 def _broadcast(p: Any, a: Nodes) -> Nodes:
     shape = p["shape"]
-    own = [1] * len(shape)
+    sizes = [1] * len(shape)
     for place, size in zip(p["broadcast_dimensions"], a.shape, strict=True):
-        own[place] = size
-    return np.broadcast_to(a.reshape(own), shape)
+        sizes[place] = size
+    return np.broadcast_to(a.reshape(sizes), shape)
 
 
 def _slice(p: Any, a: Nodes) -> Nodes:
@@ -42,21 +42,21 @@ def _slice(p: Any, a: Nodes) -> Nodes:
 
 def _iota(reader: Reader, eqn: Any) -> list[Nodes]:
     shape, axis = eqn.params["shape"], eqn.params["dimension"]
-    along = np.arange(shape[axis]).astype(eqn.params["dtype"])
+    numbers = np.arange(shape[axis]).astype(eqn.params["dtype"])
     spread = [-1 if i == axis else 1 for i in range(len(shape))]
-    return [np.broadcast_to(reader.graph.array(along).reshape(spread), shape)]
+    return [np.broadcast_to(reader.graph.array(numbers).reshape(spread), shape)]
 
 
 def _pad(reader: Reader, eqn: Any, a: Nodes, value: Nodes) -> list[Nodes]:
-    found = np.full(eqn.outvars[0].aval.shape, int(value))
+    padded = np.full(eqn.outvars[0].aval.shape, int(value))
     targets, sources = [], []
-    for (low, _, between), size, whole in zip(eqn.params["padding_config"], a.shape, found.shape, strict=True):
+    for (low, _, between), size, length in zip(eqn.params["padding_config"], a.shape, padded.shape, strict=True):
         places = low + np.arange(size) * (between + 1)
-        inside = (places >= 0) & (places < whole)
+        inside = (places >= 0) & (places < length)
         targets.append(places[inside])
         sources.append(np.arange(size)[inside])
-    found[np.ix_(*targets)] = a[np.ix_(*sources)]
-    return [found]
+    padded[np.ix_(*targets)] = a[np.ix_(*sources)]
+    return [padded]
 
 
 def _sort(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
@@ -109,18 +109,18 @@ MOVEMENT = [
 
 
 def _window(start: Any, shape: Any, sizes: Any) -> tuple[slice, ...]:
-    """The entries of a window, moved inside."""
+    """The slices of a window, shifted so that it lies inside."""
     inside = [min(max(int(s), 0), n - m) for s, n, m in zip(start, shape, sizes, strict=True)]
     return tuple(slice(s, s + m) for s, m in zip(inside, sizes, strict=True))
 
 
 def _lookup(g: Graph, table: list[int], place: int) -> int:
-    """table[place], the ends beyond the ends."""
-    found = table[-1]
+    """table[place]; places beyond an end give the entry at that end."""
+    value = table[-1]
     for k in range(len(table) - 2, -1, -1):
         here = on(g, "le", place, g.constant(k, g.dtypes[place]))
-        found = g.select(here, table[k], found)
-    return found
+        value = g.select(here, table[k], value)
+    return value
 
 
 def _window_at(g: Graph, a: Nodes, places: Sequence[int], sizes: Sequence[int]) -> Nodes | None:
@@ -129,18 +129,18 @@ def _window_at(g: Graph, a: Nodes, places: Sequence[int], sizes: Sequence[int]) 
     unknown = [axis for axis, place in enumerate(start) if place is None]
     if any(sizes[axis] != 1 for axis in unknown) or math.prod(a.shape[axis] for axis in unknown) > g.limits.table:
         return None
-    whole = [a.shape[axis] if axis in unknown else size for axis, size in enumerate(sizes)]
-    found = a[_window([place or 0 for place in start], a.shape, whole)]
+    extent = [a.shape[axis] if axis in unknown else size for axis, size in enumerate(sizes)]
+    window = a[_window([place or 0 for place in start], a.shape, extent)]
     for axis in unknown:
-        columns = np.moveaxis(found, axis, -1)
-        picked = [_lookup(g, each, places[axis]) for each in columns.reshape(-1, a.shape[axis]).tolist()]
-        found = np.expand_dims(nodes(picked, columns.shape[:-1]), axis)
-    return found
+        columns = np.moveaxis(window, axis, -1)
+        picked = [_lookup(g, column, places[axis]) for column in columns.reshape(-1, a.shape[axis]).tolist()]
+        window = np.expand_dims(nodes(picked, columns.shape[:-1]), axis)
+    return window
 
 
 def _dynamic_slice(reader: Reader, eqn: Any, a: Nodes, *indices: Nodes) -> list[Nodes] | None:
-    found = _window_at(reader.graph, a, flat(*indices), eqn.params["slice_sizes"])
-    return None if found is None else [found]
+    window = _window_at(reader.graph, a, flat(*indices), eqn.params["slice_sizes"])
+    return None if window is None else [window]
 
 
 def _dynamic_update_slice(reader: Reader, eqn: Any, a: Nodes, update: Nodes, *indices: Nodes) -> list[Nodes] | None:
@@ -148,9 +148,9 @@ def _dynamic_update_slice(reader: Reader, eqn: Any, a: Nodes, update: Nodes, *in
     known = [reader.graph.numbers[int(i)] for i in indices]
     if any(place is None for place in known):
         return None
-    found = a.copy()
-    found[_window(known, a.shape, update.shape)] = update
-    return [found]
+    updated = a.copy()
+    updated[_window(known, a.shape, update.shape)] = update
+    return [updated]
 
 
 # ---- gather and scatter ----------------------------------------------------------------------------------------------
@@ -163,8 +163,8 @@ def _known(*names: str) -> Callable[[Any], bool]:
     """Whether the dimension numbers are these, and those of batches; and the mode is known."""
 
     def when(p: Any) -> bool:
-        *own, last = p["dimension_numbers"]._fields
-        known = own == [*names, "operand_batching_dims"] and last.endswith("_indices_batching_dims")
+        *fields, last = p["dimension_numbers"]._fields
+        known = fields == [*names, "operand_batching_dims"] and last.endswith("_indices_batching_dims")
         return known and p["mode"] in _MODES
 
     return when
@@ -181,22 +181,22 @@ def _gather(reader: Reader, eqn: Any, a: Nodes, indices: Nodes) -> list[Nodes] |
     """As XLA's gather: a window of the operand for every vector of start indices."""
     g, p, shape = reader.graph, eqn.params, eqn.outvars[0].aval.shape
     numbers, sizes = p["dimension_numbers"], p["slice_sizes"]
-    alike = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
+    paired_axes = list(zip(numbers.operand_batching_dims, numbers.start_indices_batching_dims, strict=True))
     batch_axes = [i for i in range(len(shape)) if i not in numbers.offset_dims]
     dropped = {*numbers.collapsed_slice_dims, *numbers.operand_batching_dims}
     window_shape = [size for i, size in enumerate(sizes) if i not in dropped]
-    found = np.empty(shape, np.int64)
+    gathered = np.empty(shape, np.int64)
     for batch in np.ndindex(*(shape[i] for i in batch_axes)):
         start = list(_at(a.ndim, numbers.start_index_map, indices[batch].tolist(), g.constant(0, g.dtype_of(indices))))
-        for axis, along in alike:
-            start[axis] = g.constant(batch[along], g.dtype_of(indices))
+        for axis, index_axis in paired_axes:
+            start[axis] = g.constant(batch[index_axis], g.dtype_of(indices))
         if p["mode"] == _FILL and not _inside(g, start, a.shape, sizes):
             return None
         window = _window_at(g, a, start, sizes)
         if window is None:
             return None
-        found[_at(len(shape), batch_axes, batch)] = window.reshape(window_shape)
-    return [found]
+        gathered[_at(len(shape), batch_axes, batch)] = window.reshape(window_shape)
+    return [gathered]
 
 
 def _inside(g: Graph, start: Sequence[int], shape: Any, sizes: Any) -> bool:
@@ -205,15 +205,15 @@ def _inside(g: Graph, start: Sequence[int], shape: Any, sizes: Any) -> bool:
     return all(s is not None and 0 <= s <= n - m for s, n, m in zip(places, shape, sizes, strict=True))
 
 
-def _at(rank: int, axes: Any, places: Any, others: Any = slice(None)) -> tuple[Any, ...]:
-    """An index: these places along these axes, of the others all."""
-    along = dict(zip(axes, places, strict=True))
-    return tuple(along.get(axis, others) for axis in range(rank))
+def _at(rank: int, axes: Any, places: Any, default: Any = slice(None)) -> tuple[Any, ...]:
+    """An index with these places along these axes, and `default` along all others."""
+    by_axis = dict(zip(axes, places, strict=True))
+    return tuple(by_axis.get(axis, default) for axis in range(rank))
 
 
 def _moved(start: Any, window: tuple[slice, ...]) -> bool:
-    """Whether a window is not where it was to begin."""
-    return any(int(s) != own.start for s, own in zip(start, window, strict=True))
+    """Whether a window was shifted."""
+    return any(int(s) != part.start for s, part in zip(start, window, strict=True))
 
 
 def _scatter(combine: str | None) -> Any:
@@ -228,7 +228,7 @@ def _scatter(combine: str | None) -> Any:
         batch_axes = [i for i in range(updates.ndim) if i not in window_axes]
         operand_axes = [i for i in range(a.ndim) if i not in numbers.inserted_window_dims]
         extent = _at(a.ndim, operand_axes, [updates.shape[i] for i in window_axes], 1)
-        found = a.copy()
+        updated = a.copy()
         for batch in np.ndindex(*(updates.shape[i] for i in batch_axes)):
             start = _at(a.ndim, numbers.scatter_dims_to_operand_dims, where[batch], 0)
             window = _window(start, a.shape, extent)
@@ -236,10 +236,10 @@ def _scatter(combine: str | None) -> Any:
                 continue  # XLA leaves out what does not fit
             new = updates[_at(updates.ndim, batch_axes, batch)].reshape(extent)
             if combine is not None:
-                pairs = zip(flat(found[window]), flat(new), strict=True)
+                pairs = zip(flat(updated[window]), flat(new), strict=True)
                 new = nodes([OPERATIONS[combine].on(g)(old, one) for old, one in pairs], extent)
-            found[window] = new
-        return [found]
+            updated[window] = new
+        return [updated]
 
     return read
 

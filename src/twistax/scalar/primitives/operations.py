@@ -36,10 +36,10 @@ def _python(function: Any) -> Forms:
 
 def _named(name: str, number: Any, arity: int = 1, *, array: Any = None, **more: Any) -> Operation:
     """Called the same in JAX, the C library and CasADi where nothing else is said."""
-    given = ", ".join(["$a", "$b"][:arity])
+    operands = ", ".join(["$a", "$b"][:arity])
     by_name = {
         "llvm": Forms(code("library", name)),
-        "c": Forms(f"{name}$f({given})"),
+        "c": Forms(f"{name}$f({operands})"),
         "casadi": everywhere(lambda casadi, *a: getattr(casadi, name)(*a)),
     }
     return Operation(name=name, number=number, array=array or getattr(lax, name), arity=arity, **{**by_name, **more})
@@ -133,7 +133,7 @@ def _of_many(name: str, pair: str) -> Operation:
     def partials(g: Graph, a: tuple[int, ...], y: int) -> Sequence[int | None]:
         equal = [g.select(on(g, "eq", x, y), g.one, g.zero) for x in a]
         share = g.div(g.one, functools.reduce(g.add, equal))
-        return [g.mul(each, share) for each in equal]
+        return [g.mul(is_extreme, share) for is_extreme in equal]
 
     return Operation(
         name=name,
@@ -227,10 +227,10 @@ def _quotient(a: Any, b: Any) -> Any:
         return np.divide(a, b)
     zero, one = b == 0, np.abs(b) == 1
     safe = np.where(zero | one, np.ones_like(b), b)
-    found = np.floor_divide(a, safe)
-    found = found + ((found * safe != a) & ((a < 0) != (safe < 0))).astype(found.dtype)
-    return np.where(zero, ~np.zeros_like(a), np.where(b == 1, a, np.where(one, np.negative(a), found))).astype(
-        found.dtype
+    result = np.floor_divide(a, safe)
+    result = result + ((result * safe != a) & ((a < 0) != (safe < 0))).astype(result.dtype)
+    return np.where(zero, ~np.zeros_like(a), np.where(b == 1, a, np.where(one, np.negative(a), result))).astype(
+        result.dtype
     )
 
 

@@ -96,16 +96,16 @@ def factors_in_range(g: Graph, a: int, b: int) -> tuple[int, int] | None:
         c, base = sorted(g.nodes[b][1:], key=lambda k: g.numbers[k] is None)
         if g.numbers[c] is None:
             return None
-    operation, *given = g.nodes[base]
+    operation, *operands = g.nodes[base]
     if isinstance(operation, WholePower) and operation.exponent == -2:
-        return _over_square(g, a, c, given[0])
+        return _over_square(g, a, c, operands[0])
     if isinstance(operation, WholePower) and operation.exponent < 0:
-        above = g.known(whole_power(operation.exponent + 1), given[0])
-    elif operation is _POW and (n := g.numbers[given[1]]) is not None and n < -1.0:
-        above = g.known(_POW, given[0], g.constant(n + 1.0))
+        above = g.known(whole_power(operation.exponent + 1), operands[0])
+    elif operation is _POW and (n := g.numbers[operands[1]]) is not None and n < -1.0:
+        above = g.known(_POW, operands[0], g.constant(n + 1.0))
     else:
         return None
-    return None if above is None else (g.mul(c, above), g.div(a, given[0]))
+    return None if above is None else (g.mul(c, above), g.div(a, operands[0]))
 
 
 def _over_square(g: Graph, a: int, c: int, y: int) -> tuple[int, int]:

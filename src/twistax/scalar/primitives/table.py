@@ -28,7 +28,7 @@ def _jit(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
 
 
 def _batched_by_rule(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
-    """A function with a rule for batches, of one body."""
+    """A function with a batching rule, on one batch member."""
     return reader.read(closed(eqn.params["call"]), arrays)
 
 
@@ -40,14 +40,16 @@ def _composite(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
 
 def _with_derivative(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     """A call, for its derivative; what is known needs none."""
-    own = closed(eqn.params["call_jaxpr"])
-    return reader.call(eqn, arrays, own) if reader.whole and not reader.known(arrays) else reader.read(own, arrays)
+    body = closed(eqn.params["call_jaxpr"])
+    return (
+        reader.call(eqn, arrays, body) if reader.keeps_calls and not reader.known(arrays) else reader.read(body, arrays)
+    )
 
 
 def _solve(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     """A linear solve is linear in its right-hand side: none is needed where the matrix is known."""
     counts, solve = eqn.params["const_lengths"], closed(eqn.params["jaxprs"].solve)
-    if reader.whole and not reader.known(arrays[: sum(counts)]):
+    if reader.keeps_calls and not reader.known(arrays[: sum(counts)]):
         return reader.call(eqn, arrays, solve)
     skip = counts.matvec + counts.vecmat
     return reader.read(solve, [*arrays[skip : skip + counts.solve], *arrays[sum(counts) :]])
@@ -62,12 +64,12 @@ def _scan(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     if length * _equations(body.jaxpr) > reader.graph.limits.equations:
         return None
     fixed, carried = scan_parts(eqn)
-    consts, carry, along = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
+    consts, carry, inputs = arrays[:fixed], list(arrays[fixed : fixed + carried]), arrays[fixed + carried :]
     rows: list[list[Nodes]] = []
     for k in reversed(range(length)) if p["reverse"] else range(length):
-        found = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in along)])
-        carry = found[:carried]
-        rows.append(found[carried:])
+        results = reader.read(body, [*consts, *carry, *(np.asarray(a[k]) for a in inputs)])
+        carry = results[:carried]
+        rows.append(results[carried:])
     if p["reverse"]:
         rows = rows[::-1]
     shapes = [v.aval.shape for v in eqn.outvars[carried:]]
@@ -100,15 +102,15 @@ def _equations(jaxpr: Any) -> int:
 
 
 def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """The scalars of a program of this package, for one body."""
-    return None if eqn.params["bodies"].depth else reader.inlined(eqn.params["program"].program, arrays)
+    """The scalars of a program of this package, for one batch member."""
+    return None if eqn.params["batch"].depth else reader.inlined(eqn.params["program"].program, arrays)
 
 
 def _operations(eqn: Any) -> dict[str, int]:
-    """Those of all bodies."""
-    bodies = math.prod(eqn.outvars[0].aval.shape[: eqn.params["bodies"].depth])
+    """Operations of all members of the batch."""
+    members = math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
     counts: dict[str, int] = eqn.params["program"].program.counts()
-    return {name: bodies * count for name, count in counts.items()}
+    return {name: members * count for name, count in counts.items()}
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------
@@ -142,8 +144,8 @@ _CONTROL = [
     # This package's own.
     TABLE_LOAD,
     NORM,
-    moving("scalar_program", _program, "program bodies inside", moves=False, work=_operations),
-    Entry("native_program", _program, "program bodies inside", any_type=True, work=_operations),
+    moving("scalar_program", _program, "program batch inside", moves=False, work=_operations),
+    Entry("native_program", _program, "program batch inside", any_type=True, work=_operations),
 ]
 
 #: By the name of the primitive.

@@ -62,18 +62,18 @@ def _taken(place: jax.Array, *, table: Table, offset: int, dtype: np.dtype[Any])
     return jnp.asarray(table.numbers(dtype)).at[place + offset].get(mode="promise_in_bounds")
 
 
-def _zero_jvp(primals: Any, tangents: Any, **own: Any) -> Any:
-    found = _load_p.bind(*primals, **own)
-    return found, ad.Zero(jax.typeof(found).to_tangent_aval())
+def _zero_jvp(primals: Any, tangents: Any, **params: Any) -> Any:
+    value = _load_p.bind(*primals, **params)
+    return value, ad.Zero(jax.typeof(value).to_tangent_aval())
 
 
-def _zero_series(primals: Any, series: Any, **own: Any) -> Any:
-    found = _load_p.bind(*primals, **own)
-    return found, [jnp.zeros_like(found) for _ in series[0]]
+def _zero_series(primals: Any, series: Any, **params: Any) -> Any:
+    value = _load_p.bind(*primals, **params)
+    return value, [jnp.zeros_like(value) for _ in series[0]]
 
 
-def _batched(arguments: Any, axes: Any, **own: Any) -> Any:
-    return _load_p.bind(*arguments, **own), axes[0]
+def _batched(arguments: Any, axes: Any, **params: Any) -> Any:
+    return _load_p.bind(*arguments, **params), axes[0]
 
 
 _load_p.def_impl(functools.partial(jax.jit, static_argnames=("table", "offset", "dtype"))(_taken))

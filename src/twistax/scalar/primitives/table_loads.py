@@ -32,10 +32,10 @@ _KNOWN: weakref.WeakValueDictionary[Any, Load] = weakref.WeakValueDictionary()
 def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
     """The one operation that loads from a table, at an offset, in a type."""
     key = (table, offset, dtype)
-    found = _KNOWN.get(key)
-    if found is None:
+    operation = _KNOWN.get(key)
+    if operation is None:
         numbers = table.numbers(dtype)
-        found = _KNOWN[key] = Load(
+        operation = _KNOWN[key] = Load(
             name="table_load",
             number=lambda place: numbers[np.asarray(place) + offset],
             array=lambda place: load(table, place, dtype, offset),
@@ -47,7 +47,7 @@ def load_of(table: Table, offset: int, dtype: np.dtype[Any]) -> Load:
             table=table,
             offset=offset,
         )
-    return found
+    return operation
 
 
 def _by_casadi(casadi: Any, table: Table, offset: int, place: Any) -> Any:

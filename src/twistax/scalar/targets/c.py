@@ -1,4 +1,4 @@
-"""How types, numbers and operations are written in C99.
+"""Types, numbers and operations in C99.
 
 Real numbers follow the operations' meaning in JAX, also where libm's function of the name differs: max and min pass
 NaN on. Integers wrap around and never divide by zero, as XLA's.
@@ -28,7 +28,7 @@ class CType:
 
     @property
     def suffix(self) -> str:
-        """Of functions of libm and of literals."""
+        """The suffix of functions of libm and of literals."""
         return "f" if self.dtype == np.float32 else ""
 
     @property

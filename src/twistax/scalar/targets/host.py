@@ -23,7 +23,7 @@ _LARGEST = 40_000
 
 
 def on_host(function: Callable[..., Result], *arguments: Any) -> Result | None:
-    """function(*arguments), scalar by scalar in NumPy.
+    """function(*arguments), evaluated as scalars by NumPy.
 
     It is traced as JAX traces it, but XLA and LLVM see nothing of it.
 
@@ -52,7 +52,7 @@ def on_host(function: Callable[..., Result], *arguments: Any) -> Result | None:
         program = native_form(scalarize(closed, checked=False, largest=_LARGEST, limits=NATIVE_LIMITS))
     except (NotNative, TooLarge, Unread):
         return None
-    rows = [a.astype(own.dtype).reshape(1, -1) for a, own in zip(values, types, strict=True)]
+    rows = [a.astype(aval.dtype).reshape(1, -1) for a, aval in zip(values, types, strict=True)]
     results = by_numpy(program, rows)
-    found = [a.reshape(v.aval.shape) for a, v in zip(results, closed.jaxpr.outvars, strict=True)]
-    return jax.tree.unflatten(shapes[0], found)
+    arrays = [a.reshape(v.aval.shape) for a, v in zip(results, closed.jaxpr.outvars, strict=True)]
+    return jax.tree.unflatten(shapes[0], arrays)

@@ -52,17 +52,18 @@ class _Piece:
             for a in arguments:
                 if a not in values:
                     values[a] = jnp.asarray(g.numbers[a], g.dtypes[a])
-            apart = [False] * len(arguments)
+            separate = [False] * len(arguments)
             if operation is _DIV:
                 # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
-                apart = [g.operation(a) is _DIV for a in arguments]
+                separate = [g.operation(a) is _DIV for a in arguments]
             elif operation is _MUL and g.dtypes[i] == g.dtype:
                 numbers = [joined.get(a, 1.0) if g.numbers[a] is None else abs(g.numbers[a]) for a in arguments]
                 joined[i] = numbers[0] * numbers[1]
                 if not self.least < joined[i] < 1.0 / self.least:
-                    apart, joined[i] = [a in joined for a in arguments], 1.0
-            own = (lax.optimization_barrier(values[a]) if alone else values[a] for a, alone in zip(arguments, apart))
-            values[i] = operation.array(*own)
+                    separate, joined[i] = [a in joined for a in arguments], 1.0
+            pairs = zip(arguments, separate)
+            operands = (lax.optimization_barrier(values[a]) if alone else values[a] for a, alone in pairs)
+            values[i] = operation.array(*operands)
         return [values[i] for i in self.gives]
 
     @functools.cached_property
@@ -72,14 +73,14 @@ class _Piece:
 
 
 def as_function(
-    program: ScalarProgram, apart: Callable[[_Piece], Callable[..., list[jax.Array]]] | None = None
+    program: ScalarProgram, outline: Callable[[_Piece], Callable[..., list[jax.Array]]] | None = None
 ) -> Callable[..., list[jax.Array]]:
-    """The program as a function of arrays, one body at a time; pure and traceable.
+    """The program as a function of arrays, one member at a time; pure and traceable.
 
     Args:
-        apart: makes a function of its own of a piece; that of JAX if None, which XLA may inline.
+        outline: makes a separate function of a piece; by default `jax.jit`, which XLA may inline.
     """
-    apart = apart or functools.partial(jax.jit, inline=False)
+    outline = outline or functools.partial(jax.jit, inline=False)
     form = emitted_form(program)
     g = form.graph
     steps = _steps(form)
@@ -102,7 +103,7 @@ def as_function(
 
         for step in steps:
             if isinstance(step, _Piece):
-                run = apart(step) if len(steps) > 1 else step
+                run = outline(step) if len(steps) > 1 else step
                 values.update(zip(step.gives, run(*(values[i] for i in step.needs)), strict=True))
             else:
                 types = [v.aval.dtype for v in step.jaxpr.jaxpr.invars]
@@ -136,10 +137,10 @@ def _steps(form: ScalarProgram) -> list[_Piece | Call]:
     wanted = set(form.flat)
     for step in reversed(steps):
         if isinstance(step, _Piece):
-            own = set(step.nodes)
+            computed = set(step.nodes)
             step.gives = [i for i in step.nodes if i in wanted]
             read = dict.fromkeys(a for i in step.nodes for a in g.arguments(i))
-            step.needs = [a for a in read if a not in own and g.numbers[a] is None]
+            step.needs = [a for a in read if a not in computed and g.numbers[a] is None]
             wanted.update(step.needs)
         else:
             wanted.update(flat(*step.arguments))

@@ -41,23 +41,45 @@ static void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
   if (w->weight > 0) add_squares(s->ne, n, w->Je + s->Je, weights, scratch, M);
 }
 
-/* What follows: t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's multipliers. */
+typedef struct { /* rows first <= i < last of a column; all others are zero */
+  int32_t first, last;
+} range;
+
+static range nonzeros(int32_t n, const double *column) {
+  range r = {0, n};
+  while (r.first < n && column[r.first] == 0) r.first++;
+  while (r.last > r.first && column[r.last - 1] == 0) r.last--;
+  return r;
+}
+
+static double dot(range r, const double *restrict a, const double *restrict b) {
+  double sum = 0;
+  for (int32_t l = r.first; l < r.last; l++) sum += a[l] * b[l];
+  return sum;
+}
+
+/* What follows: t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's multipliers. Columns of
+ * F have zeros at their ends: those of states that are constant, one entry. */
 static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   const twx_stage *next = s + 1;
-  const int32_t n = s->n, nx = s->next, nv = s->nv;
+  const int32_t n = s->n, nx = s->next, nv = s->nv, np = w->np;
   const double *const F = w->F + s->F, *const P = w->P + next->P, *const W = w->W + next->W;
   double *const M = w->t0, *const T = w->t1, *const R = w->t2;
   memset(T, 0, sizeof(double) * (size_t)nx * (size_t)n);
-  twx_add_product(nx, n, nx, P, nx, F, nx, T, nx);
-  for (int32_t j = 0; j < w->np; j++) /* F'W_p of rows before p; of p itself both orders */
+  for (int32_t j = 0; j < n; j++) {
+    const double *const f = F + (size_t)j * (size_t)nx;
+    const range r = nonzeros(nx, f);
+    twx_add_product(nx, 1, r.last - r.first, P + (size_t)r.first * (size_t)nx, nx, f + r.first, nx, T + (size_t)j * (size_t)nx, nx);
+  }
+  for (int32_t j = 0; j < np; j++) /* F'W_p of rows before p; of p itself both orders */
     for (int32_t i = 0; i < nx; i++) T[i + (size_t)(nv + j) * (size_t)nx] += W[i + (size_t)j * (size_t)nx];
-  for (int32_t j = 0; j < n; j++)
-    twx_add_product_transposed(j + 1, 1, nx, F, nx, T + (size_t)j * (size_t)nx, nx, M + (size_t)j * (size_t)n, n);
-  for (int32_t j = 0; j < w->np; j++)
-    twx_add_product_transposed(j + 1, 1, nx, W, nx, F + (size_t)(nv + j) * (size_t)nx, nx,
-                               M + nv + (size_t)(nv + j) * (size_t)n, n);
-  memset(R, 0, sizeof(double) * (size_t)n * (size_t)w->nbe);
-  twx_add_product_transposed(n, w->nbe, nx, F, nx, W + (size_t)w->np * (size_t)nx, nx, R, n);
+  for (int32_t i = 0; i < n; i++) {
+    const double *const f = F + (size_t)i * (size_t)nx;
+    const range r = nonzeros(nx, f);
+    for (int32_t j = i; j < n; j++) M[i + (size_t)j * (size_t)n] += dot(r, f, T + (size_t)j * (size_t)nx);
+    for (int32_t j = 0; i >= nv && j <= i - nv; j++) M[nv + j + (size_t)i * (size_t)n] += dot(r, f, W + (size_t)j * (size_t)nx);
+    for (int32_t j = 0; j < w->nbe; j++) R[i + (size_t)j * (size_t)n] = dot(r, f, W + (size_t)(np + j) * (size_t)nx);
+  }
 }
 
 /* The rows of the stage's equalities that stand in the border, in the columns of their multipliers. */

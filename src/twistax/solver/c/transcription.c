@@ -1,6 +1,12 @@
 /* Values, derivatives and moves of a transcribed problem, phase by phase. */
 #include "phase.h"
 
+static int32_t is_zero(const double *a, size_t count) {
+  for (size_t i = 0; i < count; i++)
+    if (a[i] != 0) return 0;
+  return 1;
+}
+
 /* ---- path rows and cost --------------------------------------------------------------------------------------- */
 
 static const int32_t *places_at(const twx_memory *t, size_t point, size_t k) {
@@ -57,17 +63,32 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
   }
 }
 
-/* H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. */
+/* The upper triangle of H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. Many
+ * rows of M are zero: rates are linear in most of their arguments. */
 static void add_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
   const size_t n = t->n, size = t->size;
-  twx_along(size, n, size, M, maps, t->moved);
-  for (size_t i = 0; i < n; i++)
-    for (size_t r = 0; r < size; r++) {
-      const double factor = maps[i * size + r];
+  double *restrict moved = t->moved;
+  for (size_t i = 0; i < size; i++) {
+    const double *const row = M + i * size, *const map = maps + i * size;
+    if (is_zero(row, size)) continue;
+    twx_along(1, n, size, row, maps, moved);
+    for (size_t r = i < n ? 0 : i; r < (i < n ? size : i + 1); r++) {
+      const double factor = i < n ? map[r] : 1;
+      double *restrict to = H + r * size;
       if (factor != 0)
-        for (size_t j = 0; j < size; j++) H[r * size + j] += factor * t->moved[i * size + j];
+        for (size_t j = r; j < size; j++) to[j] += factor * moved[j];
     }
-  for (size_t i = n * size; i < size * size; i++) H[i] += t->moved[i];
+  }
+}
+
+/* The lower triangles of the blocks of all intervals from the upper ones. */
+static void mirror_hessians(const twx_memory *t, double *H) {
+  const size_t size = t->size;
+  for (size_t k = 0; k < t->K; k++) {
+    double *const block = twx_at_stage(H, t->phase->at.H, k);
+    for (size_t r = 0; r < size; r++)
+      for (size_t j = r + 1; j < size; j++) block[j * size + r] = block[r * size + j];
+  }
 }
 
 /* Second derivatives of rows and cost, and their gradients by eta. */
@@ -84,6 +105,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
         w[r] = point <= (size_t)f->substeps ? twx_weight_of(f, k, places_at(t, point, k)[r], y, ye) : 0;
       w[R] = weight * f->widths[k] * f->weights[point];
     }
+    if (is_zero(t->weights, t->K * (R + 1))) continue; /* the curvature of other rows is asked for */
     twx_inputs in = twx_inputs_at(t, z, point);
     in.weights = t->weights, in.weight_width = R + 1;
     twx_call(&f->rows.slopes, t, in, t->K, t->row_slopes, (R + 1) * size);
@@ -140,8 +162,9 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
   const twx_phase *f = t->phase;
   const size_t n = t->n, size = t->size;
   const double *weights = lambda + f->at.c[0];
-  gap_slopes(t, z);
   memset(adjoint, 0, sizeof(double) * t->K * n);
+  if (is_zero(weights, t->K * n)) return;
+  gap_slopes(t, z);
   for (size_t k = 0; k < t->K; k++)
     for (size_t i = 0; i < n; i++)
       for (size_t j = 0; j < n; j++) adjoint[k * n + j] += weights[k * n + i] * t->gap_slopes[(k * n + i) * n + j];
@@ -171,6 +194,7 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint, doubl
     twx_adjoint_stages(t, j, adjoint);
     for (size_t i = 0; i < s && f->rate.bends.run; i++) {
       const size_t place = S + 1 + j * s + i;
+      if (is_zero(t->adjoints + i * t->K * n, t->K * n)) continue;
       twx_inputs in = twx_inputs_at(t, z, place);
       in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
       twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
@@ -226,6 +250,7 @@ int32_t twx_transcribed_hessians(void *user, const double *z, double weight, con
     twx_node_hessians(&t, z, weight, y, ye, H);
     gap_hessians(&t, z, lambda, t.adjoint, H);
     rate_hessians(&t, z, t.adjoint, H);
+    mirror_hessians(&t, H);
     if (f->join) twx_join_hessians(&t, z, lambda, H);
   }
   return 0;

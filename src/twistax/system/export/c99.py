@@ -17,7 +17,7 @@ from ...errors import InputError, ModelError
 from ...scalar.targets.c import CType, c_type
 from ..functions import Functions
 from . import CFiles
-from .c_code import MARK, Code, filled, identifiers, mark, numbers
+from .c_code import MARK, CCode, filled, identifiers, mark, numbers
 from .programs import ExportedFunction, Exporter
 
 #: One array for each argument.
@@ -50,14 +50,15 @@ def write_c(
     exporter = Exporter(dynamics, real.dtype, checked)
     functions = _functions(exporter, jacobian)
     names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
-    given = _drawn_points(exporter) if points is None else [_point(exporter, each) for each in points]
-    if not given:
+    chosen_points = _drawn_points(exporter) if points is None else [_point(exporter, point) for point in points]
+    if not chosen_points:
         raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
     allowed = _TOLERANCES[real.dtype.name] if tolerance is None else tolerance
     number("tolerance", allowed, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
-    folder, code = path_of("directory", directory), Code(name, exporter, functions, names, real)
+    folder, code = path_of("directory", directory), CCode(name, exporter, functions, names, real)
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
-    texts = {files.header: code.header(), files.source: code.source(), files.test: _test_main(code, given, allowed)}
+    test = _test_main(code, chosen_points, allowed)
+    texts = {files.header: code.header(), files.source: code.source(), files.test: test}
     _write(folder, texts)
     return files
 
@@ -71,24 +72,24 @@ def _check_name(name: str) -> None:
 
 def _real(dtype: Any) -> CType:
     try:
-        found = np.dtype(dtype)
+        real_type = np.dtype(dtype)
     except TypeError:
         raise InputError(f"dtype expects float64 or float32, got {dtype!r}") from None
-    if found.name not in _TOLERANCES:
-        raise InputError(f"dtype expects float64 or float32, got {found.name}")
-    return c_type(found)
+    if real_type.name not in _TOLERANCES:
+        raise InputError(f"dtype expects float64 or float32, got {real_type.name}")
+    return c_type(real_type)
 
 
 def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
-    found = [exporter.family(family) for family, own in exporter.dynamics.families.items() if any(own.values())]
+    functions = [exporter.family(family) for family, exprs in exporter.dynamics.families.items() if any(exprs.values())]
     if jacobian:
         if isinstance(jacobian, str):
             raise InputError(f"jacobian expects a sequence like ('x', 'u'), got {jacobian!r}")
-        found.append(exporter.jacobian(jacobian))
-    found = [function for function in found if function.results]
-    if not found:
+        functions.append(exporter.jacobian(jacobian))
+    functions = [function for function in functions if function.results]
+    if not functions:
         raise ModelError("there is nothing to write: no result has an entry")
-    return found
+    return functions
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
@@ -132,7 +133,7 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
     """Arguments drawn at random: Exp of a normal tangent, normal entries, of parameters their own values."""
     rng = np.random.default_rng(0)
     groups = {state.name: state.group for state in exporter.dynamics.states}
-    own = {p.name: p.value for p in exporter.dynamics.parameters}
+    defaults = {p.name: p.value for p in exporter.dynamics.parameters}
     points = []
     with jax.enable_x64(True):
         for _ in range(count):
@@ -140,8 +141,8 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
             for port in exporter.arguments:
                 drawn = rng.normal(size=port.shape)
                 group = groups.get(port.name) if port.kind == "x" else None
-                if port.kind == "params" and own[port.name] is not None:
-                    drawn = np.asarray(own[port.name], np.float64)
+                if port.kind == "params" and defaults[port.name] is not None:
+                    drawn = np.asarray(defaults[port.name], np.float64)
                 elif group is not None and not group.flat:
                     drawn = np.asarray(group.exp(jnp.asarray(0.5 * rng.normal(size=group.dimension))))
                 point.append(drawn)
@@ -149,30 +150,30 @@ def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
     return points
 
 
-def _test_main(code: Code, points: Sequence[Point], tolerance: float) -> str:
+def _test_main(code: CCode, points: Sequence[Point], tolerance: float) -> str:
     """The text of a program that ends with 0 where all functions agree with their references."""
     real, names = code.real, code.names
     points = [[_cast(v, real) for v in point] for point in points]
     data: list[str] = []
     steps: list[str] = []
-    given = []
+    inputs = []
     for k, point in enumerate(points):
         arrays = {f"point_{k}_{names[port]}": v for port, v in zip(code.exporter.arguments[1:], point[1:], strict=True)}
         data += [numbers(name, values, real) for name, values in arrays.items()]
-        given.append([real.literal(point[0][()]), *arrays])
+        inputs.append([real.literal(point[0][()]), *arrays])
     for function in code.functions:
         # Brought to the code's numbers first: what is beyond their range is infinite there, and no measure.
-        references = [[_cast(r, real) for r in result] for result in _references(function, points)]
-        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for result in references for r in result])
+        references = [[_cast(r, real) for r in reference] for reference in _references(function, points)]
+        finite = np.concatenate([np.abs(r[np.isfinite(r)]) for reference in references for r in reference])
         allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
-        found = [f"found[{j}]" for j in range(len(function.results))]
-        for k, arguments in enumerate(given):
-            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *found])});")
-            for own, port, result in zip(found, function.results, references[k], strict=True):
+        results = [f"found[{j}]" for j in range(len(function.results))]
+        for k, arguments in enumerate(inputs):
+            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *results])});")
+            for result, port, reference in zip(results, function.results, references[k], strict=True):
                 array = f"expected_{k}_{function.name}_{names[port]}"
-                data.append(numbers(array, result, real))
+                data.append(numbers(array, reference, real))
                 label = f"{function.name} {names[port]}, point {k + 1}"
-                steps.append(f'failed += compare("{label}", {own}, {array}, {port.size}, {allowed});')
+                steps.append(f'failed += compare("{label}", {result}, {array}, {port.size}, {allowed});')
     widest = max(len(function.results) for function in code.functions)
     longest = max(port.size for function in code.functions for port in function.results)
     return filled(
@@ -196,8 +197,8 @@ def _references(function: ExportedFunction, points: Sequence[Point]) -> list[lis
         stacked = [jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)]
         # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
         run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
-        found = [np.asarray(r) for r in run(*stacked)]
-    return [[np.asarray(result[k]) for result in found] for k in range(len(points))]
+        results = [np.asarray(r) for r in run(*stacked)]
+    return [[np.asarray(result[k]) for result in results] for k in range(len(points))]
 
 
 def _cast(values: Any, real: CType) -> NDArray[Any]:

@@ -54,22 +54,22 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
     Raises:
         ModelError: two arrays get one name.
     """
-    found: dict[str, Port] = {}
+    ports_by_name: dict[str, Port] = {}
     for port in ports:
         plain = re.sub(r"[^\x00-\x7f]", lambda letter: f"u{ord(letter[0]):04x}", port.name)
         # Its kind keeps a name apart from C's words and from libm's.
         kind = {"jacobian": "by", "params": "p"}.get(port.kind, port.kind)
         name = kind if kind == "t" else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
-        if name in found:
+        if name in ports_by_name:
             raise ModelError(
-                f"{found[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
+                f"{ports_by_name[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
             )
-        found[name] = port
-    return {port: name for name, port in found.items()}
+        ports_by_name[name] = port
+    return {port: name for name, port in ports_by_name.items()}
 
 
 @dataclasses.dataclass(frozen=True)
-class Code:
+class CCode:
     """What is written."""
 
     name: str  # of the files, and what the names of all functions begin with
@@ -123,13 +123,13 @@ class Code:
 
     def _defaults(self) -> dict[str, str]:
         """The parameters that have values of their own: head -> these, row by row."""
-        own = {p.name: p.value for p in self.exporter.dynamics.parameters if p.value is not None}
+        defaults = {p.name: p.value for p in self.exporter.dynamics.parameters if p.value is not None}
         return {
             f"const {self.real.name} {self.name}_default_{self.names[port]}[{port.size}]": ", ".join(
-                self.real.literal(self.real.dtype.type(v)) for v in own[port.name].reshape(-1)
+                self.real.literal(self.real.dtype.type(v)) for v in defaults[port.name].reshape(-1)
             )
             for port in self.exporter.arguments
-            if port.kind == "params" and port.name in own and port.size
+            if port.kind == "params" and port.name in defaults and port.size
         }
 
     def _listed(self, ports: Sequence[Port]) -> str:
@@ -174,8 +174,9 @@ def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[P
         return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
 
     def computed(operation: Operation, node: int, *values: str) -> str:
-        own, argument = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
-        lines.append(f"const {own.name} v{len(lines)} = {expression(operation, argument, own, values)};")
+        result_type, argument_type = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
+        value = expression(operation, argument_type, result_type, values)
+        lines.append(f"const {result_type.name} v{len(lines)} = {value};")
         return f"v{len(lines) - 1}"
 
     values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)

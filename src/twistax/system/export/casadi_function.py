@@ -45,8 +45,8 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
             "  fix: rename one, or ask for fewer families"
         )
     # CasADi takes zero for what is not given: a mass of zero would go unnoticed, NaN does not.
-    own = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
-    defaults = [own.get(port.name, np.nan) if port.kind == "params" else np.nan for port in exporter.arguments]
+    scalars = {p.name: float(p.value) for p in dynamics.parameters if p.value is not None and p.shape == ()}
+    defaults = [scalars.get(port.name, np.nan) if port.kind == "params" else np.nan for port in exporter.arguments]
     # A function that CasADi derives has zeros again, unless it is told; the results, which `jacobian` takes too, are
     # not read.
     derived = {"default_in": [*defaults, *(0.0 for _ in results)]}
@@ -79,14 +79,14 @@ def _results(
         lambda value, dtype: kind(float(value)),
         lambda operation, i, *a: expression(casadi, operation, g.dtypes[g.arguments(i)[-1]], *a),
     )
-    found = []
+    results = []
     for port, nodes in zip(function.results, function.program.outputs, strict=True):
         result = kind(*_matrix(port.shape))  # what is structurally zero stays so
         for entry, i in enumerate(nodes.reshape(-1).tolist()):
             if i != g.zero:
                 result[_place(port.shape, entry)] = values[i]
-        found.append(result)
-    return found
+        results.append(result)
+    return results
 
 
 def expression(casadi: Any, operation: Operation, dtype: np.dtype[Any], *arguments: Any) -> Any:

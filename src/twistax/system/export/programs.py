@@ -57,7 +57,7 @@ class Exporter:
     def __init__(self, dynamics: Functions, dtype: Any, checked: bool = False) -> None:
         self.dynamics, self.dtype, self.checked = dynamics, np.dtype(dtype), checked
         leaves = {"x": dynamics.states, "u": dynamics.controls, "params": dynamics.parameters}
-        ports = [Port(kind, leaf.name, leaf.shape) for kind, own in leaves.items() for leaf in own]
+        ports = [Port(kind, leaf.name, leaf.shape) for kind, of_kind in leaves.items() for leaf in of_kind]
         self.arguments = (Port("t", "", ()), *ports)
         self._places = tuple((port.kind, port.name) for port in self.arguments)
 
@@ -86,13 +86,13 @@ class Exporter:
         with jax.enable_x64(self.dtype == np.float64):
             zeros = [jnp.zeros(p.shape, self.dtype) for p in self.arguments]
             inputs = Inputs(*self.dynamics.by_kind(self._places, zeros), self.dtype)
-            found, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
+            derivatives, _ = self.dynamics.rate_jacobian(inputs, tuple(wrt))
             rates = lambda *values: self.dynamics.flat_rates(self._places, *values)[0]  # noqa: E731
 
             def arrays(*values: jax.Array) -> list[jax.Array]:
                 return list(blocks_in_arrays(rates, self.dynamics.group, self._places, wrt, values).values())
 
-            return self._exported("jacobian", "jacobian", list(found.blocks), found.program, arrays)
+            return self._exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays)
 
     def _exported(
         self,
@@ -115,7 +115,7 @@ class Exporter:
         restricted = form.restricted([form.outputs[k] for k in kept])
 
         def present(*values: jax.Array) -> list[jax.Array]:
-            found = arrays(*values)
-            return [found[k] for k in kept]
+            results = arrays(*values)
+            return [results[k] for k in kept]
 
         return ExportedFunction(name, ports, restricted, present)

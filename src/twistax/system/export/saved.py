@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import importlib
 import io
+import itertools
 import json
 import math
 import os
@@ -83,13 +84,13 @@ def save(dynamics: Functions, path: str | Path) -> None:
         for name, member in members.items():
             archive.writestr(zipfile.ZipInfo(name, _FIXED_TIME), member, zipfile.ZIP_DEFLATED)
     target = path_of("save: path", path)
-    beside = target.parent / f"{target.name}.{os.getpid()}.part"
+    partial = target.parent / f"{target.name}.{os.getpid()}.part"
     try:
         # Written beside, then moved: a file is whole or not there.
-        beside.write_bytes(buffer.getvalue())
-        beside.replace(target)
+        partial.write_bytes(buffer.getvalue())
+        partial.replace(target)
     except OSError as error:
-        beside.unlink(missing_ok=True)
+        partial.unlink(missing_ok=True)
         raise InputError(
             f"cannot save to {str(target)!r}: {error}.\n  fix: give a path in a folder that is there"
         ) from None
@@ -160,9 +161,8 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
     system = dynamics.system
     leaves: dict[str, Sequence[Leaf]] = {kind: getattr(system, kind) for kind in _LEAVES}
     named: dict[str, dict[str, Expr]] = {kind: getattr(system, kind) for kind in _FAMILIES}
-    known = [each for pairs in system.slopes.values() for pair in pairs for each in pair]
-    roots = [*(leaf for own in leaves.values() for leaf in own), *(e for own in named.values() for e in own.values())]
-    roots += known
+    known = [expr for pairs in system.slopes.values() for pair in pairs for expr in pair]
+    roots = [*itertools.chain(*leaves.values()), *(e for members in named.values() for e in members.values()), *known]
     nodes, places = write_nodes(roots, arrays)
     compiled = {
         "outputs": list(dynamics.families["outputs"]),
@@ -173,9 +173,10 @@ def _content(dynamics: Functions, arrays: list[NDArray[Any]]) -> dict[str, Any]:
         "format": _FORMAT,
         "twistax": version(),
         "nodes": nodes,
-        **{kind: [places[id(leaf)] for leaf in own] for kind, own in leaves.items()},
-        **{kind: [[name, places[id(e)]] for name, e in own.items()] for kind, own in named.items()},
-        "slopes": [[name, [[places[id(e)] for e in pair] for pair in own]] for name, own in system.slopes.items()],
+        **{kind: [places[id(leaf)] for leaf in members] for kind, members in leaves.items()},
+        **{kind: [[name, places[id(e)]] for name, e in members.items()] for kind, members in named.items()},
+        "slopes": [[name, [[places[id(e)] for e in pair] for pair in pairs]] for name, pairs in system.slopes.items()],
+        "labels": system.labels,
         "compiled": compiled,
         "keys": _keys(system),
         "arrays": len(arrays),
@@ -194,7 +195,8 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
         corrections=corrections,
         controls=[nodes[place] for place in content["controls"]],
         parameters=[nodes[place] for place in content["parameters"]],
-        slopes={name: [(nodes[by], nodes[slope]) for by, slope in own] for name, own in content.get("slopes", [])},
+        slopes={name: [(nodes[by], nodes[slope]) for by, slope in pairs] for name, pairs in content.get("slopes", [])},
+        labels=content.get("labels"),
     )
     compiled = content["compiled"]
     bake = {name: _value(value, arrays, nodes) for name, value in compiled["bake"]}
@@ -204,7 +206,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
 
 def _keys(system: System) -> list[str]:
     """The structure of all that is computed, in order."""
-    known = [each for pairs in system.slopes.values() for pair in pairs for each in pair]
+    known = [expr for pairs in system.slopes.values() for pair in pairs for expr in pair]
     named = [e for kind in _FAMILIES for e in getattr(system, kind).values()]
     return [e.key() for e in (*named, *known)]
 
@@ -340,8 +342,8 @@ def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) 
             cls = _class_of(named)
             if cls is None or not _constructible(cls):
                 raise _unknown_class(named)
-            found = cls(**{name: _value(value, arrays, nodes) for name, value in fields.items()})
-            return next((known for known in _KNOWN if known == found), found)
+            value_of_class = cls(**{name: _value(value, arrays, nodes) for name, value in fields.items()})
+            return next((known for known in _KNOWN if known == value_of_class), value_of_class)
     raise KeyError(kind)
 
 
@@ -358,9 +360,9 @@ def _class_of(named: str) -> type | None:
     module = module_now(module)
     if module in _ON_DEMAND:
         importlib.import_module(module)
-    found = vars(sys.modules[module]).get(name) if module in _VALUES and module in sys.modules else None
-    if isinstance(found, type) and _reference(found) == named:
-        return found
+    value = vars(sys.modules[module]).get(name) if module in _VALUES and module in sys.modules else None
+    if isinstance(value, type) and _reference(value) == named:
+        return value
     return next((cls for cls in (*node_classes(), *_below(Group), *_below(Backend)) if _reference(cls) == named), None)
 
 

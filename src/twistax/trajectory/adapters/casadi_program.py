@@ -23,11 +23,11 @@ from numpy import ndarray as Array
 
 
 class SolverRefused(RuntimeError):
-    """A solver that does not run with its options."""
+    """A solver that does not start with its options."""
 
 
 class SolverResult(NamedTuple):
-    """What a solver of CasADi's came back with."""
+    """The result of a CasADi solver."""
 
     x: Array
     of_bounds: Array  # multipliers
@@ -56,7 +56,9 @@ class CasadiProgram:
         progress: Callable[..., None] | None = None,
         seconds: float = np.inf,
     ) -> SolverResult:
-        """Solve from a start, with options of the plugin on top of those it was made with. There is no clock here."""
+        """Solve from a start, with options of the plugin in addition to those of the constructor. There is no time
+        limit here.
+        """
         self._progress, self._memory = progress, {}
         key, program = tuple(sorted(options.items())), self.program
         every = {**self._options, self._plugin: {**self._options.get(self._plugin, {}), **options}}
@@ -112,7 +114,7 @@ class CasadiProgram:
         return slopes
 
     def _gradient(self, x: Array, weight: float, multipliers: Array) -> Array:
-        """Of weight f + multipliers . g."""
+        """The gradient of weight f + multipliers . g."""
         gradient, numbers = self._slopes(x)
         entries = self.program.jacobian
         of_rows = np.bincount(entries.columns, numbers * multipliers[entries.rows], minlength=self.program.size)
@@ -127,7 +129,7 @@ class CasadiProgram:
     # ---- functions of CasADi --------------------------------------------------------------------------------------
 
     def _as_function(self) -> _Function:
-        """x -> f, g, with its derivatives."""
+        """The CasADi function x -> f, g, with its derivatives."""
         n, m = self.program.size, self.program.count
         jacobian, hessian = self.program.jacobian, self.program.hessian
         x, f, g = (casadi.Sparsity.dense(size, 1) for size in (n, 1, m))
@@ -152,13 +154,13 @@ class CasadiProgram:
 
 
 def sparsity(rows: int, columns: int, entries: Any) -> Any:
-    """CasADi's pattern of entries that are sorted by columns."""
+    """CasADi's sparsity pattern of entries that are sorted by columns."""
     starts = np.searchsorted(entries.columns, np.arange(columns + 1))
     return casadi.Sparsity(rows, columns, starts.tolist(), entries.rows.tolist())
 
 
 class _Function(casadi.Callback):
-    """A function that calls back.
+    """A CasADi function that calls back to Python.
 
     Args:
         run: the numbers of the arguments -> those of the results.
@@ -241,7 +243,8 @@ def _read(memory: Any) -> Array:
 
 
 def _answer(inbox: BinaryIO, outbox: BinaryIO) -> None:
-    """Solve each start that comes in; values and derivatives come from the other process.
+    """The loop of the subprocess: solve each start that it receives; values and derivatives come from the parent
+    process.
 
     The clock that ends a solve is a thread that does not need Python's lock: a solver that hangs holds it.
     """

@@ -28,7 +28,7 @@ from ..transcription.staged_phase import StagedPhase
 
 
 class Entries(NamedTuple):
-    """Where the entries of a sparse matrix stand, column by column, and which numbers add up to each."""
+    """The entries of a sparse matrix, column by column, and which numbers add up to each entry."""
 
     rows: Array
     columns: Array
@@ -41,7 +41,7 @@ class Entries(NamedTuple):
 
 
 class ProgramStart(NamedTuple):
-    """Where a solver starts and what bounds hold: unknowns, multipliers of bounds and of rows."""
+    """The start of a solver: unknowns, their bounds, and multipliers of bounds and rows."""
 
     x: Array
     lower: Array
@@ -51,7 +51,7 @@ class ProgramStart(NamedTuple):
 
 
 class Reached(NamedTuple):
-    """Where a solver ended: the point, multipliers in the problem's units, and the largest turn of a node, rad."""
+    """The end of a solver: the point, multipliers in the problem's units, and the largest rotation of a node, rad."""
 
     point: Point
     dynamics: Array  # (intervals, n)
@@ -95,7 +95,7 @@ class NonlinearProgram:
         self._describe()
 
     def _number(self, with_copies: bool) -> list[tuple[int, int]]:
-        """Number the unknowns; how many states and controls each stage has."""
+        """Number the unknowns, and count the states and controls of each stage."""
         stages, first, sizes = self._transcription.stages, self._staged.first, list[tuple[int, int]]()
         shared = self._free[self._shared :]
         for k, (n, m) in enumerate(zip(stages.states, stages.controls)):
@@ -110,13 +110,13 @@ class NonlinearProgram:
         return sizes
 
     def _next(self, places: Array, which: Array) -> int:
-        """Give the next numbers to some unknowns."""
+        """Assign the next numbers to some unknowns."""
         places[which] = np.arange(self.size, self.size + len(which))
         self.size += len(which)
         return len(which)
 
     def _number_rows(self, with_copies: bool) -> tuple[list[Array], Array, list[int]]:
-        """Places of defects, inequalities and equalities among the constraints, and of the equations between copies.
+        """Assign constraints to defects, inequalities, equalities and the equations between copies.
 
         The last item: how many constraints each stage has beside the dynamics.
         """
@@ -137,7 +137,7 @@ class NonlinearProgram:
         return np.arange(self.count - count, self.count)
 
     def _describe(self) -> None:
-        """Where derivatives stand in sparse matrices."""
+        """The sparsity patterns of the derivatives."""
         stages, first = self._transcription.stages, self._staged.first
         jacobian = list[Any]()
         columns = [
@@ -164,7 +164,7 @@ class NonlinearProgram:
     # ---- starts and ends ------------------------------------------------------------------------------------------
 
     def start(self, start: Point | WarmStart, instance: Given, units: StartUnits | None) -> ProgramStart:
-        """State the program about a point, in these units or those of the statement."""
+        """Set the point about which the program is stated, and the units: these or those of the problem."""
         staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
         staged.set_given(instance)
         self._latest: tuple[Array, Evaluated] | None = None
@@ -187,7 +187,7 @@ class NonlinearProgram:
         return ProgramStart(self._of_v(self._v) / self._x_units, lower, upper, bounds, rows)
 
     def reached(self, x: Array, of_bounds: Array, of_rows: Array) -> Reached:
-        """Where some unknowns are, with the multipliers there."""
+        """The point at some unknowns, and its multipliers."""
         staged = self._staged
         z, v = self._at(x)
         z = moved(self._transcription, z, v * self._curved)
@@ -204,7 +204,7 @@ class NonlinearProgram:
 
     @staticmethod
     def _turn(part: StagedPhase, d: Array, dynamics: Array) -> None:
-        """Write the multipliers of the dynamics of a phase about nodes moved by d, of those about where they were.
+        """Transform the multipliers of a phase's dynamics to nodes moved by d.
 
         A node that moves on by e moves by J e in the chart where it was, J^-1 = J_l(-d).
         """
@@ -217,13 +217,13 @@ class NonlinearProgram:
                 dynamics[k - 1, :n] = np.linalg.solve(matrix.T, dynamics[k - 1, :n])
 
     def _of_v(self, v: Array) -> Array:
-        """Of numbers for v those of the unknowns."""
+        """From entries of v to those of the unknowns."""
         x = np.zeros(self.size + 1)
         x[self._places], x[self._copies] = v, v[self._shared :]
         return x[:-1]
 
     def _of_rows(self, c: Array, h: Array, e: Array, copies: Any = 0.0) -> Array:
-        """Numbers of defects and rows as those of the constraints."""
+        """From entries of defects and rows to those of the constraints."""
         rows = np.zeros(self.count + 1)
         rows[self._copy_rows] = copies
         for places, numbers in zip(self._row_places, (c, h, e)):
@@ -231,7 +231,7 @@ class NonlinearProgram:
         return rows[:-1]
 
     def _at(self, x: Array) -> tuple[Array, Array]:
-        """The points that charts are about, with flat entries as they are, and v."""
+        """z and v at some unknowns: nodes in the charts about the current points, other entries as they are."""
         v, z, placed, flat = self._v.copy(), self._z.copy(), self._places >= 0, self._point_places >= 0
         v[placed] = (x * self._x_units)[self._places[placed]]
         z[self._point_places[flat]] = v[flat]
@@ -240,7 +240,7 @@ class NonlinearProgram:
     # ---- values and derivatives -----------------------------------------------------------------------------------
 
     def _evaluated(self, x: Array) -> Evaluated:
-        """Values at some unknowns; later ones take their place in memory."""
+        """Values at some unknowns. The next call overwrites their memory."""
         if self._latest is not None and np.array_equal(self._latest[0], x):
             return self._latest[1]
         z, v = self._at(x)

@@ -41,7 +41,7 @@ _OVER = {
 
 @runtime_checkable
 class SolvedBy(Protocol):
-    """What `Problem.solve(solver=...)` takes."""
+    """The interface of `Problem.solve(solver=...)`."""
 
     def run(
         self,
@@ -51,13 +51,13 @@ class SolvedBy(Protocol):
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
-        """Solve from a start; `core` has the functions, and measures the result."""
+        """Solve from a start; `core` provides the functions, and measures the result."""
         ...
 
 
 @dataclasses.dataclass(frozen=True)
 class _Casadi:
-    """A solver of CasADi's.
+    """A solver of CasADi.
 
     Args:
         options: of the solver itself, on top of what this package sets.
@@ -105,7 +105,7 @@ class _Casadi:
         return {}
 
     def _of_pass(self, warm: bool, scaled: bool, left: int) -> dict[str, Any]:
-        """Options of a pass: warm, in fitting units, and for so many iterations."""
+        """Options of one pass: warm start, scaling, and the limit of iterations."""
         raise NotImplementedError
 
     def run(
@@ -116,7 +116,7 @@ class _Casadi:
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
-        """Solve from a start; a solution that is no minimum is left."""
+        """Solve from a start; repeat from another point if the solution is not a minimum."""
         if isinstance(start, WarmStart) or core.measure.is_decided:
             begun = core.run_once(start, instance, 0)
             if begun.status is not Status.MAX_ITERATIONS:
@@ -133,7 +133,8 @@ class _Casadi:
         return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
 
     def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
-        """Passes of the solver: again from where it ended while nodes turn, and in fitting units where it failed.
+        """Passes of the solver: repeated about moved nodes as long as they rotate, and with other scaling after a
+        failure.
 
         The first one is in the units of the statement, as it is when another states the problem.
         """
@@ -181,7 +182,7 @@ class _Casadi:
 
 @dataclasses.dataclass(frozen=True)
 class _Run:
-    """What a search works on and within: the iterations that are left, and when its time is over."""
+    """The limits of one search: remaining iterations and the end time."""
 
     core: CoreSolver
     instance: Given
@@ -189,7 +190,7 @@ class _Run:
     due: float
 
     def ended(self, outcome: Outcome, word: str) -> Status | None:
-        """The status where a pass ends the search."""
+        """The status if a pass ends the search."""
         tolerance = self.core.tolerance
         if outcome.status is Status.SOLVED and outcome.errors.gap <= tolerance:
             return Status.SOLVED
@@ -202,7 +203,7 @@ class _Run:
         return _OVER.get((word, outcome.violation <= tolerance))
 
     def at_rest(self, outcome: Outcome) -> Outcome:
-        """The outcome where the solver does no better: INFEASIBLE where the core comes to no feasible point either."""
+        """The outcome if the solver makes no progress: INFEASIBLE if the core finds no feasible point either."""
         tolerance = self.core.tolerance
         if outcome.status is Status.SOLVED:
             return outcome
@@ -222,7 +223,7 @@ def _counted(callback: Callback | None, before: int) -> Callback | None:
 def _progress(
     program: NonlinearProgram, callback: Callback | None, unit: float
 ) -> Callable[[float, Array], None] | None:
-    """What is called with f and g before each step of a pass, f in a unit."""
+    """The callback with f, in a unit, and g before each step of a pass."""
     if callback is None:
         return None
     steps = itertools.count()

@@ -63,7 +63,7 @@ class Term(NamedTuple):
 
 
 class SumOfSquares:
-    """The squares of an expression. What else there is in it is linear in the unknowns, and has no second derivative.
+    """The squares of an expression. Its other terms are linear in the unknowns and have no second derivative.
 
     Args:
         place: what it is called in messages.
@@ -151,7 +151,7 @@ class SumOfSquares:
         raise self._refused(expr)
 
     def _peeled(self, expr: Expr) -> tuple[Expr, Expr]:
-        """Factors without unknowns, and what they multiply."""
+        """The factors without unknowns, and the rest of a product."""
         parts = expr.children()
         if isinstance(expr, Neg):
             factor, rest = self._peeled(parts[0])
@@ -166,7 +166,7 @@ class SumOfSquares:
         return Constant(1.0), expr
 
     def _is_known(self, expr: Expr) -> bool:
-        """Whether no unknown but the time is in it."""
+        """Whether an expression depends on no unknown except time."""
         return not any(self._is_unknown(leaf) for leaf in leaves_of(expr))
 
     def _is_unknown(self, leaf: Leaf) -> bool:
@@ -195,7 +195,7 @@ class SumOfSquares:
 
 
 class SquaresHessian:
-    """Second derivatives of squares by the slopes of their residuals, as kernels read them; see `ExtraHessian`.
+    """Second derivatives of squares from first derivatives of their residuals, for kernels; see `ExtraHessian`.
 
     Args:
         shooting: the phase.
@@ -205,12 +205,12 @@ class SquaresHessian:
         self._shooting, self._point = shooting, point_of(shooting)
 
     def running(self, known: Known, params: Any, terms: Sequence[Any]) -> jax.Array:
-        """Of the running cost times T, by q = [eta, u, b]; the last weight is its own."""
+        """The Hessian of the running cost times T in q = [eta, u, b]; the last weight is that of the cost."""
         q, share, base = known[Argument.Z], known[Argument.SHARE][0], self._point.split(known[Argument.BASE])
         return known[Argument.WEIGHTS][-1] * self._hessian(q, share, base, params, terms, jnp.sqrt).reshape(-1)
 
     def final(self, known: Known, params: Any, terms: Sequence[Any]) -> jax.Array:
-        """Of the final cost, by z = [eta, b]."""
+        """The Hessian of the final cost in z = [eta, b]."""
         n, m, z = self._shooting.n, self._shooting.m, known[Argument.Z]
         q = jnp.concatenate([z[:n], jnp.zeros(m, z.dtype), z[n:]])
         columns = np.array([*range(n), *range(n + m, len(q))])
@@ -221,7 +221,9 @@ class SquaresHessian:
     def _hessian(
         self, q: jax.Array, share: jax.Array, base: Any, params: Any, terms: Sequence[Any], root: Any
     ) -> jax.Array:
-        """(q, q) the sum of 2 factor slopes' weight slopes; residuals count with the root of T."""
+        """(q, q) the sum of 2 factor R' weight R over the residuals, R their slopes; residuals are scaled by the root
+        of T.
+        """
         residuals, factors, weights = terms
 
         def at(exprs: Any, q: jax.Array) -> tuple[jax.Array, list[Any]]:

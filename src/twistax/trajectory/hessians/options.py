@@ -1,4 +1,4 @@
-"""Second derivatives of a problem other than exact ones."""
+"""Approximations of a problem's second derivatives."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .gauss_newton import SquaresHessian, SumOfSquares
 
 @runtime_checkable
 class Hessian(Protocol):
-    """What `Problem(hessian=...)` takes.
+    """The interface of `Problem(hessian=...)`.
 
     Attributes:
         by_updates: whether second derivatives come from steps of the search.
@@ -24,7 +24,7 @@ class Hessian(Protocol):
     by_updates: ClassVar[bool]
 
     def squares(self, shooting: Shooting) -> ExtraHessian | None:
-        """Second derivatives in place of the exact ones; None where steps of the search give them."""
+        """Second derivatives in place of the exact ones; None if updates during the search provide them."""
         ...
 
 
@@ -51,7 +51,7 @@ class GaussNewton:
     by_updates: ClassVar[bool] = False
 
     def squares(self, shooting: Shooting) -> ExtraHessian:
-        """Those of the objective."""
+        """The squares of the objective."""
         exprs = shooting.local.expressions
         free = {box.name for box in shooting.border.boxes}
 
@@ -87,11 +87,11 @@ class QuasiNewton:
     by_updates: ClassVar[bool] = True
 
     def squares(self, shooting: Shooting) -> None:
-        """It needs none."""
+        """None: updates provide second derivatives."""
 
 
 def checked_hessian(hessian: Any) -> Hessian | None:
-    """Raise TrajectoryError unless it is one."""
+    """Raise TrajectoryError for something that is no Hessian option."""
     if hessian is not None and (isinstance(hessian, type) or not isinstance(hessian, Hessian)):
         raise TrajectoryError(
             "hessian expects tx.trajectory.GaussNewton(), tx.trajectory.QuasiNewton(), or nothing for exact second "
@@ -101,5 +101,5 @@ def checked_hessian(hessian: Any) -> Hessian | None:
 
 
 def by_updates(parts: Iterable[Any]) -> bool:
-    """Whether second derivatives of any of these problems come from steps of the search."""
+    """Whether second derivatives of any of these problems come from quasi-Newton updates."""
     return any(part.hessian is not None and part.hessian.by_updates for part in parts)

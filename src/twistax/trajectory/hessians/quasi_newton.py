@@ -1,4 +1,4 @@
-"""Hessians of stages from steps of a search."""
+"""Quasi-Newton Hessians of stages."""
 
 from __future__ import annotations
 
@@ -55,25 +55,25 @@ class StageUpdates:
         self.functions: StageFunctions = dataclasses.replace(transcription.functions, hessians=address, owner=self)
 
     def check(self) -> None:
-        """Raise what was raised within the core."""
+        """Raise an error that occurred in a callback of the core."""
         if self._error is not None:
             raise self._error
         self._transcription.check()
 
     def _called(self, _: object, z: Any, weight: float, lam: Any, y: Any, ye: Any, out: Any) -> int:
         stages = self._transcription.stages
-        counts = (stages.points, sum(stages.after), sum(stages.inequalities), sum(stages.equalities))
+        counts = (stages.points, *stages.row_counts)
         try:
             here, *multipliers = (np.array(_numbers(a, n)) for a, n in zip((z, lam, y, ye), counts))
             blocks = self._at(here, weight, multipliers)
-            _numbers(out, stages.block_sizes(stages.columns))[:] = np.concatenate([block.ravel() for block in blocks])
+            _numbers(out, stages.hessian_size)[:] = np.concatenate([block.ravel() for block in blocks])
         except BaseException as error:
             self._error = error
             return 1
         return 0
 
     def _at(self, z: Array, weight: float, multipliers: Sequence[Array]) -> list[Array]:
-        """The blocks at a point, in the problem's units, updated by the step to it."""
+        """The blocks at a point, in the problem's units, after the update with the step to it."""
         at = Evaluated(self._transcription, z)
         at.jacobians()
         here = _Place(z, *self._derivatives(at))
@@ -88,7 +88,7 @@ class StageUpdates:
         return [weight * block / np.outer(size, size) for block, size in zip(self._blocks, self._sizes)]
 
     def _derivatives(self, at: Evaluated) -> tuple[list[Array], list[list[Array]]]:
-        """Of each stage: the gradient of its cost, and the slopes of its defects, inequalities and equalities."""
+        """For each stage the gradient of its cost and the Jacobians of its defects, inequalities and equalities."""
         stages, slopes = self._transcription.stages, np.concatenate(self._transcription.cost_slopes)
         of_stages = np.split(at.gradient[: stages.variables - stages.parameters], stages.first[1:])
         kinds = ((at.F, stages.after), (at.Jh, stages.inequalities), (at.Je, stages.equalities))
@@ -100,7 +100,7 @@ class StageUpdates:
         return [np.split(values, np.cumsum(count)[:-1]) for values, count in zip(multipliers, counts)]
 
     def _steps(self, before: Array, after: Array) -> list[tuple[Array, _Turn | None]]:
-        """Of each stage from a point to another, and what turns tangent spaces."""
+        """For each stage the step between two points, and the Jacobians that transport tangent vectors."""
         stages, steps = self._transcription.stages, list[tuple[Array, _Turn | None]]()
         step = after - before
         shared = step[stages.points - stages.parameters :]
@@ -119,14 +119,14 @@ class StageUpdates:
 
 
 class _Turn(NamedTuple):
-    """The left and the right Jacobian of a step."""
+    """The left and the right Jacobian at a step."""
 
     left: Array
     right: Array
 
 
 def _about_before(gradient: Array, turn: _Turn | None) -> Array:
-    """A gradient by steps from where a step began, by that from where it ended."""
+    """A gradient with respect to the node before a step, from that with respect to the node after it."""
     if turn is None:
         return gradient
     n = len(turn.right)
@@ -134,19 +134,19 @@ def _about_before(gradient: Array, turn: _Turn | None) -> Array:
 
 
 def _turned_back(multipliers: Array, turn: _Turn | None) -> Array:
-    """Multipliers of a logarithm about the node where a step ended, for derivatives about the one where it began."""
+    """Multipliers of a logarithm about the node before a step, from those about the node after it."""
     return multipliers if turn is None else np.linalg.solve(turn.left.T, multipliers)
 
 
 class _Place(NamedTuple):
-    """A point with its derivatives by stage."""
+    """A point with the derivatives of each stage."""
 
     z: Array
     cost: list[Array]
     slopes: list[list[Array]]
 
     def gradients(self, weight: float, multipliers: list[list[Array]]) -> list[Array]:
-        """Of the Lagrangian's share of each stage."""
+        """The gradient of each stage's part of the Lagrangian."""
         gradients = [weight * gradient for gradient in self.cost]
         for slopes, values in zip(self.slopes, multipliers):
             gradients = [g + matrix.T @ a for g, matrix, a in zip(gradients, slopes, values)]

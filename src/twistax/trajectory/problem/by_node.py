@@ -25,17 +25,17 @@ class ByNode:
 
     Attributes:
         leaves: by name; each of the shape of a single value.
-        stated: shares of the nodes for which values are stated.
+        stated_shares: shares of the nodes for which values are stated.
         shares: of the nodes that there are.
     """
 
     leaves: Mapping[str, Parameter]
-    stated: Array
+    stated_shares: Array
     shares: Array
 
     @classmethod
     def of(cls, value: Any, shares: Array) -> ByNode:
-        """From what a problem was stated with.
+        """The parameters of `by_node=`.
 
         Raises:
             ModelError: no list of parameters.
@@ -50,7 +50,7 @@ class ByNode:
     def check(
         self, objective: Iterable[Expr], elsewhere: Iterable[Expr], read: Iterable[str], free: Iterable[str]
     ) -> None:
-        """Raise ModelError unless the objective alone reads them, and none is free.
+        """Raise ModelError unless only the objective reads them, and none is free.
 
         Args:
             objective, elsewhere: expressions of the objective, and all others.
@@ -88,12 +88,12 @@ class ByNode:
             return np.broadcast_to(rows, (len(self.shares), *shape)).copy()
         if rows.shape == (len(self.shares), *shape):
             return rows
-        if rows.shape != (len(self.stated), *shape):
+        expected = (len(self.stated_shares), *shape)
+        if rows.shape != expected:
             raise ShapeError(
-                f"params[{name!r}] expects a row for each node {(len(self.stated), *shape)}, or one value {shape}, "
-                f"got {rows.shape}"
+                f"params[{name!r}] expects a row for each node {expected}, or one value {shape}, got {rows.shape}"
             )
-        columns = [np.interp(self.shares, self.stated, column) for column in rows.reshape(len(rows), -1).T]
+        columns = [np.interp(self.shares, self.stated_shares, column) for column in rows.reshape(len(rows), -1).T]
         return np.stack(columns, axis=1).reshape(-1, *shape)
 
     # ---- as kernels read them: a row for each node, with its own values and those of the next ------------------------

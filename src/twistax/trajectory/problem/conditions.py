@@ -1,10 +1,10 @@
-"""What is asked at single nodes: values of the states at both ends, and constraints at any node."""
+"""Conditions at single nodes: values of the states at both ends, and constraints at any node."""
 
 from __future__ import annotations
 
 import dataclasses
 import itertools
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from math import prod
 from typing import Any
 
@@ -56,7 +56,7 @@ class Conditions:
         return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
 
     def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
-        """(entries,) residuals that no unknown can change where these entries of the states are fixed."""
+        """(entries,) residuals that are constant if these entries of the states are fixed."""
         fixed_states, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
         decided: list[bool] = []
         for residual in self.residuals:
@@ -184,11 +184,11 @@ def at_nodes(at: Any, nodes: int) -> dict[int, dict[str, Asked]]:
 
 
 def end_values(
-    states: Sequence[State], what: str, stated_end: Mapping[Any, Any] | None, declared: bool
+    states: Sequence[State], what: str, stated_end: Mapping[Any, Any] | None, declared: Collection[str]
 ) -> dict[str, Array | None]:
     """The initial or final value of every state, NaN where an entry is free, None where all are."""
     leaves = {state.name: state for state in states}
-    values: dict[str, Array | None] = {name: getattr(e, what) if declared else None for name, e in leaves.items()}
+    values: dict[str, Array | None] = {n: getattr(e, what) if n in declared else None for n, e in leaves.items()}
     if stated_end is not None and not isinstance(stated_end, Mapping):
         raise ModelError(f"{what} must be a mapping from state names to values, got {type(stated_end).__name__}")
     for key, value in (stated_end or {}).items():
@@ -232,11 +232,13 @@ class Ends:
         return np.concatenate([*self.final_fixed.values(), np.zeros(0, bool)])
 
 
-def ends_of(states: Sequence[State], initial: Any, final: Any, declared: tuple[bool, bool] = (False, False)) -> Ends:
+def ends_of(
+    states: Sequence[State], initial: Any, final: Any, declared: tuple[Collection[str], Collection[str]] = ((), ())
+) -> Ends:
     """Both ends, checked.
 
     Args:
-        declared: whether values that states declare themselves count, at each end.
+        declared: at each end, the names of the states whose declared values count.
     """
     first = end_values(states, "initial", initial, declared[0])
     last = end_values(states, "final", final, declared[1])

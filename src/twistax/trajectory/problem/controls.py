@@ -1,4 +1,4 @@
-"""How a control goes on between nodes: `Problem(controls=...)`."""
+"""Parametrisations of controls between nodes: `Problem(controls=...)`."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _RATE_OF = "rate of "
 
 @dataclasses.dataclass(frozen=True)
 class Held:
-    """A control that is constant over each interval, and may jump at nodes."""
+    """A control that is constant over each interval and may jump at the nodes (a zero-order hold)."""
 
 
 @dataclasses.dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""What a problem may ask of a whole path: integrals, extremes, and where it began."""
+"""Functionals of a whole path: integrals, extremes, and initial values."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from ...expr import Expr, Inputs, Leaf, State, to_expr
 
 
 class Functional(Leaf):
-    """A value that a whole path has. It stands for an unknown of the problem that it is stated in.
+    """A functional of a whole path. It stands for an unknown of the problem in which it occurs.
 
     Attributes:
         operand: the expression along the path.
@@ -51,11 +51,10 @@ class Functional(Leaf):
 
 
 class Integral(Functional):
-    """The integral of an expression of states, controls, parameters and time, from the beginning of the path.
+    """The integral over time of an expression of states, controls, parameters and time, from the start of the path.
 
-    In `final=` and the objective it is that over the whole path, in `at=` that until the node; in a phase it is that of
-    the phase.
-    Shape: that of the operand; unit: the operand's times s.
+    In `final=` and in the objective it runs over the whole path, in `at=` up to the node; in a phase it runs over the
+    phase. Shape: that of the operand; unit: the operand's times s.
 
     Raises: ModelError if the operand is a condition.
     """
@@ -85,10 +84,10 @@ class Extreme(Functional):
 
 
 class Maximum(Extreme):
-    """The largest value along the path of an expression of states, controls, parameters and time; of all its entries.
+    """The largest value of an expression of states, controls, parameters and time along the path, over all entries.
 
-    A bound s with $operand <= s$ where constraints along the path are asked, so it has to be pushed down: minimised, or
-    at most something in `final=`. Shape ().
+    It is an upper bound s with $operand <= s$ at all points where path constraints are imposed. So it must be pushed
+    down: minimise it, or bound it from above in `final=`. Shape ().
 
     Raises: ModelError if the operand is a condition.
     """
@@ -98,7 +97,8 @@ class Maximum(Extreme):
 
 
 class Minimum(Extreme):
-    """The smallest value along the path of an expression; see `Maximum`. It has to be pushed up. Shape ().
+    """The smallest value of an expression along the path; see `Maximum`. It must be pushed up: maximise it, or bound it
+    from below. Shape ().
 
     Raises: ModelError if the operand is a condition.
     """
@@ -108,9 +108,9 @@ class Minimum(Extreme):
 
 
 class Initial(Functional):
-    """What a state is at the beginning of the path: `final=[x == tx.trajectory.Initial(x)]` makes the path periodic.
+    """The value of a state at the start of the path: `final=[x == tx.trajectory.Initial(x)]` makes a path periodic.
 
-    In problems of phases, at the beginning of the first one, whose state it has to be. Shape: that of the state.
+    In problems of phases it is the start of the first phase, which must have the state. Shape: that of the state.
 
     Raises: ModelError if it is not given a state.
     """

@@ -1,4 +1,4 @@
-"""Where an optimisation starts, and how big steps of its unknowns and its residuals are."""
+"""Initial guesses of the optimisation, and typical sizes of unknowns and residuals."""
 
 from __future__ import annotations
 
@@ -74,7 +74,7 @@ def state_guess(
 
 
 def control_guess(leaf: Control, guess: Array | None, intervals: int) -> Array:
-    """Values of a control in all intervals: what is given, or the middle of its box, or its point nearest zero."""
+    """Values of a control in all intervals: the guess, or else the middle of its box, or its point nearest zero."""
     source = guess if guess is not None else leaf.guess
     if source is None:
         source = _middle(leaf.min, leaf.max, np.zeros(leaf.shape))
@@ -84,7 +84,8 @@ def control_guess(leaf: Control, guess: Array | None, intervals: int) -> Array:
 
 
 def resample(group: Group, samples: Array, shares: Array) -> Array:
-    """A curve through samples (k, *shape) at equal distances, read at shares of its length: geodesic in between.
+    """A curve through samples (k, *shape) at equal distances, evaluated at shares of its length by geodesic
+    interpolation.
 
     As many samples as shares are what is read.
     """
@@ -116,7 +117,7 @@ def _known(values: Array | None, otherwise: Any) -> Any:
 
 
 def with_stated(values: Array | None, end_values: Array | None) -> Array | None:
-    """Values, and those of conditions where the former are free."""
+    """Values whose free entries are filled with those that conditions prescribe."""
     return values if end_values is None else _known(values, end_values)
 
 

@@ -1,4 +1,4 @@
-"""What the states of a phase begin as, in terms of the end of the phase before."""
+"""Links between phases: the initial states of a phase as expressions of the end of the phase before."""
 
 from __future__ import annotations
 

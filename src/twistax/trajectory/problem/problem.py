@@ -23,15 +23,14 @@ from ..strategy.accuracy import MESH
 from ..strategy.core_solver import CoreSolver
 from ..strategy.outcome import Callback
 from ..strategy.redundant_rows import redundant_rows
+from ..strategy.stiffness import IMPLICIT
 from ..strategy.strategies import Strategy
-from ..strategy.warm import other_problem
 from ..transcription.border import Border, boxes_of
 from ..transcription.mesh import Remeshed
 from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
 from .bridges.lifted_functionals import InPhase
 from .by_node import only_once
-from .conditions import Ends
 from .links import joined, links_of
 from .parameters import parameter_values, parameters_of
 from .phase import Phase, check_phases, initials_of, kind_of
@@ -139,6 +138,8 @@ class Problem:
         else:
             self.phases, links = list(dynamics), objective if links is None else links
             check_phases(self.phases, of_phase)
+        #: Whether it stands in for a problem whose explicit steps are unstable.
+        self.stands_in = False
         self.names: list[str] = []
         for index, phase in enumerate(self.phases):
             self.names.append(free_name(phase.name or f"phase {index}", self.names))
@@ -198,8 +199,7 @@ class Problem:
     def forget(self) -> None:
         """Drop compiled solvers; they are made again when needed."""
         self._cores: dict[tuple[float, int, int], CoreSolver] = {}
-        #: The same problem by implicit steps.
-        self.implicit: Any = None
+        self._implicit: Problem | None = None
 
     def errors_of(self, name: str) -> contextlib.AbstractContextManager[None]:
         """A context in which errors get the name of the phase in front."""
@@ -211,7 +211,9 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the only phase: nodes, mesh, dynamics, objective, transcription, hessian, ..."""
+        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, transcription, hessian,
+        ...
+        """
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -219,7 +221,7 @@ class Problem:
 
     def __getstate__(self) -> dict[str, Any]:
         """Everything but compiled functions, which compile again in another process."""
-        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "implicit")}
+        return {k: v for k, v in self.__dict__.items() if k not in ("shooting", "_cores", "_implicit")}
 
     def __setstate__(self, state: dict[str, Any]) -> None:
         self.__dict__ |= state
@@ -231,9 +233,7 @@ class Problem:
         """The same problem with other arguments of its phases."""
         if self.alone:
             return Problem(**{**self.stated, **changes[0]})
-        phases = [
-            dataclasses.replace(phase, **arguments) for phase, arguments in zip(self.phases, changes, strict=True)
-        ]
+        phases = [dataclasses.replace(phase, **other) for phase, other in zip(self.phases, changes, strict=True)]
         return Problem(**self.stated | {"dynamics": phases})
 
     def on(self, meshes: Sequence[Remeshed]) -> Problem:
@@ -241,9 +241,14 @@ class Problem:
         triples = zip(self.phases, self.parts, meshes, strict=True)
         return self.with_phases([{"by_node": part.by_node} | mesh.stated(phase.at) for phase, part, mesh in triples])
 
-    def transcribed_by(self, transcription: Any) -> Problem:
-        """The same problem, its phases integrated in another way."""
-        return self.with_phases([{"transcription": transcription, "method": None, "substeps": None}] * len(self.parts))
+    @property
+    def implicit(self) -> Problem:
+        """The same problem by implicit steps."""
+        if self._implicit is None:
+            other = {"transcription": IMPLICIT, "method": None, "substeps": None}
+            self._implicit = self.with_phases([other] * len(self.parts))
+            self._implicit.stands_in = True
+        return self._implicit
 
     @property
     def soft(self) -> set[str]:
@@ -252,20 +257,8 @@ class Problem:
         return {self.shooting.named(segment, row) for segment, part in pairs for row in part.soft}
 
     def started(self, *arguments: Any, **named: Any) -> Started:
-        """What `solve` with these arguments starts from and is for; see `start.started`."""
+        """The start and the data of a solve with these arguments; see `start.started`."""
         return started(self, *arguments, **named)
-
-    def at_ends(self, xs: Any, ends: Sequence[Ends]) -> Any:
-        """States at the nodes with what ends fix in place.
-
-        Raises:
-            TrajectoryError: they are those of another problem.
-        """
-        if self.alone:
-            return self.parts[0].at_ends(xs, ends[0])
-        if not isinstance(xs, tuple) or len(xs) != len(self.parts):
-            raise other_problem()
-        return tuple(part.at_ends(states, side) for part, states, side in zip(self.parts, xs, ends))
 
     # ---- solving ----------------------------------------------------------------------------------------------------
 
@@ -284,6 +277,7 @@ class Problem:
         guesses: int = 1,
         seed: int | None = None,
         callback: Callback | None = None,
+        progress: Any = None,
         max_iterations: int = 1000,
         max_seconds: float | None = None,
         tolerance: float = 1e-6,
@@ -297,11 +291,11 @@ class Problem:
 
         The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
         that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
-        structure compiles anew: a zero, a factor of one, an exponent or a table. Several threads may solve one problem
-        at once.
+        structure compiles anew: a zero, a factor of one, an exponent or a table. Threads may share a problem.
 
         Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
-        of order 5, and the message says so; `result.problem` is the one that was solved.
+        of order 5, and the message says so; `result.problem` is the one that was solved. A warm start from such a
+        result is one for that problem again.
 
         In a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
         final_time_guess are dicts from names of phases to what is said here; those left out keep what they have.
@@ -315,16 +309,16 @@ class Problem:
             free: other limits of free parameters, by leaf or name; the same sides stay open.
             final_time: a number where the problem has one, limits where it has limits.
             final_time_guess: where a free final time starts.
-            guesses: how many tries. Without a seed the first starts from the guess itself, or from `warm`; the others
-                start from the perturbed guess.
-            seed: perturb every try's guess. The same seed gives the same tries: every free entry of a state's tangent
-                moves by 0.4 of its scale and every control by 0.15 (one standard deviation), a free final time and free
-                parameters by 0.4 of their scale, which is the guess of a time, but by a sixth of their limits' distance
-                at most (and stay within them). All of it is halved until no gap of the dynamics is thirty times as
-                large as its scale, and as the guess's gaps.
+            guesses: how many tries. The first one starts from the guess, or `warm`, the others from perturbed guesses.
+            seed: perturb every try's guess. The same seed gives the same tries. Standard deviations are 0.4 of the
+                scale for free tangents of states, final times and parameters, and 0.15 for controls; at most a sixth of
+                the distance of limits. They are halved until the gaps of the dynamics are at most thirty times as large
+                as their scale and as the gaps of the guess.
             callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
                 with status STOPPED, and the result is the iterate with the smallest error, with its measures.
                 `IPOPT` and `Fatrop` call it and go on.
+            progress: True prints a line for each iteration (cost, violation, step), False nothing; a `Progress` formats
+                the cost. Left out, lines come after two seconds, on a terminal, unless there is a callback.
             max_iterations: iterations a try may use.
             max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
                 at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
@@ -368,7 +362,7 @@ class Problem:
         tolerance: float = 1e-6,
         mesh_tolerance: float = MESH,
     ) -> TrajectoryResults:
-        """Solve many cases at once, each as `solve` does, and no case at the cost of another.
+        """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
         A guess with an axis of cases has one of nodes or intervals too.
@@ -386,7 +380,7 @@ class Problem:
         return solved_many(self, arguments | {"free": free}, options)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
-        """The solver of this thread. Kernels compile once; its memory serves one solve at a time."""
+        """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:
             key = (*key[:2], key[2] + 1)

@@ -1,4 +1,4 @@
-"""How a problem is solved: once or many times, from guesses or warm."""
+"""The steps of `Problem.solve`: one solve or many, from guesses or from a warm start."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from numpy import ndarray as Array
 from ...checks import callable_with, number, short, whole
 from ...errors import TrajectoryError, TwistaxError
 from ...jax_inside import in_double
+from ...progress import Progress
 from ..adapters.solvers import SolvedBy
 from ..hessians.options import by_updates
 from ..result.between_nodes import hold_between_nodes
@@ -27,7 +28,7 @@ from ..strategy.core_solver import CoreSolver
 from ..strategy.other_starts import perturbed
 from ..strategy.outcome import Callback, Outcome
 from ..strategy.status import AT_OPTIMUM, Status
-from ..strategy.stiffness import IMPLICIT, IMPLICIT_NAME, LARGEST, stiffness
+from ..strategy.stiffness import IMPLICIT_NAME, LARGEST, stiffness
 from ..strategy.strategies import Strategy
 from ..strategy.strategies import solved as with_strategies
 from ..strategy.warm import WarmStart, warm_start, with_ends
@@ -60,6 +61,7 @@ class SolveOptions:
     guesses: int = 1
     seed: int | None = None
     callback: Any = None
+    progress: Any = None
     max_iterations: int = 1000
     max_seconds: float | None = None
     tolerance: float = 1e-6
@@ -85,6 +87,9 @@ class SolveOptions:
             whole("seed", self.seed, 0, error)
         if self.callback is not None:
             callable_with("callback", self.callback, ["iteration", "cost", "violation"], error)
+        if self.progress is not None and not isinstance(self.progress, (bool, Progress)):
+            got = short(self.progress)
+            raise error(f"progress expects True, False, None or a tx.trajectory.Progress, got {got}")
         for strategy in self.strategies if isinstance(self.strategies, Collection) else [self.strategies]:
             if not isinstance(strategy, Strategy):
                 got = short(self.strategies)
@@ -99,7 +104,7 @@ class SolveOptions:
 
     @property
     def needed(self) -> float:
-        """The tolerance of the solver: a refinement needs a smaller one."""
+        """The tolerance of the solver; mesh refinement needs a smaller one."""
         return float(self.tolerance if self.refine is None else min(self.tolerance, CLOSER * self.refine))
 
     @property
@@ -122,10 +127,27 @@ def solved(problem: Any, options: SolveOptions) -> Any:
         raise TrajectoryError(
             f"QuasiNewton() has no second derivatives for {options.solver!r}.\n  fix: leave out hessian= or solver="
         )
+    if _is_by_implicit_steps(problem, options):
+        result = problem.implicit.solve(**{it.name: getattr(options, it.name) for it in dataclasses.fields(options)})
+        return dataclasses.replace(result, message=f"{result.message} Solved by {IMPLICIT_NAME}, as the start was.")
+    line = options.progress
+    if not isinstance(line, Progress):
+        # A callback shows what its user wants to see.
+        line = Progress(shown=False if line is None and options.callback is not None else line)
+    with line:
+        return _with_line(problem, dataclasses.replace(options, progress=line), line)
+
+
+def _with_line(problem: Any, options: SolveOptions, line: Progress) -> Any:
+    """Solve, and show each iteration."""
     callback, sign = options.callback, problem.sign
     report: Callback | None = None
-    if callback is not None:
-        report = lambda count, cost, violation: callback(count, sign * cost, violation)  # noqa: E731
+    if callback is not None or line.shown:
+
+        def report(count: int, cost: float, violation: float, step: float | None = None) -> Any:
+            line(count, sign * cost, violation, step)
+            return None if callback is None else callback(count, sign * cost, violation)
+
     budget = Budget(options.max_iterations, options.max_seconds, report)
     result, start, instance = _on_one_mesh(problem, options, budget, report)
     remark = ""
@@ -143,10 +165,11 @@ def solved(problem: Any, options: SolveOptions) -> Any:
 def _on_one_mesh(
     problem: Any, options: SolveOptions, budget: Budget, report: Callback | None
 ) -> tuple[Any, Point, Given]:
-    """The best result of all tries, the guess of the first one, and what was solved for."""
+    """The best result of all tries, the first guess, and the data of the problem."""
     between, tolerance = options.between, options.needed
     with in_double():
         begin = time.perf_counter()
+        options.progress.note("compiling")
         warm = None if options.warm is None else warm_start(options.warm)
         alone = None if warm is None or options.guesses > 1 else warm.point
         plain, instance, params, ends = problem.started(**options.arguments, begin=alone)
@@ -156,6 +179,7 @@ def _on_one_mesh(
             sizes = sizes_of_controls(problem, core, plain, instance)
             plain = problem.started(**options.arguments, sizes=sizes).point
         compiled = time.perf_counter()
+        options.progress.note("running")
         outcomes: list[Outcome] = []
 
         def run(start: Point | WarmStart, instance: Given) -> Outcome:
@@ -179,6 +203,7 @@ def _on_one_mesh(
             outcome = run(start, instance)
             if between is not None and options.refine is None and outcome.status is Status.SOLVED:
                 outcome = hold_between_nodes(problem, outcome, instance, params, run, between, core.staged)
+            options.progress.note("integrating each interval closely")
             exceeded = tolerance if between is None else max(tolerance, between)
             outcomes.append(core.judge.judged(outcome, instance, options.mesh_tolerance, exceeded))
         done = time.perf_counter()
@@ -186,10 +211,17 @@ def _on_one_mesh(
     return best_result(problem, tried), plain, instance
 
 
+def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
+    """Whether the warm start is of the problem by implicit steps, which stood in for one as this is."""
+    if options.warm is None or Strategy.IMPLICIT_STEPS not in options.strategies or problem.stands_in:
+        return False
+    return getattr(warm_start(options.warm).problem, "stands_in", False)
+
+
 def _by_implicit_steps(
     problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
 ) -> tuple[Any, str]:
-    """The result, or a better one by implicit steps where explicit steps are unstable; and a remark for its message."""
+    """The result, or a better one with implicit steps if explicit steps are unstable; and a remark for its message."""
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
     if result.status in AT_OPTIMUM or at_once or result.iterations >= again["max_iterations"]:
         return result, ""
@@ -198,8 +230,6 @@ def _by_implicit_steps(
         fastest = max(stiffness(staged, point, instance) for point in (start, result.warm.point))
     if fastest <= LARGEST:
         return result, ""
-    if problem.implicit is None:
-        problem.implicit = problem.transcribed_by(IMPLICIT)
     other = problem.implicit.solve(**again)
     remark = f" Explicit steps are unstable here, an eigenvalue of the rates times a step is {fastest:.2g}: "
     is_finite = result.status is Status.NON_FINITE and other.status is not Status.NON_FINITE
@@ -235,7 +265,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
         begin = time.perf_counter()
         plain = started_cases(problem, cases)
         first = next(case for case in plain if not isinstance(case, TwistaxError))
-        core = problem.core(tolerance, first.point, first.given)
+        core = problem.core(tolerance, first.point, first.instance)
         every = plain
         if any(part.bounded for part in problem.parts):
 

@@ -1,4 +1,4 @@
-"""What a solve starts from and is for, from its arguments."""
+"""The start and the data of a solve, from its arguments."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ from .guess import resample, with_stated
 
 
 class Started(NamedTuple):
-    """What the arguments of a solve amount to: where it starts, what it is for, its parameters and ends of phases."""
+    """The start of a solve, its data, its parameters and the ends of its phases."""
 
     point: Point
-    given: Given
+    instance: Given
     params: dict[str, Array]
     ends: list[Ends]
 
@@ -40,7 +40,7 @@ def started(
     sizes: Sequence[Mapping[str, Array]] | None = None,
     begin: Point | None = None,
 ) -> Started:
-    """What `solve` with these arguments starts from and is for; NumPy's arrays of double precision.
+    """The start and the data of a solve with these arguments, as NumPy arrays in double precision.
 
     Args:
         begin: where it starts, in place of guesses.
@@ -154,7 +154,7 @@ def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -
 
 
 def _goes_on(problem: Any, join: int, state: State) -> bool:
-    """Whether a state is unchanged at a join."""
+    """Whether a state is continuous at a join."""
     source = problem.sources[join].get(state.name)
     return isinstance(source, State) and source.key() == state.key()
 

@@ -71,7 +71,11 @@ class StatedPhase:
         for place, expr in (("the objective", self.objective.final), ("the running cost", self.objective.running)):
             if expr is not None:
                 check_leaves(dynamics, place, expr, controls=expr is self.objective.running)
-        self.ends = ends_of(dynamics.states, first, last, (within.first, within.last))
+        # What users' states declare are the ends of the whole path; those of states from bridges are of the phase.
+        inner_ends = {s.name for s in dynamics.states} - {s.name for s in phase.dynamics.states}
+        all_states = {s.name for s in dynamics.states}
+        declared = (all_states if within.first else inner_ends, all_states if within.last else inner_ends)
+        self.ends = ends_of(dynamics.states, first, last, declared)
         self._leaves: dict[str, State | Control] = {leaf.name: leaf for leaf in dynamics.states}
         self._leaves |= {leaf.name: leaf for leaf in dynamics.controls}
         self._lengths = {name: self.nodes - isinstance(leaf, Control) for name, leaf in self._leaves.items()}
@@ -304,14 +308,14 @@ class StatedPhase:
     # ---- between a trajectory as stated and as solved ----------------------------------------------------------------
 
     def seen(self, xs: Mapping[str, Any], us: Mapping[str, Any]) -> tuple[dict[str, Any], dict[str, Any]]:
-        """States and controls as stated, from those of the transcription."""
+        """States and controls of the statement, from those of the transcription."""
         states, controls = dict(xs), dict(us)
         for bridge in reversed(self.bridges):
             states, controls = bridge.back(states, controls)
         return states, controls
 
     def lifted(self, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Array], params: Mapping[str, Array]) -> Path:
-        """States and held controls of the transcription, from a trajectory as stated."""
+        """States and held controls of the transcription, from those of the statement."""
         path = Path(ts, dict(xs), dict(us), params)
         for bridge in self.bridges:
             bridge.forward(path)

@@ -1,4 +1,4 @@
-"""What a problem asks for: its objective, and the rows of its residuals along the path."""
+"""The statement of a problem: its objective, and the rows of its path constraints."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class Maximize(Objective):
 
 
 class Reads(enum.Enum):
-    """What a constraint reads, which decides at which points of an interval it is imposed."""
+    """What a constraint reads. It decides at which points of an interval the constraint is imposed."""
 
     NOTHING = "parameters alone: once, at the end"
     CONTROL = "controls alone: once an interval"
@@ -142,7 +142,7 @@ class PathRows:
         return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
 
     def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
-        """(rows,) those that no unknown can change at an end where these entries of the states are fixed."""
+        """(rows,) those that are constant at an end where these entries of the states are fixed."""
         fixed_states = {name for name, mask in fixed.items() if mask.all()}
         alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
         rows = [reads in alone and states <= fixed_states for reads, states in zip(self.reads, self.states)]
@@ -220,7 +220,7 @@ def _row(name: str, leaves: Sequence[Leaf], is_equality: bool, free: Collection[
 
 
 def limited(place: str, residual: Expr, is_equality: bool) -> Array:
-    """Which entries of a constraint ask for something: those whose limit is not infinitely far.
+    """Which entries of a constraint have a finite limit.
 
     Raises:
         ModelError: no value can meet it.
@@ -233,7 +233,7 @@ def limited(place: str, residual: Expr, is_equality: bool) -> Array:
 
 
 def without_end(residual: Expr) -> Expr:
-    """The residual of an inequality, -1 where a parameter puts its limit infinitely far: nothing is asked there."""
+    """The residual of an inequality; -1 where a parameter sets an infinite limit, which makes it void."""
     numbers = [leaf.value for leaf in leaves_of(residual) if isinstance(leaf, Constant)]
     if not any(np.isinf(value).any() for value in numbers):
         return residual
@@ -267,7 +267,7 @@ def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
 
 
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:
-    """Raise ModelError if an expression reads something the compiled system cannot give it, or is never finite."""
+    """Raise ModelError if an expression reads something that the compiled system does not have, or is never finite."""
     need_finite(place, expr)
     known: dict[str, Leaf] = {leaf.name: leaf for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     baked = {leaf.name for leaf in dynamics.system.parameters} - set(known)

@@ -1,4 +1,4 @@
-"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which has slopes and bends everywhere.
+"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which is twice differentiable.
 
 Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a <= b and -a <= b.
 """
@@ -36,7 +36,8 @@ Term = tuple[float, Expr]
 
 
 def without_norms(residual: Expr) -> list[Expr]:
-    """Rows (<= 0 each) that mean residual <= 0 and are smooth where one norm stands in it linearly; else itself.
+    """Rows (<= 0 each) that are equivalent to residual <= 0 and smooth, if one norm occurs linearly in it; else the
+    residual itself.
 
     c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c; with c < 0 and a number r, b^2 - a.a <= 0.
     With magnitudes of entries, c > 0, it is c a + r <= 0 and -c a + r <= 0.
@@ -98,7 +99,7 @@ def bounds_along(
 
 
 def is_mixed(size: Expr, smooth: Collection[str]) -> bool:
-    """Whether it reads both held and continuous controls: no bound is tight for it."""
+    """Whether an expression reads both held and continuous controls, so that no bound of it is tight."""
     return len({leaf.name in smooth for leaf in leaves_of(size) if isinstance(leaf, Control)}) > 1
 
 

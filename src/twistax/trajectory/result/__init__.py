@@ -1,1 +1,1 @@
-"""What a solve gives back: trajectories, how good they are, dense rollouts, finer meshes, pictures."""
+"""Results of a solve: trajectories, their quality, dense rollouts, mesh refinement, plots."""

@@ -23,7 +23,7 @@ _MOST = 10
 
 def drawn(
     parts: Sequence[Any],
-    names: Sequence[str] | None,
+    names: Sequence[Any],
     units: Mapping[str, str] | None,
     title: str = "",
     multipliers: Mapping[str, Array] | None = None,
@@ -33,10 +33,11 @@ def drawn(
     systems = [part.problem.phase.dynamics for part in parts]
     leaves: dict[str, Any] = {e.name: e for system in systems for e in (*system.states, *system.controls)}
     there = [name for name in leaves if any(name in part.xs or name in part.us for part in parts)]
+    labels = {name: pairs for system in systems for name, pairs in system.system.labels.items()}
     shown_panels = [
         panel
-        for name in chosen(names, there, units)
-        for panel in _panels(parts, leaves[name], (units or {}).get(name, ""))
+        for name in chosen(names, there, units) or there
+        for panel in _panels(parts, leaves[name], (units or {}).get(name, ""), labels.get(name, ()))
     ]
     sizes = {name: float(np.abs(values).max()) for name, values in (multipliers or {}).items()}
     return draw(shown_panels, title, dict(list(sizes.items())[:_MOST]))
@@ -75,7 +76,7 @@ def _outputs(part: Any, ts: Array, xs: Mapping[str, Array], us: Mapping[str, Arr
     return {name: np.asarray(value) for name, value in outputs.items()}
 
 
-def _panels(parts: Sequence[Any], leaf: State | Control, unit: str) -> list[Panel]:
+def _panels(parts: Sequence[Any], leaf: State | Control, unit: str, labels: Sequence[tuple[str, str]]) -> list[Panel]:
     """States: dots at nodes and the line of a rollout. Controls: as they go on from node to node."""
     marks, curves, is_held = [], [], False
     for part in parts:
@@ -89,13 +90,23 @@ def _panels(parts: Sequence[Any], leaf: State | Control, unit: str) -> list[Pane
         else:
             curves += _rollout(part, leaf.name)
     group = leaf.group if isinstance(leaf, State) else None
-    dots, lines = panels(leaf.name, group, marks, unit), panels(leaf.name, group, curves, unit)
-    limits = sorted({float(x) for side in (leaf.min, leaf.max) if side is not None for x in np.ravel(side)})
-    shown = [limit for limit in limits if np.isfinite(limit)]
+    dots, lines = (panels(leaf.name, group, pieces, unit, labels) for pieces in (marks, curves))
     return [
-        dot._replace(marks=dot.curve, curve=lines[i].curve if curves else None, steps=is_held, limits=shown)
+        dot._replace(
+            marks=dot.curve, curve=lines[i].curve if curves else None, steps=is_held, limits=_limits(leaf, dot)
+        )
         for i, dot in enumerate(dots)
     ]
+
+
+def _limits(leaf: State | Control, panel: Panel) -> list[float]:
+    """The finite bounds of the entries that a panel shows, in its unit."""
+    bounds = set[float]()
+    for side in (leaf.min, leaf.max):
+        if side is not None:
+            values = np.broadcast_to(np.asarray(side, float), leaf.shape).reshape(-1)
+            bounds |= set((panel.factor * (values if panel.columns is None else values[list(panel.columns)])).tolist())
+    return sorted(bound for bound in bounds if np.isfinite(bound))
 
 
 def _rollout(part: Any, name: str) -> list[tuple[Array, Array]]:

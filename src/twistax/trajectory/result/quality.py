@@ -1,4 +1,4 @@
-"""What every optimisation gives back, of one phase or of several: how good what it found is."""
+"""The quality of a result, for one phase or several."""
 
 from __future__ import annotations
 
@@ -37,16 +37,16 @@ _FINER = "solve(refine=1e-4), more nodes or substeps, for stiff rates Collocatio
 
 @dataclasses.dataclass(frozen=True)
 class Optimality:
-    """How far a trajectory is from the first-order conditions of an optimum, in scaled form.
+    """How far a trajectory is from the first-order (KKT) conditions of an optimum, in scaled form.
 
-    Unknowns count in units of how far they move along the trajectory, the objective in units of what that does to it.
+    The unit of an unknown is how far it moves along the trajectory; that of the objective is how much these moves
+    change it.
 
     Attributes:
         stationarity: largest entry of the gradient of the Lagrangian.
-        feasibility: largest residual of the dynamics and of a constraint.
+        feasibility: largest residual of the dynamics or of a constraint.
         complementarity: largest product of a slack and its multiplier.
-        gap: what slacks, and the residuals that are left, can change of the objective: the sum of |multiplier times
-            slack or residual|.
+        gap: how much the objective can still change: the sum of |multiplier times slack or residual|.
     """
 
     stationarity: float
@@ -57,7 +57,7 @@ class Optimality:
 
 @dataclasses.dataclass(frozen=True)
 class Quality:
-    """How well what was found solves its problem. All arrays are NumPy, double precision.
+    """How well a result solves its problem. All arrays are NumPy, double precision.
 
     Attributes:
         final_time: when it ends, s.
@@ -113,12 +113,13 @@ class Quality:
 
     @functools.cached_property
     def undetermined(self) -> dict[str, Array]:
-        """Name of an entry of a control -> (intervals,) which share of a move of it alone changes nothing, 0 to 1.
+        """Controls that the optimum does not determine: name of an entry -> (intervals,) the share, 0 to 1, of a change
+        of it that has no effect.
 
         Those of a solution whose optimum leaves them open: constraints hold and the objective stays as it is, to second
         order, along moves of them. Empty where the status is not SOLVED, and where the Hessian is not exact.
         """
-        return {entry.name: entry.moves for entry in self._undetermined}
+        return {entry.name: entry.free_share for entry in self._undetermined}
 
     @functools.cached_property
     def _undetermined(self) -> list[Undetermined]:
@@ -126,12 +127,12 @@ class Quality:
         if not self.solved or any(part.hessian is not None for part in problem.parts):
             return []
         with in_double():
-            instance = problem.started().given._replace(params=warm.params)
+            instance = problem.started().instance._replace(params=warm.params)
             staged = problem.core(_LOOKED_AT, warm.point, instance).staged
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
     def explain(self) -> str:
-        """How good it is, a line each: errors, active constraints, open controls, what a finer rollout says."""
+        """The quality as text, one fact a line: errors, active constraints, undetermined controls, a finer rollout."""
         return _explained(self, self._undetermined)
 
     def shifted(self, steps: int = 1) -> WarmStart:
@@ -182,7 +183,7 @@ def _explained(result: Any, undetermined: list[Undetermined]) -> str:
 
 
 def _rolled_out(result: Any) -> list[str]:
-    """What a finer rollout says.
+    """The lines on a finer rollout.
 
     Raises:
         TrajectoryError: node times go back.
@@ -200,8 +201,8 @@ def _rolled_out(result: Any) -> list[str]:
 
 
 def _open(every: list[Undetermined], sign: float) -> str:
-    """Which controls are not determined, and what would determine them."""
-    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.moves)} intervals)" for entry in every)
+    """The undetermined controls, and what would determine them."""
+    named = ", ".join(f"{entry.name} (in {entry.intervals} of {len(entry.free_share)} intervals)" for entry in every)
     weights = ("+ " if sign > 0.0 else "- ") + (" + " if sign > 0.0 else " - ").join(
         f"{entry.weight:g} * {entry.entry}**2" for entry in every
     )
@@ -238,7 +239,9 @@ class Attempts:
 
     @property
     def best(self) -> Outcome:
-        """A solved one of least cost; else one on the least coarse mesh; else the one that violates least."""
+        """The best attempt: a solved one of least cost, else one on the finest mesh, else the one with the least
+        violation.
+        """
 
         def rank(outcome: Outcome) -> tuple[int, float]:
             order = [Status.SOLVED, Status.EXCEEDED, Status.ACCEPTABLE, Status.COARSE, Status.DEGENERATE]
@@ -274,7 +277,8 @@ class Attempts:
             if best.accuracy is None
             else dataclasses.replace(best.accuracy, change=sign * best.accuracy.change),
             "status": best.status,
-            "message": _message(problem.shooting, best, violations, shown, self.tolerance)
+            # The violation of a soft constraint is none of its row, which has a slack.
+            "message": _message(problem.shooting, best, violations, set(shown) - problem.soft, self.tolerance)
             + _singular(problem, best, params),
             "iterations": best.iterations,
             "tries": tuple((o.status, sign * o.cost, o.violation, o.iterations) for o in self.outcomes),

@@ -35,11 +35,11 @@ _MESHES, _NODES, _SUBSTEPS, _SHARE, _LEAST = 12, 1000, 8, 0.9, 0.5
 
 @dataclasses.dataclass(frozen=True)
 class Meshed:
-    """One mesh of a refinement.
+    """One mesh of a mesh refinement, and the solve on it.
 
     Attributes:
-        nodes, substeps: how many; of all phases the sum of nodes, and the most substeps of an interval.
-        error: the largest error of an interval, in scales of the states.
+        nodes, substeps: the nodes of all phases, and the most substeps that an interval has.
+        error: the largest integration error of an interval, in scales of the states.
         cost: the objective as stated.
         status: of its solve.
         seconds: wall time, with compiling.
@@ -85,7 +85,7 @@ def refined(first: Any, tolerance: float, solve: Callable[..., Any]) -> Any:
 
 
 def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: float) -> str:
-    """Why a refinement ended without success, how far it came, and what else may help."""
+    """Why a mesh refinement failed, how far it came, and what else may help."""
     last, accuracy = meshes[-1], result.accuracy
     limit = f"at most {_MESHES} meshes" if len(meshes) >= _MESHES else f"a finer mesh has more than {_NODES:,} nodes"
     moved = f", and the objective still changes by {change:.1g} of itself" if np.isfinite(change) else ""
@@ -110,7 +110,7 @@ def _states(trajectory: Trajectory) -> dict[str, Array]:
 
 
 def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: bool) -> tuple[Any, WarmStart] | None:
-    """The problem on finer meshes and a warm start for it; None where these would be too large."""
+    """The problem on finer meshes with a warm start; None if these would be too large."""
     problem, segments = result.problem, result.problem.shooting.segments
     meshes, splits = [], []
     for trajectory, segment, interval_errors in zip(_trajectories(result), segments, errors):
@@ -134,7 +134,7 @@ def _finer(result: Any, errors: Sequence[Array], tolerance: float, is_settled: b
 
 
 def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
-    """(intervals,) by how much, squared, controls change about an interval, in their scales, times its length.
+    """(intervals,) the squared change of the controls about an interval, in their scales, times its length.
 
     Of continuous controls a rate is held, their k-th derivative; it counts times the length k times more.
     """
@@ -151,7 +151,7 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
 
 
 def _marked(trajectory: Trajectory, point: Point) -> Array:
-    """The fewest intervals that have a share of all changes, and no less than half of all intervals.
+    """The smallest set of intervals with a given share of all changes, at least half of all intervals.
 
     None of a phase without controls.
     """
@@ -228,10 +228,10 @@ class _Moved:
 
 def _columns(old: RowLayout, new: RowLayout, substeps: int, finer: int) -> tuple[Array, Array]:
     """For each row of an interval on the next mesh the row at its place or before it, and whether it is at it."""
-    points, row = np.divmod(new.asked, new.path_rows)
+    points, row = np.divmod(new.path_indices, new.path_rows)
     place = points * substeps / finer
-    where = {index: k for k, index in enumerate(old.asked)}
+    where = {index: k for k, index in enumerate(old.path_indices)}
     source = [where.get(int(p) * new.path_rows + r, 0) for p, r in zip(place, row)]
-    conditions = len(old.asked) + np.arange(new.at_nodes)
+    conditions = len(old.path_indices) + np.arange(new.at_nodes)
     same = np.concatenate([place == np.floor(place), np.ones(new.at_nodes, bool)])
     return np.concatenate([np.array(source, int), conditions]), same

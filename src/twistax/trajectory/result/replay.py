@@ -1,4 +1,4 @@
-"""The rollout of the controls of a trajectory, densely and with any method, and what it misses and exceeds."""
+"""Dense rollouts of the controls of a trajectory by any method, with their errors and constraint violations."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ..transcription.points import Point
 
 @dataclasses.dataclass(frozen=True)
 class Replay:
-    """A dense rollout of found controls.
+    """A dense rollout of the controls of a solution.
 
     Attributes:
         ts: (n,) times in s, equally spaced within each interval.
@@ -80,7 +80,7 @@ def _need_finite(result: Any) -> None:
 
 
 def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
-    """The rollout by a method. Equal intervals are one integration, others one each."""
+    """The rollout by an integration method: one integration for equal intervals, else one for each interval."""
     problem = result.problem
     params = {p.name: result.params[p.name] for p in problem.dynamics.parameters if p.name in result.params}
     ts, count, x = times_along(result, steps), problem.nodes - 1, _start(result)
@@ -106,16 +106,16 @@ def rolled_out(result: Any, method: Method, steps: int) -> dict[str, Array]:
 
 
 def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
-    """The rollout by the solver's core, which compiles nothing for other numbers."""
+    """The rollout by the solver's core, which does not compile again for other numbers."""
     problem, us, (solved, border) = result.problem, lifted(result).us, result.solve
     columns = [np.reshape(us[name], (problem.nodes - 1, -1)) for name in problem.shooting.local.controls.slices]
     fixed = {name: value for name, value in result.params.items() if name not in problem.border.params(border)}
     started = solved.started(params=fixed)
-    staged = solved.core(1e-6, started.point, started.given).staged
+    staged = solved.core(1e-6, started.point, started.instance).staged
     start, planned = _start(result), result.xs | result.added
     xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
     point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
-    data = staged.numbers.vector(started.given)
+    data = staged.numbers.vector(started.instance)
     rolling = problem.transcription.rolling(steps)
     return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)
 

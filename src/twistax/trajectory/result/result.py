@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -27,15 +27,16 @@ if TYPE_CHECKING:
 
 @dataclasses.dataclass(frozen=True, repr=False)
 class TrajectoryResult(Quality):
-    """The trajectories of a solve, and how well they solve its problem; see `Quality` for the other attributes.
+    """The result of a solve: the trajectories, and how well they satisfy the problem. See `Quality` for its other
+    attributes.
 
-    Of a problem that was not stated as a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are
-    those of its one trajectory; see `Trajectory`.
+    For a problem without a list of phases, `xs`, `us`, `ts`, `controls`, `integrals` and `extremes` are those of its
+    only trajectory; see `Trajectory`.
 
     Attributes:
         phases: the trajectory of each phase; times go on from phase to phase.
-        durations: how long each phase takes, s.
-        meshes: of `solve(refine=...)` the meshes it went through, a `Meshed` each.
+        durations: duration of each phase, s.
+        meshes: of `solve(refine=...)`: a `Meshed` for each mesh.
     """
 
     phases: tuple[Trajectory, ...]
@@ -101,7 +102,7 @@ class TrajectoryResult(Quality):
         self._need_finite()
         return self._trajectory.replay(method, steps, rtol=rtol, atol=atol)
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """As `Trajectory.plot`, all phases in one figure, with the multipliers of what is active."""
         return drawn(self.phases, names, units, self.message, {name: self.multipliers[name] for name in self.active})
 

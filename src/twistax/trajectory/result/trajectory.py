@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -85,14 +85,14 @@ class Trajectory:
         """State name -> how far a rollout in ten times as many steps ends from the planned final node."""
         return self.replay(steps=10 * self.problem.transcription.substeps).misses
 
-    def plot(self, names: Sequence[str] | None = None, *, units: Mapping[str, str] | None = None) -> Any:
+    def plot(self, *names: Any, units: Mapping[str, str] | None = None) -> Any:
         """States and controls over time, a matplotlib figure: dots at nodes, lines of a dense rollout, limits dashed.
 
         Poses are drawn as positions and Euler angles in deg. Of a result the largest multipliers are shown, too.
 
         Args:
-            names: of the states and controls to draw; all unless given.
-            units: labels of values by name, such as {"v": "m/s"}; "SI", and "m" of positions, unless given.
+            names: of the states and controls to draw; all if left out.
+            units: of values by name, as of `Solution.plot`.
         Raises:
             InputError: a name that is not there.
             ModelError: matplotlib is not installed.
@@ -107,7 +107,7 @@ class Trajectory:
         return animated([self], path, choices)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
-        """Roll out the found controls from the first node, and measure what comes out.
+        """Roll out the controls of the solution from the first node, and measure errors and violations.
 
         Args:
             method: an RKMK method; or a diffrax solver, which integrates the same system as a plain ODE in quaternions
@@ -169,7 +169,7 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
             for x, t in ends
         ]
         largest |= largest_by_name(path.shown, np.maximum(*sizes))
-    at_nodes = shooting.own
+    at_nodes = shooting.at_single_node
     sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
     largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}

@@ -26,7 +26,7 @@ from ..transcription.points import Given, Point
 
 
 class SolveInputs(NamedTuple):
-    """What a solve reads: numbers of kernels, the start, its coordinates, and their bounds."""
+    """The inputs of a solve: numbers of kernels, the start, its coordinates, and their bounds."""
 
     data: Any
     z: Any
@@ -36,7 +36,7 @@ class SolveInputs(NamedTuple):
 
 
 class CoreCall:
-    """A problem's solve as one call.
+    """The solve of a problem as one call of the core.
 
     Args:
         start: where it starts; the units are those there.
@@ -60,7 +60,7 @@ class CoreCall:
         )
 
     def need_compiled(self) -> None:
-        """Raise TrajectoryError where a program of XLA would have to call back."""
+        """Raise TrajectoryError if a program of XLA would have to call back to Python."""
         if names := self._staged.transcription.called_back:
             raise TrajectoryError(
                 "solution: under jit and vmap functions of the problem must have a native form. "

@@ -47,7 +47,7 @@ _DOUBLE = "need double precision\n  fix: jax.config.update('jax_enable_x64', Tru
 
 
 class Optimum(NamedTuple):
-    """Where the solver ended; slacks are such that no product with a multiplier is zero.
+    """The end of a solve; slacks are such that no product with a multiplier is zero.
 
     Numbers have the precision of the program around. `exact` has the bits of those in double precision that the core
     reads: nothing is differentiated by them.
@@ -73,7 +73,9 @@ class Optimum(NamedTuple):
 
 
 class Move(NamedTuple):
-    """A move of a solution: of all unknowns, multipliers, and the cost; or a right side of the conditions."""
+    """A change of a solution: of all unknowns, multipliers, and the cost; or a right-hand side of the linearised
+    conditions.
+    """
 
     v: Any
     lam: Any
@@ -83,7 +85,7 @@ class Move(NamedTuple):
 
 
 class OptimalityConditions:
-    """A problem whose parameters and final states of these names are shared unknowns.
+    """The first-order conditions of a problem in which parameters and final states of these names are shared unknowns.
 
     Args:
         core: the problem's solver.
@@ -229,7 +231,7 @@ class OptimalityConditions:
         return Move(v, lam, y, ye, cost[..., 0])
 
     def solved(self, optimum: Optimum, side: Any) -> Any:
-        """The move of an optimum for a right side, both flat; JAX differentiates it, and again."""
+        """The change of an optimum for a right-hand side, both flat; JAX can differentiate it repeatedly."""
         matvec: Callable[[Any], Any] = functools.partial(self._conditions, optimum)
         curved = self._part.phase.kernels.retract is not None
         if side.dtype != np.float64:
@@ -262,7 +264,7 @@ class OptimalityConditions:
             return jax.lax.convert_element_type(move, side.dtype)
 
     def by_the_core(self, transposed: bool, exact: Any, side: Any) -> Array:
-        """The same of numbers, for sides (..., entries)."""
+        """The change of an optimum for right-hand sides (..., entries) that are numbers."""
         row = np.ascontiguousarray(exact).view(np.float64).ravel()
         return self._moves[transposed].now(row, np.reshape(side, (-1, np.shape(side)[-1]))).reshape(np.shape(side))
 

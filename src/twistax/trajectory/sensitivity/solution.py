@@ -42,7 +42,7 @@ class Solution(NamedTuple):
 
 
 class _Theta(NamedTuple):
-    """The arguments of a call; entries that are left out are missing."""
+    """The arguments of a call of `solution`, without those that were left out."""
 
     params: dict[str, Any]
     initial: dict[str, Any]
@@ -86,8 +86,10 @@ def solution(
             minimum and is to be differentiated. Under `jit` and `vmap` `solved` is 0, or derivatives are NaN; there the
             error is of functions without a native form, as those with host callbacks.
     """
-    if len(getattr(problem, "parts", ())) != 1:
-        raise TrajectoryError(f"solution expects a tx.trajectory.Problem of one phase, got {type(problem).__name__}")
+    if not getattr(problem, "alone", False):
+        phases = len(getattr(problem, "parts", ()))
+        got = f"a list of phases, {phases}" if phases else type(problem).__name__
+        raise TrajectoryError(f"solution expects a tx.trajectory.Problem that is no list of phases, got {got}")
     if by_updates(problem.parts):  # derivatives need exact ones
         problem = problem.with_phases([{"hessian": None}])
     options = {"guess": guess, "warm": warm, "max_iterations": max_iterations, "mesh_tolerance": mesh_tolerance}
@@ -95,8 +97,9 @@ def solution(
 
 
 class _Reference(NamedTuple):
-    """The problem as stated, and the call of the core that starts at its solution."""
+    """The problem that was solved, by implicit steps or as stated, and the call of the core that starts there."""
 
+    problem: Problem
     core: CoreSolver
     instance: Given
     call: CoreCall
@@ -130,7 +133,7 @@ class _Differentiable:
             raise TrajectoryError(f"solution: the final time is free, and no argument; got {short(final_time)}")
         names = tuple(sorted(theta.params)), tuple(sorted(theta.final))  # as JAX has the keys of a dict
         if names not in self._of:
-            self._of[names] = _SolutionFor(self._problem, self._reference, self._options, names)
+            self._of[names] = _SolutionFor(self._reference, self._options, names)
         return self._of[names](theta)
 
     @functools.cached_property
@@ -138,20 +141,21 @@ class _Differentiable:
         problem, options = self._problem, self._options
         with in_double():
             result = problem.solve(**options, tolerance=self._tolerance)
+            problem = result.problem
             started = problem.started(options["guess"])
-            core = problem.core(self._tolerance, started.point, started.given)
+            core = problem.core(self._tolerance, started.point, started.instance)
             start = result.warm.point if result.solved else started.point
-            call = CoreCall(problem, core, start, started.given, options["max_iterations"])
-        return _Reference(core, started.given, call, result.message if result.status is Status.COARSE else "")
+            call = CoreCall(problem, core, start, started.instance, options["max_iterations"])
+        return _Reference(
+            problem, core, started.instance, call, result.message if result.status is Status.COARSE else ""
+        )
 
 
 class _SolutionFor:
-    """The same for parameters and final states of these names."""
+    """The solution as a function of parameters and final states of these names."""
 
-    def __init__(
-        self, problem: Problem, reference: _Reference, options: dict[str, Any], names: tuple[tuple[str, ...], ...]
-    ) -> None:
-        self._problem, self._reference, self._options, self._names = problem, reference, options, names
+    def __init__(self, reference: _Reference, options: dict[str, Any], names: tuple[tuple[str, ...], ...]) -> None:
+        self._problem, self._reference, self._options, self._names = reference.problem, reference, options, names
         # Options of the compiler belong to the outermost program alone: within another one these have none.
         self._alone = jax.jit(self._tangent, compiler_options=quick_compile(1), keep_unused=True)
         self._within = jax.jit(self._tangent)
@@ -206,7 +210,7 @@ class _SolutionFor:
     def _conditions(self) -> OptimalityConditions:
         """The problem with these names among its unknowns; its kernels compile once."""
         params, final = self._names
-        core, instance, call, _ = self._reference
+        _, core, instance, call, _ = self._reference
         with in_double():
             return OptimalityConditions(self._problem, core, instance, {"params": params, "final": final}, call.units)
 
@@ -236,7 +240,7 @@ class _SolutionFor:
             return self._conditions.optimum(inputs, traced, call.is_solved(traced) & holds, precision)
 
     def _is_meant(self, theta: _Theta) -> Any:
-        """Whether all values are numbers, and the time goes on; free entries of ends do not count."""
+        """Whether all values are numbers, and the duration is positive; free entries of ends do not count."""
         ends, known = self._problem.ends, [jnp.isfinite(value).all() for value in jax.tree.leaves(theta.params)]
         for values, fixed in ((theta.initial, ends.initial_fixed), (theta.final, ends.final_fixed)):
             known += [jnp.where(fixed[name], jnp.isfinite(value), True).all() for name, value in values.items()]
@@ -244,15 +248,15 @@ class _SolutionFor:
         return jnp.stack([jnp.asarray(True), *known]).all()
 
     def _solved(self, theta: _Theta) -> tuple[SolveInputs, jax.Array]:
-        """The solve of numbers, and what it reads."""
+        """The solve for numbers, and its inputs."""
         call, numbers = self._reference.call, jax.tree.map(np.asarray, theta)
         values: Any = {name: getattr(numbers, name) or None for name in ("params", "initial", "final")}
         values |= numbers.final_time
         started, tolerance = self._problem.started(**values), self._reference.core.tolerance
-        core = self._problem.core(tolerance, started.point, started.given)  # of this thread
+        core = self._problem.core(tolerance, started.point, started.instance)  # of this thread
         inputs = self._inputs(theta)
         result = call.solves.now(np.asarray(jnp.concatenate(inputs)))
-        judged = call.judged(core, call.solves.split(result), started.given, self._options["mesh_tolerance"])
+        judged = call.judged(core, call.solves.split(result), started.instance, self._options["mesh_tolerance"])
         if judged is not Status.SOLVED:
             options = {**self._options, "guess": None, "warm": None}
             searched = self._problem.solve(**values, **options, tolerance=tolerance)
@@ -275,7 +279,7 @@ class _SolutionFor:
         return optimum, tangent(theta, tangents, optimum)._replace(exact=none)
 
     def _tangent(self, theta: _Theta, tangents: _Theta, optimum: Optimum) -> Optimum:
-        """How the optimum moves along a change of the arguments."""
+        """The change of the optimum along a change of the arguments."""
         conditions, known = self._conditions, jnp.where(optimum.solved > 0.0, 1.0, jnp.nan)
         tangents = jax.tree.map(lambda a: known * a, tangents)  # also where an argument is NaN
 

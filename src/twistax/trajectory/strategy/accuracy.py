@@ -1,4 +1,4 @@
-"""How closely a result follows the differential equations, and rows without slope: what a look at it says."""
+"""The accuracy of a result with respect to the differential equations, and constraint rows without slope."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ MESH = 1e-2
 
 @dataclasses.dataclass(frozen=True)
 class Exceeded:
-    """A limit that does not hold between nodes.
+    """A limit that is violated between nodes.
 
     Attributes:
         by: how far it is exceeded, in its own unit.
@@ -64,22 +64,22 @@ class Accuracy:
 
     @property
     def error(self) -> float:
-        """The largest of all intervals."""
+        """The largest error of all intervals."""
         return float(np.concatenate(self.intervals).max(initial=0.0))
 
     @property
     def place(self) -> str:
-        """Where that is."""
+        """The interval with the largest error."""
         return self._largest(self.intervals)
 
     @property
     def factor(self) -> float:
-        """The largest factor of a mode that a step amplifies; 1 if there is none."""
+        """The largest amplification factor of a substep; 1 if the method is stable."""
         return float(np.concatenate(self.amplified).max(initial=1.0))
 
     @property
     def unstable_place(self) -> str:
-        """Where that is."""
+        """The interval with the largest amplification factor."""
         return self._largest(self.amplified)
 
     @property
@@ -95,7 +95,7 @@ class Accuracy:
 
 
 class FlatRow(NamedTuple):
-    """A row without slope, and its multiplier in scales of moves."""
+    """A constraint row without slope, and its scaled multiplier."""
 
     name: str
     place: str

@@ -1,4 +1,4 @@
-"""Many cases of one problem, each solved as alone, as many at a time as there are processors."""
+"""Many cases of one problem, solved in parallel on the available processors."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ from .strategies import solved
 
 
 def solve_all(solver: CoreSolver, cases: Sequence[Any], most: int, mesh_tolerance: float) -> list[Outcome]:
-    """The outcomes of all cases, each with the `point` where it starts and what is `given`."""
+    """The outcomes of all cases, each from its start `point` and its data `instance`."""
     of_thread = threading.local()
 
     def outcome(case: Any) -> Outcome:
-        point, instance = jax.tree.map(np.asarray, (case.point, case.given))
+        point, instance = jax.tree.map(np.asarray, (case.point, case.instance))
         if not hasattr(of_thread, "solver"):
             of_thread.solver = solver.alone(instance)
         core: CoreSolver = of_thread.solver

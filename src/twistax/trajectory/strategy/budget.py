@@ -1,22 +1,25 @@
-"""What a solve may take: iterations, seconds, and a callback that may end it."""
+"""The limits of a solve: iterations, seconds, and a callback that may end it."""
 
 from __future__ import annotations
 
 import time
+from typing import Any
 
 import numpy as np
+from numpy import ndarray as Array
 
 from .outcome import Callback
 from .status import Status
 
 
 class Budget:
-    """What all runs of a solve may take together.
+    """The limits that all runs of one solve share.
 
     Args:
         max_iterations: of all runs.
         max_seconds: of wall time from now; no end if left out.
-        callback: called before each iteration; it ends the solve where it returns True.
+        callback: called before each iteration with its number, cost, violation and the largest relative change of an
+            unknown since the last one; it ends the solve where it returns True.
 
     Attributes:
         used: iterations of the runs that ended.
@@ -27,26 +30,32 @@ class Budget:
         self._most, self._callback = max_iterations, callback
         self._due = np.inf if max_seconds is None else time.monotonic() + max_seconds
         self.used = 0
+        self._last: Any = None
         self.ended: Status | None = None
 
     @property
     def left(self) -> int:
-        """Iterations that are left."""
+        """The remaining iterations."""
         return max(self._most - self.used, 0)
 
     @property
     def seconds_left(self) -> float | None:
-        """Of the wall time, some at least; None without an end."""
+        """The remaining wall time, not less than a minimum; None without a limit."""
         return None if np.isinf(self._due) else max(self._due - time.monotonic(), 1e-6)
 
     @property
     def is_spent(self) -> bool:
-        """Whether no further run may begin."""
+        """Whether no further run may start."""
         return self.left == 0 or self.ended is not None
 
-    def ends(self, iteration: int, cost: float, violation: float) -> bool:
-        """Whether a run should end before this iteration of it."""
-        stop = None if self._callback is None else self._callback(self.used + iteration, cost, violation)
+    def ends(self, iteration: int, cost: float, violation: float, z: Array | None = None) -> bool:
+        """Whether a run must stop before this iteration, at the unknowns z."""
+        stop = None
+        if self._callback is not None:
+            step = None if z is None or iteration == 0 or np.shape(self._last) != z.shape else z - self._last
+            size = None if step is None else float(np.abs(step / (1.0 + np.abs(z))).max(initial=0.0))
+            self._last = None if z is None else z.copy()
+            stop = self._callback(self.used + iteration, cost, violation, size)
         if isinstance(stop, (bool, np.bool_)) and stop:
             self.ended = Status.STOPPED
         if time.monotonic() > self._due:

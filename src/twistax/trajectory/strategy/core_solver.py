@@ -1,4 +1,4 @@
-"""The solver's core on a transcribed problem: runs from points and from warm starts."""
+"""The solver's core applied to a transcribed problem, from a point or a warm start."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ _NEAR = 10.0
 _TURN, _CHANGE = 1.5, 0.2
 #: Iterations of a run, or of one in units that were measured then, after which units are measured anew; it begins anew
 #: there if one of them is so many times as large or as small.
-_FITTED_AT, _MISFIT = (7, 80), 10.0
+_FITTED_AT, _MISFIT = (7, 30, 80), 10.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
 #: Options that change nothing of a start: it is only measured.
@@ -43,7 +43,7 @@ _AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "boun
 
 
 class _Start(NamedTuple):
-    """Where a run begins, what it is for, and its units."""
+    """The start of a run, the data of its problem, and its units."""
 
     point: Point
     instance: Given
@@ -51,7 +51,7 @@ class _Start(NamedTuple):
 
 
 class CoreSolver:
-    """Solves a transcribed problem by the core; what it needs compiles once.
+    """Solves a transcribed problem with the core; kernels compile once.
 
     Args:
         staged: the problem.
@@ -87,7 +87,7 @@ class CoreSolver:
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
     def units(self, point: Point, instance: Given, *, is_guess: bool = False) -> StartUnits:
-        """Units at a start; durations of a guess may be far too long."""
+        """Units at a start; the durations of a guess may be far too long."""
         self.staged.set_given(instance)
         return StartUnits(self.staged, point, instance.limits if is_guess else None)
 
@@ -111,7 +111,7 @@ class CoreSolver:
         rescaling: bool = True,
         is_guess: bool = True,
     ) -> Outcome:
-        """Solve from a start, in the units that it has.
+        """Solve from a start in its units.
 
         Args:
             cost_floor: the least unit of the objective.
@@ -146,19 +146,21 @@ class CoreSolver:
         return self.measure.outcome(self._call(begin, {**options, **near}, warm, check), units, instance)
 
     def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
-        """How far a point with multipliers is from the conditions of an optimum, in units that fit it."""
+        """The optimality errors of a point with multipliers, in units that fit it."""
         start = _Start(point, instance, self.units(point, instance))
         return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
 
     def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
-        """How far a warm start is from the conditions of an optimum."""
+        """The optimality errors of a warm start."""
         result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
         return self.measure.outcome(result, start.units, start.instance, warm=True)
 
     def _from_point(
         self, start: _Start, options: dict[str, float], check: _IterationCheck, fitted: Sequence[int]
     ) -> Outcome:
-        """A solve whose units are measured anew after some iterations: a guess may say little about them."""
+        """A solve from a point. Its units are measured again after some iterations, because a guess may say little
+        about them.
+        """
         left = list(fitted)
         while True:
             fresh: _Start | None = None
@@ -190,7 +192,9 @@ class CoreSolver:
         warm: CoreSolution | None = None,
         check: StopCheck | None = None,
     ) -> CoreSolution:
-        """One call of the core. Where its restoration alone comes to no end, iterations are left: no step helps."""
+        """One call of the core. If its feasibility restoration alone does not end, iterations are left over: no step
+        helps.
+        """
         staged, units, functions = self.staged, start.units, self.staged.transcription.functions
         if self._by_updates:
             functions = StageUpdates(staged.transcription, units.v, units.cost).functions
@@ -223,14 +227,14 @@ class CoreSolver:
 
 
 def _near(violated: float) -> dict[str, float]:
-    """Options that keep a start near: the further it is from holding, the higher its barrier."""
+    """Options that keep the iterates near a warm start: the larger its violation, the larger the initial barrier."""
     barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
     push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
     return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
 
 
 class _IterationCheck:
-    """What is called before each iteration: Python sees signals there, and what a solve may take.
+    """The callback before each iteration: it lets Python handle signals, and checks the limits of the solve.
 
     Attributes:
         before: iterations before this call of the core.
@@ -243,7 +247,7 @@ class _IterationCheck:
 
     def __call__(self, iteration: int, cost: float, violation: float, z: Array) -> bool:
         is_new = iteration > 0 or self.before == 0  # the first iterate in other units is the last one before
-        return (is_new and self.budget.ends(self.before + iteration, cost, violation)) or self.extra(iteration, z)
+        return (is_new and self.budget.ends(self.before + iteration, cost, violation, z)) or self.extra(iteration, z)
 
 
 def _arrays(tree: Any) -> Any:

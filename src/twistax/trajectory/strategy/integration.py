@@ -1,4 +1,6 @@
-"""Integrations by the solver's core: each interval closely from its planned start, and rollouts of a whole phase."""
+"""Integration by the solver's core: an accurate integration of each interval from its planned start, and rollouts of a
+phase.
+"""
 
 from __future__ import annotations
 
@@ -22,7 +24,7 @@ _MOVES = 4
 
 
 class Closely(NamedTuple):
-    """What a close integration of each interval of a phase, from its planned start, says."""
+    """The result of the accurate integration of each interval of a phase from its planned start."""
 
     gaps: Array  # (intervals, n) how far its end is from the planned one, a tangent
     rows: Array  # (intervals, path rows) the largest value along it; of equalities the largest size
@@ -31,14 +33,14 @@ class Closely(NamedTuple):
 
 
 class Changes(NamedTuple):
-    """By how much moves change rows and objective."""
+    """The changes of rows and objective by moves of the unknowns."""
 
     rows: Array
     cost: float
 
 
 class CloseIntegration:
-    """Integrates a staged problem closely.
+    """Integrates every interval of a staged problem accurately.
 
     Args:
         staged: the problem.
@@ -61,14 +63,14 @@ class CloseIntegration:
         self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(instance))
 
     def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
-        """Close integrations of all phases at a point of the problem."""
+        """The accurate integrations of all phases at a point of the problem."""
         self._transcription.set_data(self._staged.numbers.vector(instance))
         seen = Evaluated(self._transcription, z)
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
     def decided_rows(self, z: Array, instance: Given) -> Array:
-        """(rows,) values of the rows at nodes that ends or other rows decide; other entries mean nothing."""
+        """(rows,) values of the node rows that ends or other rows determine; other entries are meaningless."""
         transcription, rows = self._transcription, []
         transcription.set_data(self._staged.numbers.vector(instance))
         h = Evaluated(transcription, z).h
@@ -99,7 +101,7 @@ class CloseIntegration:
         return [{name: a[:-1] for name, a in states.items()} for states in xs]
 
     def changes(self, z: Array, v: Array, length: float) -> Changes:
-        """The largest changes of rows and objective by random moves of all that is free.
+        """The largest changes of rows and objective under random moves of all free unknowns.
 
         Args:
             v: sizes of all unknowns.
@@ -121,7 +123,7 @@ class CloseIntegration:
 
 
 class CoreRollout:
-    """Rolls the controls of a phase out.
+    """Integrates the controls of a phase.
 
     Args:
         part: the phase.
@@ -149,7 +151,7 @@ class CoreRollout:
         self._transcription = Transcription([alone], parameters, data)
 
     def states(self, point: Point) -> dict[str, Array]:
-        """All states where samples lie, (intervals * samples + 1, ...), from the first node of a point of the phase."""
+        """All states at the sample times, (intervals * samples + 1, ...), from the first node of the phase."""
         base, *planned = self._part.point.joined(point.xs, 1)
         samples = [base[None]]
         for k, (u, end) in enumerate(zip(np.asarray(point.us), planned)):

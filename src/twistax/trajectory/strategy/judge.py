@@ -38,7 +38,7 @@ _SMALL = 1e-3
 
 
 class Judge:
-    """Looks at where searches end, and says what that makes of their status.
+    """Checks the end of a search, and sets the status accordingly.
 
     Args:
         close: integrates closely.
@@ -52,7 +52,7 @@ class Judge:
         self._cones = np.isin(np.asarray(shooting.names, str), cones)
 
     def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
-        """The outcome with its accuracy, and with the status that this gives it.
+        """The outcome with its accuracy, and with the status that follows from it.
 
         Args:
             mesh_tolerance: the largest error of the mesh of a status that says that the problem is solved.
@@ -72,7 +72,7 @@ class Judge:
         return dataclasses.replace(outcome, status=Status.COARSE) if accuracy.coarse else outcome
 
     def _flat(self, z: Array, outcome: Outcome) -> FlatRow | None:
-        """The row that binds whose multiplier is largest, if that has run away."""
+        """The active row with the largest multiplier, if that multiplier has diverged."""
         weights, scales = np.abs(outcome.rows), outcome.scales
         if not weights.any():
             return None
@@ -128,7 +128,7 @@ class Judge:
 
 
 def _exceeded(phase: Any, closely: Closely, shares: Array, tolerance: float, place: str) -> dict[str, Exceeded]:
-    """The limits of a phase that do not hold between nodes, each where it is exceeded most."""
+    """The limits of a phase that are violated between nodes, each at its largest violation."""
     exceeded = dict[str, Exceeded]()
     for row in np.flatnonzero(shares.max(axis=0, initial=0.0) > tolerance):
         name, stage = phase.path.names[row], int(shares[:, row].argmax())

@@ -1,4 +1,4 @@
-"""Results of the solver's core in the terms of this package: rows, multipliers, errors, a status."""
+"""Results of the solver's core in the terms of the problem: rows, multipliers, errors, a status."""
 
 from __future__ import annotations
 
@@ -43,11 +43,11 @@ class Measure:
 
     @property
     def is_decided(self) -> bool:
-        """Whether ends alone decide a row."""
+        """Whether the ends alone determine a row."""
         return bool((self._transcribed.decided & ~self._transcribed.pinned).any())
 
     def violated_at_once(self, point: Point, instance: Given, units: StartUnits) -> float:
-        """The largest violation of rows that ends alone decide, in their sizes: no trajectory changes them."""
+        """The largest scaled violation of rows that the ends alone determine, so that no trajectory changes them."""
         if not self.is_decided:
             return 0.0
         problem = self._transcribed
@@ -56,16 +56,16 @@ class Measure:
         return float(np.where(problem.decided & ~problem.pinned, violated, 0.0).max(initial=0.0))
 
     def row_sizes(self, units: StartUnits) -> Array:
-        """Of all rows; of one that is not in the core that of another of its name."""
+        """Sizes of all rows; a row that is not in the core has the size of another row of its name."""
         problem = self._transcribed
         sizes = self._staged.all_rows(units.rows, units.equalities, units.v, units.v)
         for name in np.unique(problem.names[(sizes <= 0.0) & problem.decided].astype(str)):
-            alike = problem.names == name
-            sizes[alike & (sizes <= 0.0)] = sizes[alike].max()
+            has_name = problem.names == name
+            sizes[has_name & (sizes <= 0.0)] = sizes[has_name].max()
         return np.where(sizes > 0.0, sizes, 1.0)
 
     def scales(self, units: StartUnits) -> Scales:
-        """Units of all unknowns and of the objective; rows count as they are."""
+        """Units of all unknowns and of the objective; rows are not scaled."""
         problem = self._transcribed
         d, u = np.ones((problem.nodes, problem.n)), np.ones((problem.intervals, problem.m))
         for number, (part, sizes) in enumerate(zip(self._staged.parts, units.parts)):
@@ -81,7 +81,7 @@ class Measure:
     def outcome(
         self, result: CoreSolution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
     ) -> Outcome:
-        """What came out; the status is that of the core unless it is known."""
+        """The outcome of a run, with the status of the core unless another one is known."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
         at, point = Evaluated(staged.transcription, result.z), staged.point(result.z)
         lower, upper = staged.limits(point, instance)

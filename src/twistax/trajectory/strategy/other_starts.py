@@ -1,4 +1,4 @@
-"""Other starts for a search: perturbed guesses, random steps from a point where it stalled."""
+"""Other starts for a search: perturbed guesses, and random steps from a point where it stalled."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ _MOVES, _LARGEST_GAP, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(1
 
 
 def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.Generator) -> Point:
-    """A point with every free entry of states, controls and border moved by a random step.
+    """A point with a random step in every free entry of states, controls and shared unknowns.
 
     The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
     is exponential in a state, as air is in a height, else makes starts that mean nothing.
@@ -45,7 +45,7 @@ def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.
 def beside(
     solver: CoreSolver, point: Point, scales: Scales, size: float, seed: int, controls_alone: bool = False
 ) -> Point:
-    """The point after a random step, of controls alone if it is to be so and where there are some."""
+    """The point after a random step; of the controls alone if that is asked for and there are controls."""
     rng, problem = np.random.default_rng(seed), solver.transcribed
     u = np.where(problem.free.u, size * rng.normal(size=problem.free.u.shape) * scales.u, 0.0)
     d = np.where(problem.stirred, size * rng.normal(size=problem.free.d.shape) * scales.d, 0.0)

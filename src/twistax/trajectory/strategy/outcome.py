@@ -1,4 +1,4 @@
-"""Where a solve ended, and what is known of it there."""
+"""The end of a solve, and what is known about it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ class Scales(NamedTuple):
 
 
 class Errors(NamedTuple):
-    """How far a point is from the first-order conditions, scaled."""
+    """The scaled residuals of the first-order conditions."""
 
     stationarity: Any
     feasibility: Any
@@ -40,7 +40,7 @@ class Errors(NamedTuple):
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Outcome:
-    """Where a run of the solver ended."""
+    """The end of a run of the solver."""
 
     point: Point
     values: Values
@@ -60,7 +60,7 @@ class Outcome:
     refusal: str = ""  # why it was not solved
 
     def refused(self, refusal: str) -> Outcome:
-        """That of a case which was not solved, of the same shapes: all numbers are NaN."""
+        """The outcome of a case that was not solved, with the same shapes: all numbers are NaN."""
         names = [field.name for field in dataclasses.fields(self) if field.default is dataclasses.MISSING]
         numbers = {name: getattr(self, name) for name in names if name not in ("status", "iterations")}
         nothing = jax.tree.map(lambda a: np.full(np.shape(a), np.nan) if np.ndim(a) else np.nan, numbers)

@@ -1,4 +1,4 @@
-"""Inequalities at a node that the equalities there decide: they leave no room for slacks."""
+"""Inequalities at a node that the equalities there determine, so that they have no interior."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _SAMPLES, _MOVE = 2, 0.3
 
 
 def redundant_rows(staged: Staged, start: Point, instance: Given) -> list[Array]:
-    """Of each phase which inequalities at nodes have slopes in the span of those of the equalities there.
+    """For each phase the inequalities at nodes whose slopes lie in the span of those of the equalities there.
 
     They count if it is so at all samples, with these parameters and with others: the next solve may have those.
     """
@@ -28,7 +28,7 @@ def redundant_rows(staged: Staged, start: Point, instance: Given) -> list[Array]
 
 
 def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluated]:
-    """Derivatives at random points, with these parameters and with others."""
+    """Derivatives at random points, with these parameters and with perturbed ones."""
     rng, free, z = np.random.default_rng(0), staged.transcribed.free, staged.flat(start)
     points = list[Array]()
     for _ in range(_SAMPLES):
@@ -47,7 +47,7 @@ def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluate
 
 
 def _stirred(rng: np.random.Generator, values: Any) -> Array:
-    """Numbers changed at random, by a third of their size at most; zeros no longer are."""
+    """Numbers perturbed at random, by at most a third of their size; zeros become nonzero."""
     here = np.asarray(values, float)
     return np.asarray(here + rng.uniform(0.1, 0.3, here.shape) * np.where(here == 0.0, 1.0, here))
 
@@ -62,7 +62,7 @@ def _of_part(staged: Staged, number: int, samples: Sequence[Evaluated]) -> Array
         if k == K:
             rows = np.arange(K * layout.per_interval, len(phase.exists))
         else:
-            at_node = len(layout.asked) + np.arange(layout.counts.get(k, 0))
+            at_node = len(layout.path_indices) + np.arange(layout.counts.get(k, 0))
             rows = k * layout.per_interval + np.concatenate([first, at_node])
         fixed = np.eye(phase.n)[~phase.free.d[0]] if k == 0 and number == 0 else np.zeros((0, phase.n))
         exists, equality = phase.exists[rows], phase.equality[rows]
@@ -80,7 +80,7 @@ def _places(staged: Staged, number: int) -> list[Array]:
 
 
 def _slopes(part: StagedPhase, k: int, rows: Array, places: Sequence[Array], at: Evaluated) -> Array:
-    """Of rows at a node by the unknowns of its stage; zero for those that do not exist."""
+    """Derivatives of the rows at a node by the unknowns of its stage; zero for those that do not exist."""
     stages, stage = at.stages, part.stages.start + k
     slopes = np.zeros((len(rows), stages.columns[stage]))
     for flat, counts, place in zip((at.Jh, at.Je), (stages.inequalities, stages.equalities), places):
@@ -95,7 +95,7 @@ def _slopes(part: StagedPhase, k: int, rows: Array, places: Sequence[Array], at:
 
 
 def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence[Array]) -> Array:
-    """(rows,) which inequalities have slopes in the span of those of the equalities and of what is fixed.
+    """(rows,) the inequalities whose slopes lie in the span of those of the equalities and of fixed unknowns.
 
     Args:
         equality, inequality: (rows,) which they are, of those that exist.

@@ -1,4 +1,4 @@
-"""How solves end."""
+"""The status of a solve."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import enum
 
 
 class Status(enum.Enum):
-    """How an optimisation ended, as a sentence."""
+    """How an optimisation ended. Each member has a sentence that explains it."""
 
     SOLVED = "the first-order conditions of an optimum hold within the tolerance"
     ACCEPTABLE = (

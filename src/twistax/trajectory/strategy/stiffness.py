@@ -1,4 +1,4 @@
-"""Rates that are too fast for explicit steps, and the implicit transcription that takes their place."""
+"""Dynamics too stiff for explicit steps, and the implicit transcription in place of them."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ def stiffness(staged: Staged, point: Point, instance: Given) -> float:
 
 
 def amplification(staged: Staged, point: Point, instance: Given) -> list[Array]:
-    r"""Of each phase (intervals,): by how much a substep multiplies a mode that does not grow; 1 where that is little.
+    r"""For each phase (intervals,) the factor by which a substep amplifies a mode that does not grow; 1 if it is small.
 
     A Runge-Kutta method multiplies a mode with eigenvalue $\lambda$ by $R(z) = \det(I - z A + z 1 b^T) / \det(I - z A)$
     with $z = \lambda h$, the equation by $e^z$. Where $|R| > \max(1, |e^z|)$ the optimum of a mesh avoids what moves
@@ -47,7 +47,7 @@ def amplification(staged: Staged, point: Point, instance: Given) -> list[Array]:
 
 
 def _modes(staged: Staged, point: Point, instance: Given) -> list[Array]:
-    """Of each phase (intervals, n): eigenvalues of the rates' Jacobian at the first node times a substep, or zero."""
+    """For each phase (intervals, n) eigenvalues of the rates' Jacobian at the first node times a substep, or zero."""
     staged.set_given(instance)
     data, every, border = staged.numbers.vector(instance), list[Array](), np.asarray(point.border)
     for part, segment in zip(staged.parts, staged.transcribed.segments):

@@ -32,7 +32,7 @@ _USELESS = 1e3
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
-_MOST = 500
+_MOST = 300
 #: Where no step helps: steps aside from the start, in sizes, for other runs, and how many.
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
@@ -42,7 +42,9 @@ _AWAY = (0.1, 0.3, 1.0)
 
 
 class Strategy(enum.Enum):
-    """What `Problem.solve` does around the interior point method; all of them unless `strategies=` names some."""
+    """What `Problem.solve` may do besides one run of the interior-point method. All are allowed unless `strategies=`
+    names some.
+    """
 
     RESCALING = (
         "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"
@@ -63,14 +65,14 @@ def solved(
     budget: Budget,
     strategies: Collection[Strategy] = tuple(Strategy),
 ) -> Outcome:
-    """A solve from a start, in units that fit its result, at a minimum where one is near."""
+    """A solve from a start, with units that fit its result, continued to a minimum if one is near."""
     return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Point)).run(
         start, instance
     )
 
 
 class _Search:
-    """Runs of a solver on one start.
+    """Runs of the solver from one start.
 
     Args:
         limited: whether a run leaves iterations for other strategies.
@@ -80,18 +82,18 @@ class _Search:
         self._solver, self._budget, self._strategies, self._limited = solver, budget, strategies, limited
 
     def run(self, start: Point | WarmStart, instance: Given) -> Outcome:
-        """The strategies, one after the other, as long as the search comes to no optimum."""
+        """Apply the strategies in turn until the search reaches an optimum."""
         result = self._near(start, instance)
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
         if at_once or isinstance(start, WarmStart):
             return dataclasses.replace(result, iterations=self._budget.used)
         if self._may_repeat(result, Strategy.FITTED_DURATIONS, _AT_REST | {Status.NON_FINITE}):
             result = self._at_fitted_durations(result, start, instance)
-        others: dict[Strategy, dict[str, bool]] = {
+        repeats: dict[Strategy, dict[str, bool]] = {
             Strategy.STATED_SCALES: {"as_stated": True},  # those of a statement are often well chosen
             Strategy.RESCALING: {"rescaling": False},  # an iterate may say less about units than its start
         }
-        for strategy, options in others.items():
+        for strategy, options in repeats.items():
             if self._may_repeat(result, strategy):
                 again = self._once(start, instance, **options)
                 result = self._at_minimum(again, instance) if again.status in AT_OPTIMUM else result
@@ -129,7 +131,7 @@ class _Search:
         return self._at_minimum(self._fitting(start, instance), instance)
 
     def _at_fitted_durations(self, result: Outcome, start: Point, instance: Given) -> Outcome:
-        """The optimum from durations that controls need, the result where there is none."""
+        """The optimum from durations that fit the limited controls; the present result if there is none."""
         units = self._solver.units(start, instance, is_guess=True)
         durations = units.fitted_durations(self._solver.staged, start, instance.limits)
         if (durations == np.asarray(start.border)).all():
@@ -139,7 +141,7 @@ class _Search:
 
 
 def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
-    """A solve whose objective counts in units that fit the result: those of a start may be worth nothing there.
+    """Solve again with the objective in a unit that fits the result, if that of the start was far off.
 
     What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
     optimal.
@@ -176,7 +178,7 @@ def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: A
 
 
 def warm_at(result: Outcome, instance: Given) -> WarmStart:
-    """A start at a result."""
+    """A warm start from a result."""
     return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, instance.params)
 
 
@@ -191,7 +193,7 @@ def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
 
 
 def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
-    """The result; from a saddle point, a better one that searches from random steps away find."""
+    """The result; from a saddle point, a better one that searches from perturbed points reach."""
     seed = 0
     while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None

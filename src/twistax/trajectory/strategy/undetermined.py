@@ -34,19 +34,19 @@ class Undetermined(NamedTuple):
     Attributes:
         name: of the entry, with that of its phase in front.
         entry: the same without.
-        moves: (intervals,) between 0 and 1, which share of a move of it alone changes nothing.
+        free_share: (intervals,) from 0 to 1, the share of a change of it alone that has no effect.
         weight: of its square in the running cost that decides it.
     """
 
     name: str
     entry: str
-    moves: Array
+    free_share: Array
     weight: float
 
     @property
     def intervals(self) -> int:
-        """How many there are where it may move."""
-        return int((self.moves > _SHARE).sum())
+        """The number of intervals where it is undetermined."""
+        return int((self.free_share > _SHARE).sum())
 
 
 def undetermined(
@@ -84,7 +84,7 @@ def undetermined(
 
 
 def _control_sizes(staged: Staged, warm: WarmStart) -> Array:
-    """(intervals, m) the unit of each control, or what it comes to in its phase where that is more."""
+    """(intervals, m) the unit of each control, or its largest size in the phase if that is larger."""
     sizes, us = np.array(warm.scales.u), np.abs(warm.point.us)
     for part in staged.parts:
         rows = slice(part.stages.start, part.stages.stop - 1)
@@ -107,7 +107,7 @@ def _entries(part: StagedPhase, derivatives: Mapping[str, str]) -> Iterator[tupl
 
 
 class _Moves:
-    """All unknowns by those that may be chosen, in units, to first order; and the second derivative of the Lagrangian.
+    """All unknowns as first-order functions of the free ones, in units; and the second derivative of the Lagrangian.
 
     Args:
         controls: sizes of the controls.
@@ -158,7 +158,7 @@ class _Moves:
         self._sizes = sizes
 
     def directions(self, warm: WarmStart) -> Array:
-        """(count, directions) an orthonormal basis of the moves on which equalities and active inequalities hold."""
+        """(count, directions) an orthonormal basis of the null space of the equalities and active inequalities."""
         staged, at, stages = self._staged, self._at, self._at.stages
         scaled = np.asarray(warm.rows) * np.asarray(warm.scales.rows) / float(warm.scales.cost)
         y, _, low, high = (np.abs(a) > _LITTLE for a in staged.split_rows(scaled))

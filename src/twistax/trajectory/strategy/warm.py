@@ -20,15 +20,15 @@ from .outcome import Scales
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class WarmStart:
-    """Where a solve may start instead of at a guess: `problem.solve(warm=...)`.
+    """A solution as the start of another solve: `problem.solve(warm=...)`.
 
     Attributes:
-        problem: whose solution it was.
+        problem: the problem that was solved.
         point: states, controls with the bounds on norms among them, times and free parameters.
         dynamics, rows: multipliers in the problem's units.
         scales: of unknowns, rows and objective.
-        params: the parameters that it was solved for.
-        units: of the solver, where these are known and fit the problem.
+        params: the parameters of that solve.
+        units: of the solver, if they are known and fit the problem.
     """
 
     problem: Any
@@ -40,7 +40,8 @@ class WarmStart:
     units: StartUnits | None = None
 
     def shifted(self, steps: int = 1) -> WarmStart:
-        """Moved on by so many intervals. The last control is held from then on, and the states are rolled out.
+        """A warm start that many intervals later. The last control stays constant after the end, and the states are
+        integrated.
 
         Raises:
             TrajectoryError: steps is no positive whole number; intervals are not equally long.
@@ -61,7 +62,7 @@ class WarmStart:
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
         us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():
-            instance = self.problem.started(begin=point).given._replace(params=self.params)
+            instance = self.problem.started(begin=point).instance._replace(params=self.params)
             staged = self.problem.core(1e-6, point, instance).staged
             last, data = staged.parts[0], staged.numbers.vector(instance)
             rollout = CoreRollout(last, problem.transcription, staged.border.size, data)
@@ -79,12 +80,12 @@ class WarmStart:
 
 
 def _moved_on(values: Array, steps: int) -> Array:
-    """What comes so many intervals later, the last again and again."""
+    """Values that many intervals later; the last one repeats."""
     return values[np.minimum(np.arange(len(values)) + steps, len(values) - 1)]
 
 
 def warm_start(value: Any) -> WarmStart:
-    """The warm start itself, or that of a result.
+    """A warm start as it is, or that of a result.
 
     Raises:
         TrajectoryError: it is neither.
@@ -112,13 +113,22 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> Warm
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
     if shapes != expected:
         raise other_problem()
-    start = Point(problem.at_ends(point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
+    start = Point(_at_ends(problem, point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
     same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in instance.params.items())
     return dataclasses.replace(warm, point=start, units=warm.units if same else None)
 
 
+def _at_ends(problem: Any, xs: Any, ends: Any) -> Any:
+    """States at the nodes with what ends fix in place."""
+    if problem.alone:
+        return problem.parts[0].at_ends(xs, ends[0])
+    if not isinstance(xs, tuple) or len(xs) != len(problem.parts):
+        raise other_problem()
+    return tuple(part.at_ends(states, side) for part, states, side in zip(problem.parts, xs, ends))
+
+
 def other_problem() -> TrajectoryError:
-    """What is raised where a warm start does not fit."""
+    """The error for a warm start of another problem."""
     return TrajectoryError(
         "solve: warm must be of a problem with the same states, controls, nodes and constraints.\n"
         "  fix: give its xs and us as guess"

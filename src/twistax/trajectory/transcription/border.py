@@ -1,4 +1,4 @@
-"""The unknowns that all intervals share: how long each phase takes, then the free parameters, in one vector b."""
+"""The unknowns that all intervals share, in one vector b: the duration of each phase, then the free parameters."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ _WIDE = 100.0 * (1.0 + 1e-9)
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Border:
-    """Where durations and free parameters sit in b, and their limits.
+    """The places of durations and free parameters in b, and their limits.
 
     Attributes:
         times: what the duration of each phase is called.
@@ -58,12 +58,12 @@ class Border:
 
     @functools.cached_property
     def names(self) -> list[str]:
-        """Of every entry."""
+        """The name of every entry."""
         return [*self.times, *(entry for box in self.boxes for entry in entry_names(box.name, box.shape))]
 
     @functools.cached_property
     def finite(self) -> list[tuple[int, int]]:
-        """(entry, side) of every limit that there is."""
+        """(entry, side) of every finite limit."""
         there = np.isfinite(self.limits) & self.free[:, None]
         return [(int(i), int(side)) for i, side in np.argwhere(there)]
 
@@ -72,7 +72,7 @@ class Border:
         return [f"{self.names[i]}: {('lower', 'upper')[side]} limit" for i, side in self.finite]
 
     def rows(self, b: jax.Array, limits: jax.Array) -> jax.Array:
-        """What must be <= 0."""
+        """The residuals of the limits, <= 0."""
         rows = [(limits[i, 0] - b[i], b[i] - limits[i, 1])[side] for i, side in self.finite]
         return jnp.stack(rows) if rows else jnp.zeros(0, b.dtype)
 
@@ -81,7 +81,7 @@ class Border:
         return Controls(self.boxes).split(b[self.phases :])
 
     def limited(self, times: Array, free: Any) -> Array:
-        """(g, 2) limits with these of the durations, and others of free parameters by leaf or name.
+        """(g, 2) limits with other limits of the durations, and of free parameters by leaf or name.
 
         Raises:
             ModelError: as `boxes_of`, for parameters that are not free.

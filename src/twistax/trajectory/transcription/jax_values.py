@@ -27,7 +27,7 @@ _NEWTON_STEPS, _NEWTON_CLOSE = 20, 1e-9
 
 
 class _Fixed(NamedTuple):
-    """What stays along an interval."""
+    """The values that are constant along an interval."""
 
     start: Any  # a share of the duration of the phase, as the width
     width: Any
@@ -75,7 +75,7 @@ class JaxValues:
         return Values(jnp.sum(costs) + end[-1], defects, rows + instance.margins)
 
     def _interval(self, fixed: _Fixed, eta: jax.Array) -> tuple[jax.Array, jax.Array, jax.Array]:
-        """Where an interval ends that starts at eta, its path rows, and its share of the running cost."""
+        """The end of an interval that starts at eta, its path rows, and its part of the running cost."""
         method, layout = self._shooting.transcription.scheme, self._shooting.layout
         as_array = functools.partial(jnp.asarray, dtype=eta.dtype)
         length, c = fixed.width / method.substeps, as_array(method.c)
@@ -94,7 +94,7 @@ class JaxValues:
         count = method.substeps + 1 if not method.weights[method.substeps + 1 :].any() else len(etas)
         q = jax.vmap(lambda eta: jnp.concatenate([eta, fixed.u, fixed.border]))(etas[:count])
         values = jax.vmap(self._point, in_axes=(0, 0, None, None))(q, shares[:count], fixed.base, fixed.params)
-        rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.asked.astype(np.int32)]
+        rows = values[: method.substeps + 1, :-1].reshape(-1)[layout.path_indices.astype(np.int32)]
         cost = fixed.width * (as_array(method.weights[:count]) @ values[:, -1])
         return last, rows, cost
 
@@ -118,7 +118,7 @@ def _explicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tup
 
 
 def _implicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tuple[jax.Array, jax.Array]:
-    """The same of stages that are solved for together, by Newton's method."""
+    """The stages of an implicit substep, solved together by Newton's method."""
     a, (count, n) = length * jnp.asarray(method.a, eta.dtype), (len(method.b), len(eta))
 
     def residual(slopes: jax.Array) -> jax.Array:
@@ -126,7 +126,7 @@ def _implicit(method: Scheme, length: Any, eta: jax.Array, slope: _Slope) -> tup
         return slopes - jnp.stack([slope(k, points[k]) for k in range(count)])
 
     def improved(slopes: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """After a step of Newton's method, and its relative size."""
+        """The stages after a Newton step, and its relative size."""
         matrix = jax.jacfwd(residual)(slopes).reshape(count * n, count * n)
         step = jnp.linalg.solve(matrix, residual(slopes).reshape(-1)).reshape(count, n)
         return slopes - step, jnp.abs(length * step).max() / (1.0 + jnp.abs(length * slopes).max())

@@ -29,7 +29,7 @@ from .shooting import Segment, Shooting, Transcribed
 
 
 class Join:
-    """What the states at the start of a phase are.
+    """A join between two phases: the initial states of the next phase as expressions of the last states.
 
     Args:
         before, after: the phases.
@@ -76,7 +76,7 @@ class Join:
         return other
 
     def gap_at(self, z: jax.Array, base: Arrays, start: Arrays, initial: Arrays, params: Arrays) -> jax.Array:
-        """The defect, of z = [d, b]: a step of the last node from base, and the border."""
+        """The defect of the join at z = [d, b]: a step of the last node from base, and the shared unknowns."""
         before = self._before
         x, b = before.dynamics.group.retract(base, z[: before.n]), z[before.n :]
         begin, length = before.span(b)
@@ -129,7 +129,7 @@ class Joined(Transcribed):
         places = self.phase_places
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
-        for field in ("equality", "exists", "decided", "pinned", "own"):
+        for field in ("equality", "exists", "decided", "pinned", "at_single_node"):
             setattr(self, field, self._rows(lambda p: getattr(p.shooting, field), False))  # noqa: B023
 
     @property

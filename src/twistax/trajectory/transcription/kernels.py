@@ -28,7 +28,7 @@ Traced = Callable[[Known, Any, Sequence[Any]], jax.Array]
 
 
 class ExtraHessian(NamedTuple):
-    """Second derivatives in place of those of a whole function, such as those of squares.
+    """Second derivatives in place of those of a whole function, for example those of a sum of squares.
 
     Attributes:
         running, final: of the running cost by q = [eta, u, b] and of the final one by z = [eta, b], flat.

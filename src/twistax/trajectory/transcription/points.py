@@ -1,4 +1,4 @@
-"""Points, steps and values of a transcribed problem, and what it is solved for."""
+"""Points, steps and values of a transcribed problem, and its data."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 
 
 class Point(NamedTuple):
-    """Where a search stands."""
+    """An iterate: states, controls and shared unknowns."""
 
     xs: Any  # states by name (nodes, ...); of several phases a tuple of such dicts
     us: Any  # (intervals, m)
@@ -14,7 +14,7 @@ class Point(NamedTuple):
 
 
 class Given(NamedTuple):
-    """What a compiled problem is solved for."""
+    """The data of a solve: parameters, ends of phases and limits."""
 
     params: Any
     final: Any  # states at the end; entries that are free stand for nothing; of phases `PhaseEnds`
@@ -23,14 +23,14 @@ class Given(NamedTuple):
 
 
 class PhaseEnds(NamedTuple):
-    """States at the ends of every phase; entries that are free stand for nothing."""
+    """States at the ends of every phase; free entries have no meaning."""
 
     initial: Any
     final: Any
 
 
 class Step(NamedTuple):
-    """A step in the tangent space, or anything with an entry for each unknown."""
+    """A step in the tangent space, or anything else with an entry for each unknown."""
 
     d: Any  # (nodes, n)
     u: Any  # (intervals, m)
@@ -38,7 +38,7 @@ class Step(NamedTuple):
 
 
 class Values(NamedTuple):
-    """A problem's values at a point."""
+    """The values of a problem at a point."""
 
     cost: Any
     defects: Any  # (intervals, n)

@@ -1,4 +1,4 @@
-"""Which rows a transcribed phase has, and where they stand."""
+"""The constraint rows of a transcribed phase and their order."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from .border import Border
 
 @dataclasses.dataclass(frozen=True)
 class RowLayout:
-    """The rows of all intervals, each with those of conditions at its first node after its own, then those of the end.
+    """The rows of all intervals, each followed by those of the conditions at its first node, then the rows of the end.
 
     Attributes:
-        names, places, equality, exists, decided, own: (rows,), see `Transcribed`.
-        asked: places among the path rows of all points of an interval, in order, that some interval has.
+        names, places, equality, exists, decided, at_single_node: (rows,), see `Transcribed`.
+        path_indices: places among the path rows of all points of an interval, in order, that some interval has.
         per_interval: rows of an interval.
         path_rows: path rows at a point, 1 where the path has no rows.
         end_states: path rows that the last node has.
@@ -33,8 +33,8 @@ class RowLayout:
     equality: Array
     exists: Array
     decided: Array
-    own: Array
-    asked: Array
+    at_single_node: Array
+    path_indices: Array
     per_interval: int
     path_rows: int
     end_states: Array
@@ -43,20 +43,20 @@ class RowLayout:
 
     @property
     def at_nodes(self) -> int:
-        """Of the rows of an interval those of conditions at its first node."""
-        return self.per_interval - len(self.asked)
+        """The number of rows of an interval that are conditions at its first node."""
+        return self.per_interval - len(self.path_indices)
 
     def spread(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
+        """(rows,) from values (intervals, path rows): each value at every point of the interval that has the row."""
         inner = np.zeros((len(of_rows), self.per_interval))
-        inner[:, : len(self.asked)] = of_rows[:, self.asked % self.path_rows]
+        inner[:, : len(self.path_indices)] = of_rows[:, self.path_indices % self.path_rows]
         return np.concatenate([inner.ravel(), np.zeros(len(self.names) - inner.size)])
 
     def least(self, of_rows: Array, intervals: int, rows: int) -> Array:
-        """(intervals, path rows) the least of numbers (rows,) of each path row, infinite where there is none."""
+        """(intervals, path rows) the smallest value of each path row in values (rows,); infinite if there is none."""
         least = np.full((intervals, rows), np.inf)
-        sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.asked)]
-        np.minimum.at(least.T, self.asked % self.path_rows, sizes.T)
+        sizes = of_rows[: intervals * self.per_interval].reshape(intervals, -1)[:, : len(self.path_indices)]
+        np.minimum.at(least.T, self.path_indices % self.path_rows, sizes.T)
         return least
 
 
@@ -121,8 +121,10 @@ def row_layout(
         equality=every(path.equality[path_row], node_equality, np.array(end_equality, bool)),
         exists=every(exists[:, kept], node_names != "", np.ones(len(end_names), bool)) & ~all_decided,
         decided=all_decided,
-        own=every(False, node_names != "", np.repeat([True, False, True], [first, len(states), len(limits)])),
-        asked=kept,
+        at_single_node=every(
+            False, node_names != "", np.repeat([True, False, True], [first, len(states), len(limits)])
+        ),
+        path_indices=kept,
         per_interval=len(kept) + most,
         path_rows=max(rows, 1),
         end_states=states,

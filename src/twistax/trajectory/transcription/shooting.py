@@ -37,7 +37,7 @@ from .row_layout import row_layout
 
 
 class Segment(NamedTuple):
-    """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
+    """A transcribed phase, and the places of its nodes and intervals in the whole problem."""
 
     number: int
     shooting: Shooting
@@ -46,14 +46,14 @@ class Segment(NamedTuple):
     alone: bool = False
 
     def of(self, point: Point) -> Point:
-        """The point of the phase."""
+        """The part of a point that belongs to the phase."""
         if self.alone:
             return point
         return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
 
 
 class Transcribed(ABC):
-    """What solvers are instance: a discrete problem in stages.
+    """The interface of discrete problems in stages, which solvers take.
 
     Attributes:
         n, m: tangents of a node and controls of an interval, of the largest phase.
@@ -63,7 +63,7 @@ class Transcribed(ABC):
         equality, exists: (rows,) which rows are equalities; which ones the problem has.
         decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
         pinned: (rows,) those of them that other rows decide.
-        own: (rows,) those of single nodes.
+        at_single_node: (rows,) the conditions at single nodes.
         free: Step of bool, which unknowns may move.
         stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
             decides are evaluated at the start of a search.
@@ -82,7 +82,7 @@ class Transcribed(ABC):
     exists: Array
     decided: Array
     pinned: Array
-    own: Array
+    at_single_node: Array
     free: Step
     stirred: Array
     segments: Sequence[Segment]
@@ -90,17 +90,17 @@ class Transcribed(ABC):
 
     @abstractmethod
     def drop(self, rows: Sequence[Array]) -> None:
-        """Take rows out, those of each phase that others decide; they are only checked."""
+        """Remove rows of each phase that other rows determine; they are only checked."""
 
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
-        """What an entry of the defects is called, and where it is."""
+        """The name and the place of an entry of the defects."""
 
     # Those of one phase; of several see `Joined`.
 
     @property
     def phase_places(self) -> list[str]:
-        """What follows the place of an interval in messages, of each phase."""
+        """The text that follows the place of an interval in messages, for each phase."""
         return [""]
 
     def named(self, part: Segment, name: str) -> str:
@@ -177,7 +177,7 @@ class Shooting(Transcribed):
             substeps=self.substeps,
             phase=phase,
         )
-        for field in ("names", "places", "equality", "exists", "decided", "own"):
+        for field in ("names", "places", "equality", "exists", "decided", "at_single_node"):
             setattr(self, field, getattr(self.layout, field))
         self.pinned, self.rows_per_interval = np.zeros_like(self.exists), self.layout.per_interval
         free = np.ones((self.nodes, self.n), bool)
@@ -198,8 +198,8 @@ class Shooting(Transcribed):
     # ---- rows -----------------------------------------------------------------------------------------------------
 
     def start_rows(self) -> list[tuple[int, int]]:
-        """Of the path rows at the first node: where they are among all rows, and which they are."""
-        return [(place, int(row)) for place, row in enumerate(self.layout.asked) if row < len(self.path.names)]
+        """The path rows at the first node: their places among all rows, and their indices."""
+        return [(place, int(row)) for place, row in enumerate(self.layout.path_indices) if row < len(self.path.names)]
 
     def drop(self, rows: Sequence[Array]) -> None:
         (pinned,) = rows
@@ -211,17 +211,19 @@ class Shooting(Transcribed):
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"
 
     def spread_over_points(self, of_rows: Array) -> Array:
-        """(rows,) of numbers (intervals, path rows), at every point of an interval that has the row."""
+        """(rows,) from values (intervals, path rows): each value at every point of the interval that has the row."""
         return self.layout.spread(of_rows)
 
     def row_scales(self, rows: Array) -> Array:
-        """(intervals, path rows) the least scale of every path row, of those of all; infinite where there is none."""
+        """(intervals, path rows) the smallest scale of every path row, from those of all rows; infinite if there is
+        none.
+        """
         return self.layout.least(np.where(self.exists, rows, np.inf), self.intervals, len(self.path.names))
 
     # ---- functions of q = [eta, u, b], and of a node's step z = [d, db] -------------------------------------------
 
     def inputs_at(self, q: jax.Array, share: jax.Array, base: Arrays, params: Arrays) -> tuple[jax.Array, Inputs]:
-        """How long the interval takes for a unit of shares, and the point at time share * T."""
+        """The duration, and the point at time share * T."""
         eta, u, b = jnp.split(q, [self.n, self.n + self.m])
         begin, length = self.span(b)
         pace = 1.0 if self.paced is None else u[self.paced][0]
@@ -240,7 +242,7 @@ class Shooting(Transcribed):
         return jnp.concatenate([self.local.rows(at), (length * density)[None]])
 
     def node_at(self, k: int, z: jax.Array, here: tuple[Arrays, jax.Array], params: Arrays) -> jax.Array:
-        """The conditions at a node, from where it is and the border."""
+        """The conditions at a node, from its state and the shared unknowns."""
         b = here[1] + z[self.n :]
         return self.condition_at(self.conditions[k], z[: self.n], self.mesh.shares[k], here[0], b, params)
 
@@ -252,25 +254,25 @@ class Shooting(Transcribed):
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
-    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], given: Given) -> jax.Array:
-        """The rows of the end and the final cost, from where the last node is and the border; controls are zero."""
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Given) -> jax.Array:
+        """The rows of the end and the final cost, from the last node and the shared unknowns; controls are zero."""
         base, b = last[0], last[1] + z[self.n :]
         q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)
-        _, at = self.inputs_at(q, share, base, self._at_share(given.params, 1.0))
-        gap = self.dynamics.group.difference(given.final, at.x)[self.layout.fixed]
-        limits = self.border.rows(b, given.limits) if self.is_last else jnp.zeros(0, b.dtype)
+        _, at = self.inputs_at(q, share, base, self._at_share(data.params, 1.0))
+        gap = self.dynamics.group.difference(data.final, at.x)[self.layout.fixed]
+        limits = self.border.rows(b, data.limits) if self.is_last else jnp.zeros(0, b.dtype)
         path, cost = self.local.rows(at)[self.layout.end_states], self.local.cost(self.local.expressions.final, at)
         return jnp.concatenate([self.local.conditions(at), gap, path, limits, cost[None]])
 
     def span(self, b: Any) -> tuple[Any, Any]:
-        """When the phase begins, and how long it takes."""
+        """Start time and duration of the phase."""
         return b[: self.phase].sum(), b[self.phase]
 
     def times(self, border: Array) -> Array:
-        """(nodes,) of the nodes, s."""
+        """(nodes,) times of the nodes, s."""
         begin, length = (float(a) for a in self.span(border))
         return np.asarray(begin + length * self.mesh.shares)
 
     def _at_share(self, params: Arrays, share: Any) -> Arrays:
-        """The parameters, those with a value for each node at a share of the duration."""
+        """The parameters; those with a value for each node are interpolated at a share of the duration."""
         return params | self.by_node.along(params, share) if self._interpolates else params

@@ -1,4 +1,4 @@
-"""A transcribed problem as the solver's core has it: points, steps and rows as flat arrays.
+"""A transcribed problem in the form of the solver's core: points, steps and rows as flat arrays.
 
 z has the points of all nodes, controls and shared unknowns, stage by stage; v the same with tangents in place of
 points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
@@ -7,7 +7,7 @@ points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
 from __future__ import annotations
 
 import copy
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -23,7 +23,7 @@ from .vectors import Numbers
 
 
 class Staged:
-    """A problem for the core.
+    """A problem in the form of the solver's core.
 
     Args:
         transcribed: the discrete problem.
@@ -38,6 +38,7 @@ class Staged:
         plain: places of what is a number: entries of z of flat states, controls and shared unknowns, and of v.
         curved: which entries of z are of states on manifolds that are not flat.
         turning: which entries of v are rotations.
+        places_alone: groups of inequalities and equalities, of which no two stand in one stage.
     """
 
     def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Given) -> None:
@@ -83,9 +84,10 @@ class Staged:
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
         self._place_rows()
+        self.places_alone = self._alone()
 
     def _place_rows(self) -> None:
-        """Where each row is among inequalities, equalities, lower and upper bounds one after the other."""
+        """The place of each row among inequalities, equalities, lower and upper bounds."""
         stages, transcribed = self.transcription.stages, self.transcribed
         counts = np.cumsum([sum(stages.inequalities), sum(stages.equalities), stages.variables, stages.variables])
         self._kinds, nothing = counts.tolist(), int(counts[-1])
@@ -112,20 +114,20 @@ class Staged:
         self._places = transcribed.whole_rows([place - nothing for place in places]).astype(int) + nothing
 
     def drop(self, rows: Sequence[Array], instance: Given) -> None:
-        """Take rows out of each phase that others decide; they are only checked."""
+        """Remove rows of each phase that other rows determine; they are only checked."""
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
         self._assemble(instance)
 
     def alone(self, instance: Given) -> Staged:
-        """The same for another thread: kernels are shared, memory is not."""
+        """A copy for another thread: it shares kernels, not memory."""
         other = copy.copy(self)
         other._assemble(instance)
         return other
 
     def set_given(self, instance: Given) -> None:
-        """What it is solved for from now on."""
+        """Set the data of the problem."""
         self.transcription.set_data(self.numbers.vector(instance))
         self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
         for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
@@ -168,7 +170,7 @@ class Staged:
         return [v[at] for at in self._nodes_v]
 
     def after(self, v: Array) -> Array:
-        """Of numbers of v those of the states after each interval, as defects have them."""
+        """From entries of v to those of the states after each interval, in the order of the defects."""
         states = self.transcription.stages.states
         return np.concatenate([v[a : a + n] for a, n in zip(self.first[1:], states[1:])])
 
@@ -204,12 +206,12 @@ class Staged:
         return lower, upper
 
     def all_rows(self, h: Array, e: Array, lower: Array, upper: Array) -> Array:
-        """Numbers of inequalities, of equalities and of both sides of v as those of all rows."""
+        """From entries of inequalities, of equalities and of both bounds of v to those of all rows."""
         rows: Array = np.concatenate([h, e, lower, upper, np.zeros(1)])[self._places]
         return rows
 
     def split_rows(self, rows: Array) -> tuple[Array, Array, Array, Array]:
-        """The inverse of `all_rows`; zero of what is no row."""
+        """The inverse of `all_rows`; entries that are no row are zero."""
         every = np.zeros(self._kinds[-1] + 1)
         every[self._places] = rows
         h, e, lower, upper = np.split(every[:-1], self._kinds[:-1])
@@ -222,17 +224,24 @@ class Staged:
         every = np.arange(len(stages.states))
         return np.repeat(every, stages.inequalities), np.repeat(every, stages.equalities)
 
-    def places_alone(self) -> Iterator[tuple[Array, Array]]:
-        """Places of inequalities and equalities, of which no two stand in one stage; together they are all."""
-        stages, none = self.stages_of_rows, np.zeros(0, int)
-        numbers = [np.arange(len(rows)) - np.searchsorted(rows, rows) for rows in stages]
-        for k in range(int(numbers[0].max(initial=-1)) + 1):
-            yield np.flatnonzero(numbers[0] == k), none
-        for k in range(int(numbers[1].max(initial=-1)) + 1):
-            yield none, np.flatnonzero(numbers[1] == k)
+    def _alone(self) -> list[tuple[Array, Array]]:
+        """All conditions, and of each path row the last place in each interval: its other places there look alike."""
+        rounds, none = list[tuple[Array, Array]](), np.zeros(0, int)
+        for kind, stages in zip((INEQUALITY, EQUALITY), self.stages_of_rows):
+            chosen = np.ones(len(stages), bool)
+            for part, every in zip(self.parts, self.transcription.path_places):
+                exists = part.phase.path == kind
+                later = np.cumsum(exists[:, ::-1], axis=1)[:, ::-1]  # how many there are from each place on
+                chosen[every[exists & (later > 1)]] = False
+            places = np.flatnonzero(chosen)
+            numbers = np.arange(len(places)) - np.searchsorted(stages[places], stages[places])
+            for k in range(int(numbers.max(initial=-1)) + 1):
+                alone = places[numbers == k]
+                rounds.append((alone, none) if kind == INEQUALITY else (none, alone))
+        return rounds
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
-        """Sizes of rows: of a path row the largest of all its places; 1 where there is none."""
+        """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
         sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
         for part, every in zip(self.parts, self.transcription.path_places):
             for row in range(part.phase.path.shape[2]):

@@ -1,4 +1,4 @@
-"""A phase of a staged problem: its rows as the solver's core has them, and those that are bounds of single unknowns."""
+"""A phase of a staged problem: its rows in the form of the solver's core, or as bounds of single unknowns."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from .shooting import Segment, Shooting
 
 
 class Bounds(NamedTuple):
-    """Rows that are limits of single unknowns: the core takes these as bounds.
+    """Rows that limit a single unknown: the core takes them as bounds.
 
     Attributes:
         rows: places among all rows of the phase.
@@ -56,7 +56,7 @@ class StagedPhase:
         self.describe()
 
     def describe(self) -> None:
-        """Describe the rows that exist now."""
+        """Describe the present rows."""
         shooting = self.shooting
         self.bounds = _bounds_of_rows(shooting)
         kinds = np.where(shooting.exists, np.where(shooting.equality, EQUALITY, INEQUALITY), NONE)
@@ -75,29 +75,29 @@ class StagedPhase:
         )
 
     def by_place(self, rows: Array) -> tuple[Array, list[Array]]:
-        """Numbers for all rows of the phase as those of path rows at their points, and of the conditions at nodes."""
+        """Values of all rows of the phase as those of path rows at their points, and of conditions at nodes."""
         layout, K = self.shooting.layout, self.shooting.intervals
         inner, end = np.split(rows, [K * layout.per_interval])
         inner = inner.reshape(K, -1)
         path = np.zeros((K, (self.shooting.substeps + 1) * layout.path_rows), rows.dtype)
-        path[:, layout.asked] = inner[:, : len(layout.asked)]
+        path[:, layout.path_indices] = inner[:, : len(layout.path_indices)]
         path = path.reshape(K, self.shooting.substeps + 1, layout.path_rows)[:, :, : len(self.shooting.path.names)]
-        return path, [*(inner[k, len(layout.asked) :][: layout.counts[k]] for k in self._conditions), end]
+        return path, [*(inner[k, len(layout.path_indices) :][: layout.counts[k]] for k in self._conditions), end]
 
     def all_rows(self, path: Array, nodes: Sequence[Array], rest: float = 0.0) -> Array:
-        """The inverse of `by_place`; rows that have no place there get `rest`."""
+        """The inverse of `by_place`; rows without a place there get `rest`."""
         layout, K = self.shooting.layout, self.shooting.intervals
         *inner_nodes, end = nodes
         inner = np.full((K, layout.per_interval), rest)
         if path.size:
-            inner[:, : len(layout.asked)] = path.reshape(K, -1)[:, layout.asked]
+            inner[:, : len(layout.path_indices)] = path.reshape(K, -1)[:, layout.path_indices]
         for k, values in zip(self._conditions, inner_nodes):
-            inner[k, len(layout.asked) :][: len(values)] = values
+            inner[k, len(layout.path_indices) :][: len(values)] = values
         return np.concatenate([inner.ravel(), end])
 
 
 def _bounds_of_rows(shooting: Shooting) -> Bounds:
-    """Which rows of a phase are limits of states at nodes, of controls, of times and of free parameters."""
+    """The rows of a phase that limit states at nodes, controls, times or free parameters."""
     layout, path, group = shooting.layout, shooting.path, shooting.dynamics.group
     K, count, first_box = shooting.intervals, len(shooting.exists), len(path.names) - len(path.bounds)
     bounds: list[tuple[int, int, int, bool, float]] = []

@@ -1,4 +1,4 @@
-"""Arrays by name as one vector, as compiled functions of vectors read them."""
+"""Named arrays as one vector, the form in which compiled functions read them."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ _TURN = 0.5
 
 
 def declared_scales(leaves: Sequence[State | Control]) -> Array:
-    """The scales that leaves declare, of all their tangents in one vector; 1, and half a radian, where they do not."""
+    """The declared scales of all tangents in one vector; by default 1, and half a radian for rotations."""
     parts = [np.zeros(0)]
     for leaf in leaves:
         group = leaf.group if isinstance(leaf, State) else Euclidean(leaf.shape)
@@ -27,7 +27,7 @@ def declared_scales(leaves: Sequence[State | Control]) -> Array:
 
 
 class Flat:
-    """Arrays by name as one vector, in the order of the names."""
+    """Named arrays as one vector, in the order of the names."""
 
     def __init__(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
         self.shapes = dict(shapes)
@@ -52,7 +52,7 @@ class Flat:
 
 
 class Numbers:
-    """What a problem is solved for as one vector: parameters, states at the ends of phases, limits of the border.
+    """The data of a solve as one vector: parameters, states at the ends of phases, limits of the shared unknowns.
 
     Args:
         points: a node's states of each phase.

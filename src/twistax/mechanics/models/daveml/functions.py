@@ -1,4 +1,4 @@
-"""The functions of a file: which variable is which table of which inputs."""
+"""Functions of a DAVE-ML file: variables that are tables of other variables."""
 
 from __future__ import annotations
 
@@ -11,13 +11,13 @@ import numpy as np
 from ....checks import listed
 from ....expr import Expr
 from ..xml_file import Element
-from .tables import Axis, Table
+from .tables import GriddedTable, TableAxis
 
 _GRIDDED, _UNGRIDDED = ("griddedTableDef", "griddedTable"), ("ungriddedTableDef", "ungriddedTable")
 
 
 @dataclasses.dataclass(frozen=True)
-class Function:
+class TableLookup:
     """A variable that a table gives.
 
     Attributes:
@@ -29,8 +29,8 @@ class Function:
 
     element: Element
     output: str
-    axes: tuple[Axis, ...]
-    table: Table
+    axes: tuple[TableAxis, ...]
+    table: GriddedTable
 
     def __call__(self, variables: Mapping[str, Expr]) -> Expr:
         return self.table.at([variables[axis.variable] for axis in self.axes], self.axes)
@@ -38,32 +38,32 @@ class Function:
 
 def by_id(elements: Iterable[Element], attribute: str) -> dict[str, Element]:
     """Elements by a name that only one may have. Raises ModelError."""
-    found: dict[str, Element] = {}
+    by_name: dict[str, Element] = {}
     for element in elements:
         name = element.text(attribute).strip()
-        if name in found:
-            raise element.wrong(f"{attribute} {name!r} was defined before, in line {found[name].line}")
-        found[name] = element
-    return found
+        if name in by_name:
+            raise element.wrong(f"{attribute} {name!r} was defined before, in line {by_name[name].line}")
+        by_name[name] = element
+    return by_name
 
 
 def within(element: Element) -> Iterator[Element]:
-    """An element and all in it."""
-    ahead = [element]
-    while ahead:
-        yield (here := ahead.pop())
-        ahead += reversed(here.children)
+    """An element and all its descendants."""
+    pending = [element]
+    while pending:
+        yield (current := pending.pop())
+        pending += reversed(current.children)
 
 
 def needed(element: Element, *tags: str) -> Element:
     """The first child of one of these tags. Raises ModelError where there is none."""
-    found = next((child for child in element.children if child.tag in tags), None)
-    if found is None:
+    matching = next((child for child in element.children if child.tag in tags), None)
+    if matching is None:
         raise element.wrong(f"expected <{'> or <'.join(tags)}> inside")
-    return found
+    return matching
 
 
-class Functions:
+class FunctionReader:
     """Reads the functions of a file. A table that several use is read once."""
 
     def __init__(self, root: Element) -> None:
@@ -73,26 +73,26 @@ class Functions:
         defined = list(within(root))
         self._gridded = by_id((e for e in defined if e.tag in _GRIDDED and "gtID" in e.attributes), "gtID")
         self._ungridded = by_id((e for e in defined if e.tag in _UNGRIDDED and "utID" in e.attributes), "utID")
-        self._read: dict[int, Table] = {}
+        self._read: dict[int, GriddedTable] = {}
         self.all = [self._function(element) for element in root.all("function")]
 
-    def _function(self, element: Element) -> Function:
+    def _function(self, element: Element) -> TableLookup:
         points = element.all("independentVarPts")
         refs = element.all("independentVarRef")
         if points and refs:
             raise refs[0].wrong("a function has either <independentVarRef> or <independentVarPts>")
         inputs = points or refs
         output = needed(element, "dependentVarPts" if points else "dependentVarRef")
-        axes = tuple(Axis.read(one) for one in inputs)
+        axes = tuple(TableAxis.read(one) for one in inputs)
         if points:
             table = on_grid([increasing(one) for one in points], output.values, output)
         else:
             table = self._table(needed(element, "functionDefn"))
         if len(axes) != len(table.breakpoints):
             raise element.wrong(f"{len(axes)} independent variables for a table of {len(table.breakpoints)} axes")
-        return Function(element, output.text("varID").strip(), axes, table)
+        return TableLookup(element, output.text("varID").strip(), axes, table)
 
-    def _table(self, definition: Element) -> Table:
+    def _table(self, definition: Element) -> GriddedTable:
         element = needed(definition, *_GRIDDED, "griddedTableRef", *_UNGRIDDED, "ungriddedTableRef")
         if element.tag == "griddedTableRef":
             element = referred(element, "gtID", self._gridded)
@@ -103,7 +103,7 @@ class Functions:
             self._read[id(element)] = read(element)
         return self._read[id(element)]
 
-    def _from_grid(self, element: Element) -> Table:
+    def _from_grid(self, element: Element) -> GriddedTable:
         refs = needed(element, "breakpointRefs").all("bpRef")
         breakpoints = [referred(ref, "bpID", self._breakpoints) for ref in refs]
         data = needed(element, "dataTable")
@@ -111,7 +111,7 @@ class Functions:
 
 
 def referred(element: Element, attribute: str, known: Mapping[str, Any]) -> Any:
-    """What a reference means. Raises ModelError where nothing has that name."""
+    """The element that a reference names. Raises ModelError if there is none."""
     name = element.text(attribute).strip()
     if name not in known:
         raise element.wrong(f"{attribute} {name!r} is not defined; there are {listed(known, name)}")
@@ -126,15 +126,15 @@ def increasing(element: Element) -> np.ndarray:
     return values
 
 
-def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element) -> Table:
-    """Values in the order of the file as a table. Raises ModelError where their number is another."""
+def on_grid(breakpoints: list[np.ndarray], values: np.ndarray, element: Element) -> GriddedTable:
+    """Values in the order of the file as an array over the grid. Raises ModelError for another number of values."""
     shape = tuple(map(len, breakpoints))
     if not shape or values.size != np.prod(shape):
         raise element.wrong(f"expected {' x '.join(map(str, shape)) or 'breakpoints and'} values, got {values.size}")
-    return Table(tuple(breakpoints), values.reshape(shape))
+    return GriddedTable(tuple(breakpoints), values.reshape(shape))
 
 
-def from_points(element: Element) -> Table:
+def from_points(element: Element) -> GriddedTable:
     """An ungridded table, in any order: of one input, or of points that fill a grid. Raises ModelError."""
     rows = [point.values for point in element.all("dataPoint")]
     widths = {len(row) for row in rows}
@@ -149,4 +149,4 @@ def from_points(element: Element) -> Table:
             f"its {len(points)} points do not fill a grid of {' x '.join(str(len(a)) for a in breakpoints)}.\n"
             "  fix: interpolate the scattered points to a grid and write a griddedTableDef"
         )
-    return Table(tuple(breakpoints), points[order, -1].reshape([len(axis) for axis in breakpoints]))
+    return GriddedTable(tuple(breakpoints), points[order, -1].reshape([len(axis) for axis in breakpoints]))

@@ -192,12 +192,12 @@ class Calculation:
 
 def names_in(math: Element) -> list[Element]:
     """All <ci> of a <math>, in the order of the file."""
-    found, ahead = [], [math]
-    while ahead:
-        element = ahead.pop()
-        found += [element] if element.tag == "ci" else []
-        ahead += reversed(element.children)
-    return found
+    names, pending = [], [math]
+    while pending:
+        element = pending.pop()
+        names += [element] if element.tag == "ci" else []
+        pending += reversed(element.children)
+    return names
 
 
 def _only(element: Element) -> Element:

@@ -16,7 +16,7 @@ from ....expr.fields import ExprLike
 from ....jax_inside import in_double
 from ....system.lower import lower
 from ..xml_file import Element, read_xml
-from .functions import Functions, by_id, needed
+from .functions import FunctionReader, by_id, needed
 from .mathml import Calculation, names_in
 from .static_checks import StaticCheck, read_shots
 from .tables import limited
@@ -53,7 +53,7 @@ class Signal:
 
 @dataclasses.dataclass(frozen=True)
 class _Rule:
-    """How a variable follows from others."""
+    """How a variable is computed from others."""
 
     needs: tuple[str, ...]
     build: Callable[[Mapping[str, Expr]], Expr]
@@ -128,14 +128,14 @@ class DaveModel:
         twice = sorted(set(inputs or {}) & set(named))
         if twice:
             raise ModelError(f"{self.name}: {listed(twice)} given twice")
-        given = {**(inputs or {}), **named}
+        arguments = {**(inputs or {}), **named}
         wanted = list(self.outputs if outputs is None else outputs)
-        for name in [*given, *wanted]:
+        for name in [*arguments, *wanted]:
             if name not in self.variables:
                 raise ModelError(
                     f"{self.name}: there is no variable {name!r}; there are {listed(self.variables, name)}"
                 )
-        values = {name: to_expr(value) for name, value in given.items()}
+        values = {name: to_expr(value) for name, value in arguments.items()}
         for name, value in values.items():
             if value.shape != ():
                 raise ModelError(f"{self.name}: {name} expects a scalar, got shape {value.shape}")
@@ -152,12 +152,12 @@ class DaveModel:
         for name, value in {**(inputs or {}), **named}.items():
             number(f"{self.name}: {name}", value, "a finite number", np.isfinite, ModelError)
         with in_double():
-            found = lower(self(inputs, outputs=outputs, **named))(0.0)
-        values = {name: float(value) for name, value in found.items()}
-        lost = [name for name, value in values.items() if not np.isfinite(value)]
-        if lost:
+            results = lower(self(inputs, outputs=outputs, **named))(0.0)
+        values = {name: float(value) for name, value in results.items()}
+        not_finite = [name for name, value in values.items() if not np.isfinite(value)]
+        if not_finite:
             raise ModelError(
-                f"{self.name}: {listed(lost)} have no finite value at these inputs, got {values[lost[0]]!r}"
+                f"{self.name}: {listed(not_finite)} have no finite value at these inputs, got {values[not_finite[0]]!r}"
             )
         return values
 
@@ -171,9 +171,9 @@ class DaveModel:
         """
         if not self._shots:
             return []
-        found = self._at_shots()
+        computed = self._at_shots()
         checks = [
-            StaticCheck(shot.name, name, value.value, value.tolerance, found[name][i], value.element.place)
+            StaticCheck(shot.name, name, value.value, value.tolerance, computed[name][i], value.element.place)
             for i, shot in enumerate(self._shots)
             for name, value in shot.outputs.items()
         ]
@@ -181,7 +181,7 @@ class DaveModel:
         if wrong:
             off = "\n  ".join(
                 f"{check.place}: {check.output} of {check.shot!r} is {check.found!r}, expected {check.expected!r} "
-                f"within {check.tolerance}{self._first_off(check.shot, found)}"
+                f"within {check.tolerance}{self._first_off(check.shot, computed)}"
                 for check in wrong[:10]
             )
             raise ModelError(f"{self.name}: {len(wrong)} of {len(checks)} static checks do not hold:\n  {off}")
@@ -194,10 +194,10 @@ class DaveModel:
         for name, element in elements.items():
             calculations = element.all("calculation")
             if len(calculations) > 1:
-                raise calculations[1].wrong("a variable has one calculation")
+                raise calculations[1].wrong("has more than one calculation")
             for calculation in calculations:
                 rules[name] = _calculated(needed(calculation, "math"), elements)
-        for function in Functions(self._root).all:
+        for function in FunctionReader(self._root).all:
             for axis in function.axes:
                 if axis.variable not in elements:
                     raise axis.element.wrong(_unknown(axis.variable, elements))
@@ -210,23 +210,23 @@ class DaveModel:
 
     # ---- building --------------------------------------------------------------------------------------------------
 
-    def _build(self, given: Mapping[str, Expr], wanted: Iterable[str]) -> dict[str, Expr]:
-        """Variables as expressions: those wanted and what they need."""
-        needed_ones, ahead = set[str](), list(wanted)
-        while ahead:
-            name = ahead.pop()
-            if name not in needed_ones:
-                needed_ones.add(name)
-                ahead += self._rules[name].needs if name in self._rules and name not in given else ()
-        missing = [name for name in self.inputs if name in needed_ones and name not in given]
+    def _build(self, arguments: Mapping[str, Expr], wanted: Iterable[str]) -> dict[str, Expr]:
+        """The wanted variables, and those that they need, as expressions."""
+        required, pending = set[str](), list(wanted)
+        while pending:
+            name = pending.pop()
+            if name not in required:
+                required.add(name)
+                pending += self._rules[name].needs if name in self._rules and name not in arguments else ()
+        missing = [name for name in self.inputs if name in required and name not in arguments]
         if missing:
-            asked = "; ".join(self._asked(name) for name in missing)
-            raise ModelError(f"{self.name}: {len(missing)} inputs are missing: {asked}")
+            questions = "; ".join(self._asked(name) for name in missing)
+            raise ModelError(f"{self.name}: {len(missing)} inputs are missing: {questions}")
         built: dict[str, Expr] = {}
-        for name in (name for name in self._order if name in needed_ones):
+        for name in (name for name in self._order if name in required):
             signal = self.variables[name]
-            if name in given:
-                value = given[name]
+            if name in arguments:
+                value = arguments[name]
             elif name in self._rules:
                 try:
                     value = self._rules[name].build(built)
@@ -245,12 +245,14 @@ class DaveModel:
     # ---- checking --------------------------------------------------------------------------------------------------
 
     def _at_shots(self) -> dict[str, list[float]]:
-        """Every variable at every shot."""
+        """The values of every variable at all static shots."""
         columns: dict[str, list[float]] = {name: [] for name in self.inputs}
         for shot in self._shots:
-            for name, given in shot.inputs.items():
-                if name not in self.inputs and given.value != self.variables[name].initial:
-                    raise given.element.wrong(f"gives {name!r} the value {given.value:g}, which is no input")
+            for name, given_value in shot.inputs.items():
+                if name not in self.inputs and given_value.value != self.variables[name].initial:
+                    raise given_value.element.wrong(
+                        f"gives {name!r} the value {given_value.value:g}, which is no input"
+                    )
             for name, signal in self.inputs.items():
                 value = shot.inputs[name].value if name in shot.inputs else signal.initial
                 if value is None:
@@ -258,17 +260,17 @@ class DaveModel:
                 columns[name].append(value)
         with in_double():
             states = {self._leaves[name].name: np.array(column) for name, column in columns.items()}
-            found = jax.vmap(lambda x: lower(self._built)(0.0, x))(states) if states else lower(self._built)(0.0)
-            return {name: np.broadcast_to(v, len(self._shots)).tolist() for name, v in found.items()}
+            computed = jax.vmap(lambda x: lower(self._built)(0.0, x))(states) if states else lower(self._built)(0.0)
+            return {name: np.broadcast_to(v, len(self._shots)).tolist() for name, v in computed.items()}
 
-    def _first_off(self, shot_name: str, found: Mapping[str, list[float]]) -> str:
-        """In words, the internal value of a shot that is off first, in the order of the calculation."""
+    def _first_off(self, shot_name: str, computed: Mapping[str, list[float]]) -> str:
+        """A text that names the first wrong internal value of a shot, in the order of the calculation."""
         i, shot = next((i, shot) for i, shot in enumerate(self._shots) if shot.name == shot_name)
         for name in self._order:
             if name in shot.internal:
                 expected = shot.internal[name].value
-                if abs(found[name][i] - expected) > 1e-6 * max(1.0, abs(expected)):
-                    return f"; its internal value {name} is {found[name][i]!r}, expected {expected!r}"
+                if abs(computed[name][i] - expected) > 1e-6 * max(1.0, abs(expected)):
+                    return f"; its internal value {name} is {computed[name][i]!r}, expected {expected!r}"
         return ""
 
 
@@ -316,19 +318,19 @@ def _unknown(name: str, known: Iterable[str]) -> str:
 
 
 def _sorted(rules: Mapping[str, _Rule], elements: Mapping[str, Element]) -> list[str]:
-    """The variables, each after what it needs. Raises ModelError where one needs itself."""
+    """The variables in an order in which each comes after those that it needs. Raises ModelError for a cycle."""
     order: dict[str, None] = {}
     for first in elements:
-        ahead, open_ones = [(first, False)], dict[str, None]()
-        while ahead:
-            name, finished = ahead.pop()
+        stack, ancestors = [(first, False)], dict[str, None]()
+        while stack:
+            name, finished = stack.pop()
             if finished:
                 order[name] = None
-                del open_ones[name]
-            elif name in open_ones:
-                raise elements[name].wrong(f"needs itself: {' <- '.join([*open_ones, name])}")
+                del ancestors[name]
+            elif name in ancestors:
+                raise elements[name].wrong(f"depends on itself: {' <- '.join([*ancestors, name])}")
             elif name not in order:
-                open_ones[name] = None
-                ahead.append((name, True))
-                ahead += [(need, False) for need in (rules[name].needs if name in rules else ())]
+                ancestors[name] = None
+                stack.append((name, True))
+                stack += [(need, False) for need in (rules[name].needs if name in rules else ())]
     return list(order)

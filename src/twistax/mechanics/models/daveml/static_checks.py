@@ -75,19 +75,19 @@ def read_shots(root: Element, variables: Mapping[str, tuple[str, str]]) -> list[
 
 
 def _signal(signal: Element, variables: Mapping[str, tuple[str, str]]) -> tuple[str, Value]:
-    said = needed(signal, "signalName", "varID", "signalID")
-    word = said.content.strip()
+    reference = needed(signal, "signalName", "varID", "signalID")
+    word = reference.content.strip()
     by_name, by_id = [v for v, (name, _) in variables.items() if name == word], [word] if word in variables else []
-    found = by_id or by_name if said.tag == "varID" else by_name or by_id
-    if not found:
+    matching = by_id or by_name if reference.tag == "varID" else by_name or by_id
+    if not matching:
         known = dict.fromkeys([*variables, *(name for name, _ in variables.values())])
         raise signal.wrong(f"there is no variable {word!r}; there are {listed(known, word)}")
-    if len(found) > 1:
-        raise signal.wrong(f"several variables have the name {word!r}: {', '.join(found)}")
-    units, own = signal.first("signalUnits"), variables[found[0]][1]
-    if units is not None and own and units.content.strip() not in ("", own):
-        raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, its variable is in {own!r}")
+    if len(matching) > 1:
+        raise signal.wrong(f"several variables have the name {word!r}: {', '.join(matching)}")
+    units, variable_unit = signal.first("signalUnits"), variables[matching[0]][1]
+    if units is not None and variable_unit and units.content.strip() not in ("", variable_unit):
+        raise signal.wrong(f"gives {word!r} in {units.content.strip()!r}, its variable is in {variable_unit!r}")
     value, tolerance = needed(signal, "signalValue"), signal.first("tol")
-    return found[0], Value(
+    return matching[0], Value(
         signal, value.read(value.content), 0.0 if tolerance is None else tolerance.read(tolerance.content)
     )

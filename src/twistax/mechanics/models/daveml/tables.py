@@ -30,7 +30,7 @@ _ENDS = {"neither": (False, False), "min": (True, False), "max": (False, True), 
 
 
 @dataclasses.dataclass(frozen=True)
-class Axis:
+class TableAxis:
     """How one input enters a table, by `independentVarRef` or `independentVarPts`.
 
     Attributes:
@@ -50,7 +50,7 @@ class Axis:
     steps: Steps | None
 
     @classmethod
-    def read(cls, element: Element) -> Axis:
+    def read(cls, element: Element) -> TableAxis:
         """Raises ModelError for an unknown `extrapolate` or `interpolate`."""
         ends = element.attributes.get("extrapolate", "neither")
         if ends not in _ENDS:
@@ -66,7 +66,7 @@ class Axis:
         return cls(element, element.text("varID").strip(), lower, upper, below, above, _LOOKUPS[kind])
 
     def place(self, x: Expr, breakpoints: np.ndarray) -> tuple[Expr, np.ndarray]:
-        """Where to look in a piecewise linear table, and its breakpoints; of steps the number of the value, whole.
+        """The coordinate for a piecewise linear table, and its breakpoints; for steps the whole index of the value.
 
         NaN stays NaN.
         """
@@ -85,7 +85,7 @@ def limited(x: Expr, lower: float | None, upper: float | None) -> Expr:
 
 
 @dataclasses.dataclass(frozen=True)
-class Table:
+class GriddedTable:
     """Values over a grid.
 
     Attributes:
@@ -96,8 +96,8 @@ class Table:
     breakpoints: tuple[np.ndarray, ...]
     values: np.ndarray
 
-    def at(self, inputs: Sequence[Expr], axes: Sequence[Axis]) -> Expr:
-        """The value of the function."""
+    def at(self, inputs: Sequence[Expr], axes: Sequence[TableAxis]) -> Expr:
+        """The interpolated value."""
         places, points, outside = [], [], list[Any]()
         for x, axis, breakpoints in zip(inputs, axes, self.breakpoints):
             place, numbers = axis.place(x, breakpoints)

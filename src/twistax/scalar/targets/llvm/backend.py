@@ -26,8 +26,8 @@ from ...walk import uncollected
 from .code import NotNative
 from .iterations import Iterations
 from .kernel import Kernel
-from .kernel_body import NATIVE_LIMITS, Straight, Tile, native_form
-from .loop import Loop
+from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
+from .loop import LoopBody
 from .machine_code import BuildError
 from .self_test import check_kernel
 from .targets import TARGETS
@@ -50,18 +50,18 @@ def installed() -> bool:
 
 @dataclasses.dataclass(frozen=True)
 class Native(Backend):
-    """Scalars as machine code for this processor, compiled by LLVM in this process, bodies side by side in vectors.
+    """Runs functions as kernels: machine code of their scalars for this processor, compiled by LLVM in this process.
 
-    Needs llvmlite, `pip install "twistax[native]"`. For calls, batches and derivatives of functions on the CPU and on
-    CUDA devices, and for steps of explicit methods, all between two saved times in one kernel, and their derivatives.
-    On a CUDA device each body has a thread. Other loops of integrators, other devices, and what has no native form run
-    as `scalars` does.
+    Members of a batch run side by side in the vectors of the processor, or each in a thread of a CUDA device. Native
+    needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
+    on CUDA devices, and steps of explicit methods, all steps between two saved times in one kernel, with their
+    derivatives. Other loops of integrators, other devices, and functions without a native form run as `scalars` does.
 
     Attributes:
-        scalars: how functions become scalars, and what runs them where no kernel does.
-        threads: the most that a large batch is shared between; None: as many as XLA has.
-        least: calls with fewer operations on scalars, those of all bodies together, run as XLA has them: in a loop a
-            kernel costs some 100 ns by itself.
+        scalars: the backend that turns functions into scalars, and runs them where no kernel does.
+        threads: the largest number of threads that share a large batch; None: as many as XLA has.
+        least: calls with fewer operations on scalars, counted over the whole batch, run by XLA: in a loop a kernel call
+            costs some 100 ns.
 
     Raises:
         ModelError: threads below one, or least below zero.
@@ -103,8 +103,9 @@ class Native(Backend):
         record = program.restricted(program.outputs[state + 1 :])
         form, row_form = native_form(program), None
         if record.outputs and row is not None:
-            given = [jax.ShapeDtypeStruct(own.shape, t) for own, t in zip(record.outputs, record.types, strict=True)]
-            row_program = self._whole_step(row, [*given, given[0]])
+            outputs = zip(record.outputs, record.types, strict=True)
+            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
+            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
             if row_program is None:
                 return None
             row_form = native_form(row_program)
@@ -122,7 +123,7 @@ class Native(Backend):
         return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        if max((math.prod(own.shape) for own in shapes), default=0) > self.scalars.widest:
+        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
             return None
         program = self._whole_step(step, shapes)
         if program is None:
@@ -130,8 +131,8 @@ class Native(Backend):
         form = native_form(program)
 
         def kernel(single: bool, platform: str) -> Rows | None:
-            found = self._built(Loop, form, (ring,), single, platform)
-            return None if found is None else functools.partial(found, length=ring.length or 0)
+            rows = self._built(LoopBody, form, (ring,), single, platform)
+            return None if rows is None else functools.partial(rows, length=ring.length or 0)
 
         return kernel
 
@@ -151,7 +152,7 @@ class Native(Backend):
         return program
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
-        """The program with what runs it, and why."""
+        """The program with its kernels, and a reason."""
         if not installed():
             self._say_missing()
             return None, _MISSING
@@ -163,14 +164,14 @@ class Native(Backend):
             _FORMS[program] = form
         if not form.operations:
             return Derived(program, None, self), "numbers are moved, nothing is computed"
-        said = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
-        return Derived(program, None, self), said
+        reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        return Derived(program, None, self), reason
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
         if derived is None:
-            found = otherwise()
-            return dataclasses.replace(found, reason=f"{found.reason}; not native: {reason}")
+            emission = otherwise()
+            return dataclasses.replace(emission, reason=f"{emission.reason}; not native: {reason}")
         program.graph.largest = ANY_SIZE
         return Emission(lambda *a: call_program(derived, *a), program, reason)
 
@@ -184,7 +185,7 @@ class Native(Backend):
     def prepare(
         self, program: ScalarProgram, single: bool, platform: str = "cpu"
     ) -> Callable[..., list[jax.Array]] | None:
-        """The kernel of a program, for one body or for batches; None where it has no native form."""
+        """The kernel of a program, for one member or for batches; None where it has no native form."""
         known = _FORMS.pop(program, program)
         try:
             form = native_form(program) if known is program else known
@@ -193,9 +194,9 @@ class Native(Backend):
         return self._built(Straight, form, (), single, platform)
 
     def _built(
-        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
     ) -> Kernel | None:
-        """A kernel that was seen to be right; None, with a message, where none can be had."""
+        """A kernel that passed the self-test; None, with a warning, if there is none."""
         started, target = time.perf_counter(), TARGETS[platform]
         if not target.present:
             return None
@@ -212,13 +213,13 @@ class Native(Backend):
 
 @dataclasses.dataclass(frozen=True)
 class _InLoops(Native):
-    """In loops: `scalars`, and kernels for what it takes long to compile. Beside so much work a call is nothing."""
+    """The backend inside loops: `scalars`, and kernels for programs that take XLA long to compile."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        found = self.scalars.emit(closed, fixed)
-        if found.program is None or found.program.operations < _LONG or not installed():
-            return found
-        return self._native(found.program, lambda: found)
+        emission = self.scalars.emit(closed, fixed)
+        if emission.program is None or emission.program.operations < _LONG or not installed():
+            return emission
+        return self._native(emission.program, lambda: emission)
 
     def in_loops(self) -> Backend:
         return self
@@ -238,8 +239,10 @@ class Auto(Native):
         return f"auto = {kernels}{self.scalars}"
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
-        found = self.scalars.emit(closed, fixed)
-        return found if found.program is None or not installed() else self._native(found.program, lambda: found)
+        emission = self.scalars.emit(closed, fixed)
+        if emission.program is None or not installed():
+            return emission
+        return self._native(emission.program, lambda: emission)
 
     def _say_missing(self) -> None:
-        """Nobody asked for it."""
+        """No warning: the user did not ask for llvmlite."""

@@ -42,11 +42,13 @@ class Module:
         self.processor = processor
         self.declarations: set[str] = set()
         self.functions: dict[str, str] = {}
+        #: Whether arrays are stored by columns: the first entries of all rows, then the second ones.
+        self.by_columns = False
         #: Tables of numbers, by name.
         self.tables: dict[str, str] = {}
         #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
         self.long = False
-        #: Bits of vectors into which LLVM puts operations of one body that are alike; 0: it does not look for them.
+        #: Bits of vectors into which LLVM puts operations of one member that are alike; 0: it does not look for them.
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
@@ -86,10 +88,10 @@ class Code:
         self._numbers = itertools.count(1)
 
     def of(self, lanes: int) -> Code:
-        """The same function, going on with vectors of so many lanes."""
-        found = copy.copy(self)
-        found.lanes, found.sines = lanes, {}
-        return found
+        """The same function, continued with vectors of another number of lanes."""
+        code = copy.copy(self)
+        code.lanes, code.sines = lanes, {}
+        return code
 
     def emit(self, instruction: str) -> str:
         """The value of an instruction."""
@@ -102,17 +104,17 @@ class Code:
         return f"%v{next(self._numbers)}"
 
     def label(self) -> str:
-        """The name of a block that is yet to come."""
+        """A new name of a block."""
         return f"b{self.name()[1:]}"
 
     def vector(self, kind: str) -> str:
-        """The type of a vector; of one lane that of its number."""
+        """The type of a vector; for one lane the type of a number."""
         return kind if self.lanes == 1 else f"<{self.lanes} x {kind}>"
 
     def suffix(self, kind: str) -> str:
-        """The same in the names of functions."""
-        own = _SUFFIXES.get(kind, kind)
-        return own if self.lanes == 1 else f"v{self.lanes}{own}"
+        """The type in names of LLVM's functions."""
+        suffix = _SUFFIXES.get(kind, kind)
+        return suffix if self.lanes == 1 else f"v{self.lanes}{suffix}"
 
     def constant(self, kind: str, value: Any) -> str:
         """A number in all lanes."""
@@ -120,17 +122,17 @@ class Code:
         return number if self.lanes == 1 else f"splat ({kind} {number})"
 
     def spread(self, kind: str, number: str) -> str:
-        """A number in all lanes, one that is computed."""
-        own, zeros = self.vector(kind), self.vector("i32")
-        first = self.emit(f"insertelement {own} poison, {kind} {number}, i32 0")
-        return self.emit(f"shufflevector {own} {first}, {own} poison, {zeros} zeroinitializer")
+        """A computed number in all lanes."""
+        vector, zeros = self.vector(kind), self.vector("i32")
+        first = self.emit(f"insertelement {vector} poison, {kind} {number}, i32 0")
+        return self.emit(f"shufflevector {vector} {first}, {vector} poison, {zeros} zeroinitializer")
 
     def part(self, kind: str, vector: str, first: int, count: int) -> str:
-        """So many lanes of a vector from one on; a number where it is one."""
+        """Consecutive lanes of a vector; a number for one lane."""
         if count == 1:
             return self.entry(kind, vector, first)
-        own, order = self.vector(kind), ", ".join(f"i32 {k}" for k in range(first, first + count))
-        return self.emit(f"shufflevector {own} {vector}, {own} poison, <{count} x i32> <{order}>")
+        vector_type, order = self.vector(kind), ", ".join(f"i32 {k}" for k in range(first, first + count))
+        return self.emit(f"shufflevector {vector_type} {vector}, {vector_type} poison, <{count} x i32> <{order}>")
 
     def entry(self, kind: str, vector: str, lane: int) -> str:
         """The number in a lane."""
@@ -138,22 +140,24 @@ class Code:
 
     def put(self, kind: str, vector: str, lane: int, number: str) -> str:
         """The vector with another number in a lane."""
-        own = self.vector(kind)
-        return number if self.lanes == 1 else self.emit(f"insertelement {own} {vector}, {kind} {number}, i32 {lane}")
+        vector_type = self.vector(kind)
+        if self.lanes == 1:
+            return number
+        return self.emit(f"insertelement {vector_type} {vector}, {kind} {number}, i32 {lane}")
 
     # ---- instructions --------------------------------------------------------------------------------------------
 
     def instruction(self, name: str, kind: str, *arguments: str) -> str:
-        """Of one or two vectors of a type."""
+        """An instruction on one or two vectors of a type."""
         return self.emit(f"{name} {self.vector(kind)} {', '.join(arguments)}")
 
     def intrinsic(self, name: str, kind: str, *arguments: str) -> str:
-        """One of LLVM's own functions of vectors."""
-        own = self.vector(kind)
-        return self.call(own, f"llvm.{name}.{self.suffix(kind)}", *((own, a) for a in arguments))
+        """An intrinsic function of LLVM, of vectors."""
+        vector_type = self.vector(kind)
+        return self.call(vector_type, f"llvm.{name}.{self.suffix(kind)}", *((vector_type, a) for a in arguments))
 
     def call(self, result: str, name: str, *arguments: tuple[str, str]) -> str:
-        """A function that is declared here, of types and values."""
+        """A call of a function that is declared here, with values and their types."""
         self.module.declarations.add(f"declare {result} @{name}({', '.join(kind for kind, _ in arguments)})")
         text = f"call {result} @{name}({', '.join(f'{kind} {value}' for kind, value in arguments)})"
         if result != "void":
@@ -165,21 +169,21 @@ class Code:
         return self.emit(f"{name} {self.vector(source)} {value} to {self.vector(target)}")
 
     def select(self, kind: str, condition: str, a: str, b: str) -> str:
-        own = self.vector(kind)
-        return self.emit(f"select {self.vector('i1')} {condition}, {own} {a}, {own} {b}")
+        vector_type = self.vector(kind)
+        return self.emit(f"select {self.vector('i1')} {condition}, {vector_type} {a}, {vector_type} {b}")
 
     # ---- operations on scalars, as the table names them ----------------------------------------------------------
 
     def turned(self, place: int, kind: str, x: str) -> str:
-        """Sine (0) or cosine (1) of an angle of which both are there already."""
+        """Sine (0) or cosine (1) of an angle whose sine and cosine are already computed."""
         return self.sines[x][place]
 
     def chosen(self, comparison: str, kind: str, a: str, b: str) -> str:
-        """a where it compares so with b, else b."""
+        """a where the comparison of a with b holds, else b."""
         return self.select(kind, self.instruction(comparison, kind, a, b), a, b)
 
     def further(self, comparison: str, kind: str, a: str, b: str) -> str:
-        """The same; NaN where one of them is."""
+        """The extreme of a and b; NaN where one of them is NaN."""
         first = self.chosen(comparison, kind, a, b)
         return self.select(kind, self.instruction("fcmp uno", kind, a, a), a, first)
 
@@ -243,14 +247,14 @@ class Code:
         name = f"@{table.name}.{target}"
         if name not in self.module.tables:
             self.module.tables[name] = _constant(name, table.numbers(dtype).tobytes(), dtype.itemsize)
-        found = "poison"
+        values = "poison"
         for lane in range(self.lanes):
             one = self.entry(kind, place, lane)
             there = self.emit(f"getelementptr {target}, ptr {name}, {kind} {one}")
             there = self.emit(f"getelementptr {target}, ptr {there}, i64 {offset}") if offset else there
             value = self.emit(f"load {target}, ptr {there}, align {dtype.itemsize}")
-            found = self.put(target, found, lane, value)
-        return found
+            values = self.put(target, values, lane, value)
+        return values
 
     # ---- several at once -----------------------------------------------------------------------------------------
 
@@ -261,7 +265,7 @@ class Code:
         return self.instruction("fadd", kind, self.instruction("fmul", kind, a, b), c)
 
     def loop(self, carried: Sequence[tuple[str, str, str]]) -> Callable[[Sequence[str], str], None]:
-        """Begins what is done once, and again while it says so; its values are then those of the last time.
+        """Begin a loop that runs at least once; its values afterwards are those of the last iteration.
 
         Args:
             carried: names, their types, and their values the first time.
@@ -297,18 +301,18 @@ class Code:
 
     def library(self, function: str, kind: str, *arguments: str) -> str:
         """A function of the C library, lane by lane."""
-        name, own = f"lanes_{function}.{self.suffix(kind)}", self.vector(kind)
+        name, vector_type = f"lanes_{function}.{self.suffix(kind)}", self.vector(kind)
         if name not in self.module.functions:
             symbol = function if kind == "double" else f"{function}f"
             self.module.library.add(symbol)
             names, inner, result = [f"%a{k}" for k in range(len(arguments))], Code(self.module, self.lanes), "poison"
             for lane in range(self.lanes):
-                given = [(kind, inner.entry(kind, a, lane)) for a in names]
-                value = inner.call(kind, symbol, *given)
+                operands = [(kind, inner.entry(kind, a, lane)) for a in names]
+                value = inner.call(kind, symbol, *operands)
                 result = inner.put(kind, result, lane, value)
-            head = f"internal {own} @{name}({', '.join(f'{own} {a}' for a in names)})"
-            self.module.functions[name] = inner.function(head, f"ret {own} {result}")
-        return self.emit(f"call {own} @{name}({', '.join(f'{own} {a}' for a in arguments)})")
+            head = f"internal {vector_type} @{name}({', '.join(f'{vector_type} {a}' for a in names)})"
+            self.module.functions[name] = inner.function(head, f"ret {vector_type} {result}")
+        return self.emit(f"call {vector_type} @{name}({', '.join(f'{vector_type} {a}' for a in arguments)})")
 
     def function(self, head: str, end: str = "ret void") -> str:
         """The instructions so far as a function."""

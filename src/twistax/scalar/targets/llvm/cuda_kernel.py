@@ -1,4 +1,4 @@
-"""A tile as a kernel of CUDA devices that JAX can call."""
+"""A kernel body as a kernel of CUDA devices that JAX can call."""
 
 from __future__ import annotations
 
@@ -15,31 +15,29 @@ from ...kernel_cache import version
 from .code import Module
 from .cuda import DeviceCode, driver
 from .handler import write_device_handler
-from .kernel import HostLease, Kernel, Lease, digest, named
-from .kernel_body import Tile
+from .kernel import CodeHandle, HostCodeHandle, Kernel, digest, named
+from .kernel_body import KernelBody
 from .machine_code import Processor
 from .ptx import ENTRY, assembled, device, write_kernel
 
-#: Threads that start together.
+#: Threads in a block.
 BLOCK = 64
-#: Whether arrays lie entry by entry, not row by row.
-BY_COLUMNS = False
 
 
 class _Code:
     """The kernel on the devices, and the handler that starts it."""
 
-    def __init__(self, handler: HostLease, ptx: bytes) -> None:
+    def __init__(self, handler: HostCodeHandle, ptx: bytes) -> None:
         self.device, self._handler = DeviceCode(ptx, ENTRY), handler.code
         self.addresses = self._handler.addresses
         for name, value in (("kernel", self.device.handle), ("launch", driver().address("cuLaunchKernel"))):
             ctypes.c_void_p.from_address(self.addresses[name]).value = value
 
 
-class _DeviceLease:
-    """Of a kernel of CUDA devices. What comes from the cache was seen to be right, by the same driver."""
+class _DeviceCodeHandle:
+    """The code of a kernel of CUDA devices. What comes from the cache was seen to be right, by the same driver."""
 
-    def __init__(self, target: str, module: Module, text: str, tile: Tile) -> None:
+    def __init__(self, target: str, module: Module, text: str, body: KernelBody) -> None:
         own = driver()
         self._key = digest(target, version(), *jax_versions(), str(own.version), str(own.capability))
         ptx = cache.kept(self._key)
@@ -48,9 +46,9 @@ class _DeviceLease:
             ptx = self._unchecked = assembled(module, text).encode()
         processor = Processor.host()
         around = Module(processor)
-        write_device_handler(around, tile, BLOCK)
+        write_device_handler(around, body, BLOCK)
         written = around.text()
-        handler = HostLease(named(written, processor), written, around, ("handler", "kernel", "launch"))
+        handler = HostCodeHandle(named(written, processor), written, around, ("handler", "kernel", "launch"))
         handler.keep()
         self.code = _Code(handler, ptx)
 
@@ -72,26 +70,23 @@ class CudaKernel(Kernel):
         BuildError: no code came of it, or CUDA's driver is not there.
     """
 
-    platform = "cuda"
+    platform, layout = "cuda", (1, 0)
 
-    def __init__(self, tile: Tile) -> None:
+    def __init__(self, body: KernelBody) -> None:
         self.checked_rows = BLOCK + 1
-        tile.by_columns = BY_COLUMNS
         module = Module(device(driver().capability))
-        write_kernel(module, tile)
+        write_kernel(module, body)
         text = module.text()
-        self._parts = module, text, tile
-        super().__init__(tile, named(f"{text}; {BLOCK}", module.processor))
+        self._parts = module, text, body
+        super().__init__(body, named(f"{text}; {BLOCK}", module.processor))
         del self._parts
 
-    def _leased(self) -> Lease:
-        return _DeviceLease(self.target, *self._parts)
+    def _make_handle(self) -> CodeHandle:
+        return _DeviceCodeHandle(self.target, *self._parts)
 
     def run(self, arguments: Sequence[NDArray[Any]], length: int = 0) -> list[NDArray[Any]]:
         rows, arrays = self._arrays(arguments, length)
-        strides = [a.shape[1] if len(a) == rows else 0 for a in arrays]
-        if self.tile.by_columns:
-            arrays, strides = [np.asfortranarray(a) for a in arrays], [len(a) for a in arrays]
+        arrays = [np.asfortranarray(a) for a in arrays]
         if rows:
-            self.lease.code.device.run(arrays, strides, rows, BLOCK)
+            self.handle.code.device.run(arrays, list(map(len, arrays)), rows, BLOCK)
         return arrays[len(arguments) :]

@@ -12,7 +12,7 @@ from string import Template
 import numpy as np
 
 from .code import Module, addressed
-from .kernel_body import RowFunction
+from .kernel_body import BatchFunction
 
 #: The version of the interface. XLA refuses a handler that is made for a version it does not know.
 API = (0, 3)
@@ -39,7 +39,7 @@ _LONG = """%count.at.{k} = load ptr, ptr %table
 %length.{k} = sext i32 %count.{k} to i64
 %size.{k} = mul i64 %length.{k}, {size}"""
 
-#: Entries from one row to the next; of arrays by columns from one entry of a row to the next.
+#: The stride of an array by rows: entries from one row to the next; by columns: from one entry of a row to the next.
 _BY_ROWS = "%stride = select i1 %rows.same, i64 %size, i64 0"
 _BY_COLUMNS = "%stride = select i1 %rows.same, i64 %rows, i64 1"
 
@@ -80,15 +80,15 @@ def _template(name: str) -> Template:
     return Template(Path(__file__).with_name(f"{name}.ll").read_text())
 
 
-def write_host_handler(module: Module, tile: RowFunction, threads: int) -> None:
+def write_host_handler(module: Module, body: BatchFunction, threads: int) -> None:
     """Adds `run(table, first, end)`, some rows of the arrays in a table, and `handler(frame)`, all, by many threads."""
-    arrays = tile.arrays
+    arrays = body.arrays
     text = _template("kernel").substitute(
         pointers="\n".join(_POINTER.format(k=k, name=name, stride=k + len(arrays)) for k, name in enumerate(arrays)),
         moved="\n".join(_MOVED.format(name=name, stored=a.stored) for name, a in arrays.items()),
         rows="".join(f", ptr %{name}.row, i64 %{name}.stride" for name in arrays),
-        lanes=tile.lanes,
-        chunk=tile.chunk,
+        lanes=body.lanes,
+        chunk=body.chunk,
         table=16 * len(arrays),
         job=32 + 16 * len(arrays),
         threads=threads,
@@ -96,18 +96,18 @@ def write_host_handler(module: Module, tile: RowFunction, threads: int) -> None:
     module.declarations |= _DECLARED
     module.library |= {"malloc", "free", "sched_yield"}
     module.functions["start"] = addressed(text)
-    _write_handler(module, tile, {}, long=_LONG, traits=0)
+    _write_handler(module, body, {}, long=_LONG, stride=_BY_ROWS, traits=0)
 
 
-def write_device_handler(module: Module, tile: RowFunction, block: int) -> None:
+def write_device_handler(module: Module, body: BatchFunction, block: int) -> None:
     """Adds `handler(frame)`, which starts so many threads at a time on a device, one for each row."""
-    count = 2 * len(tile.arrays)
+    count = 2 * len(body.arrays)
     end = len(_NOT_STARTED)
     digits = ("hundreds", end - 3), ("tens", end - 2), ("code", end - 1)
     text = _template("launch").substitute(
         parameters=count + 1,
         entries=count,
-        count=len(tile.arrays),
+        count=len(body.arrays),
         passed="\n".join(_PASSED.format(k=k) for k in range(count)),
         block=block,
         last=block - 1,
@@ -115,18 +115,21 @@ def write_device_handler(module: Module, tile: RowFunction, block: int) -> None:
     )
     module.functions["start"] = addressed(text)
     # XLA may put it into a CUDA graph: it does nothing but start a kernel.
-    _write_handler(module, tile, {"launch": _NOT_STARTED}, long=_LONG_THERE, traits=1)
+    _write_handler(module, body, {"launch": _NOT_STARTED}, long=_LONG_THERE, stride=_BY_COLUMNS, traits=1)
 
 
-def _write_handler(module: Module, tile: RowFunction, messages: dict[str, str], long: str, traits: int) -> None:
+def _write_handler(
+    module: Module, body: BatchFunction, messages: dict[str, str], long: str, stride: str, traits: int
+) -> None:
     """Adds `handler(frame)`, which checks what comes and calls `start`.
 
     Args:
         messages: of errors that `start` gives.
-        long: what makes the entries of a long array.
+        long: the text that counts the entries of a long array.
+        stride: the text that computes the stride of an array.
         traits: what XLA may do with it, `XLA_FFI_Handler_TraitsBits`.
     """
-    arrays, read, results = tile.arrays, len(tile.read), len(tile.written)
+    arrays, read, results = body.arrays, len(body.read), len(body.written)
     major, minor = API
     checks = {
         "wrong.version": f"a kernel of twistax is made for version {major}.{minor} of XLA's foreign-function interface",
@@ -135,12 +138,10 @@ def _write_handler(module: Module, tile: RowFunction, messages: dict[str, str], 
     buffers = []
     for k, array in enumerate(arrays.values()):
         family, place = ("argument", k) if k < read else ("result", k - read)
-        own = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
+        fields = {"k": k, "family": family, "place": place, "type": _DATA_TYPES[array.kind], "next": k + 1}
         size, words = (f"%size.{k}", f"length * {array.size}") if array.long else (str(array.size), str(array.size))
-        buffers.append(f"check.{k}:")
-        if array.long:
-            buffers.append(long.format(**own, size=array.size))
-        buffers.append(_BUFFER.format(**own, size=size, shared="true" if k < read else "false"))
+        buffers += [f"check.{k}:", *([long.format(**fields, size=array.size)] if array.long else [])]
+        buffers.append(_BUFFER.format(**fields, size=size, shared="true" if k < read else "false"))
         expected = f"{np.dtype(array.dtype).name} of shape (rows, {words})"
         checks[f"wrong.{k}"] = f"a kernel of twistax expects {expected} as {family} {place}"
     constants = [
@@ -157,7 +158,7 @@ def _write_handler(module: Module, tile: RowFunction, messages: dict[str, str], 
         count=len(arrays),
         entries=2 * len(arrays),
         buffers="\n".join(buffers),
-        stride=_BY_COLUMNS if tile.by_columns else _BY_ROWS,
+        stride=stride,
         errors="\n".join(_ERROR.format(label=label) for label in checks),
     )
     module.functions["handler"] = addressed(text)
@@ -178,8 +179,8 @@ ret ptr %error
 }}"""
 
 
-def write_places(module: Module, count: int) -> list[str]:
-    """Adds handlers that call the kernel whose address stands in the variable `places`, and gives their names."""
+def write_slots(module: Module, count: int) -> list[str]:
+    """Add handlers that call the kernels whose addresses stand in the variable `places`; return their names."""
     message = "a kernel of twistax is called, and what it was compiled for is gone"
     failed = _template("handler").template.partition("define internal ptr @failed")
     module.functions["places"] = "\n".join(

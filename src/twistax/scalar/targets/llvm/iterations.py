@@ -1,4 +1,4 @@
-"""A step taken again and again in one function, each body as long as it must; and rows that it fills on the way."""
+"""A loop over a step as one function, each batch member as long as its loop goes on; and rows that the loop fills."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from ...program import ScalarProgram
 from .code import NAMES, Code
-from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
+from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
 #: Where the marks of rows lie from where a step comes to, in the check of a kernel: within it, there, and beyond.
 _ABOUT = np.array([-1e-3, 0.0, 1e3])
 
 
-class Iterations(Tile):
+class Iterations(KernelBody):
     """state = step(k, fixed, state) for k = first, first + 1, ..., stop - 1, or until it ends as `repeat` says.
 
-    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each body
+    Takes (first, stop, *fixed, *state), gives (*state, k): the state, and the number of the next iteration. Each member
     iterates as long as it must. What stays the same is computed once. The program takes (k, *fixed, *state), and gives
     (*state) or (*state, more), all states of its precision; `state` arguments are the state.
 
@@ -37,12 +37,12 @@ class Iterations(Tile):
     def __init__(self, program: ScalarProgram, lanes: int, state: int, row: ScalarProgram | None = None) -> None:
         number, *rest = arguments_of(program)
         self._row = row
-        heads, behind = [number, number], list[Array]()
+        heads, tails = [number, number], list[Array]()
         results = [*rest[len(rest) - state :], number]
         if row is not None:
             table = Array(row.outputs[0].shape, row.types[0], long=True)
             # How long the rows are stands first, as in all functions of long arrays.
-            heads, behind = [COUNT, *heads, number], [Array((), table.dtype, long=True), table]
+            heads, tails = [COUNT, *heads, number], [Array((), table.dtype, long=True), table]
             results += [number, table]
         #: The place of the number of the first iteration; the one to stop at stands behind it.
         self._first = 0 if row is None else 1
@@ -52,7 +52,7 @@ class Iterations(Tile):
         self._first_state = len(rest) - state + 1
         #: Whether the step says if another iteration follows.
         self._says = len(program.outputs) > state
-        arguments = [*heads, *rest, *behind]
+        arguments = [*heads, *rest, *tails]
         always = {*range(len(heads)), *range(self._first_state + self._shift, len(arguments))}
         needed = {k + self._shift for k in needed_by(program) if k > 0}
         super().__init__(program, lanes, arguments, results, needed | always)
@@ -86,16 +86,16 @@ class Iterations(Tile):
         carried.append((live, flags, code.emit(f"icmp slt {counters} {first}, {stop}")))
         end = code.loop(carried)
         values = scalars.compute(step.flat)
-        found, said = values[: len(states)], values[len(states) :]
-        more = said[0] if self._says else _finite(code, kind, found)
+        new_states, record = values[: len(states)], values[len(states) :]
+        more = record[0] if self._says else _finite(code, kind, new_states)
         good = live if self._says else code.instruction("and", "i1", live, more)
-        ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, found, strict=True)]
+        ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, new_states, strict=True)]
         ends.append(code.instruction("add", counter, count, code.convert("zext", "i1", counter, good)))
         going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {ends[-1]}, {stop}"), good)
         if self._says:
             going_on = code.instruction("and", "i1", going_on, more)
         if filling is not None:
-            ends.append(filling.write(number, live, said[1:]))
+            ends.append(filling.write(number, live, record[1:]))
         end([*ends, going_on], code.any(going_on))
         left = iter(ends)
         for k in self.written:
@@ -103,16 +103,16 @@ class Iterations(Tile):
                 rows[f"r{k}"].write([next(left) for _ in range(self.results[k].size)])
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """One iteration, two, none, and so on; marks about where the first one comes to."""
-        found = list(arguments)
-        first = found[self._first]
-        found[self._first + 1] = first + np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
+        """Arguments for one iteration, two, none, and so on; marks about where the first iteration ends."""
+        changed = list(arguments)
+        first = changed[self._first]
+        changed[self._first + 1] = first + np.arange(1, len(first) + 1, dtype=first.dtype)[:, None] % 3
         if self._row is not None:
-            found[0] = np.full_like(found[0], self.tried)
-            found[3] = np.zeros_like(found[3])
-            after = by_numpy(self.program, [first, *found[4:-2]])
-            found[-2] = (after[len(self.results) - 2] + _ABOUT).astype(found[-2].dtype)
-        return found
+            changed[0] = np.full_like(changed[0], self.tried)
+            changed[3] = np.zeros_like(changed[3])
+            after = by_numpy(self.program, [first, *changed[4:-2]])
+            changed[-2] = (after[len(self.results) - 2] + _ABOUT).astype(changed[-2].dtype)
+        return changed
 
     def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
         first, stop = arguments[self._first : self._first + 2]
@@ -123,20 +123,20 @@ class Iterations(Tile):
         if self._row is not None:
             filled = [arguments[3], rest[-1]]
         while live.any():
-            found = by_numpy(self.program, [k, *fixed, *state], rounded)
-            more = found[count] if self._says else live
-            for values in [] if self._says else found:
+            results = by_numpy(self.program, [k, *fixed, *state], rounded)
+            more = results[count] if self._says else live
+            for values in [] if self._says else results:
                 live = live & np.isfinite(values).all(1, keepdims=True)
-            state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]
+            state = [np.where(live, new, old) for new, old in zip(results, state, strict=False)]
             if self._row is not None:
-                filled = _by_numpy_too(self._row, found[count + 1 :], live, rest[-2], filled, rounded)
+                filled = _by_numpy_too(self._row, results[count + 1 :], live, rest[-2], filled, rounded)
             k = k + live
             live = live & more & (k < stop)
         return [*state, k, *filled]
 
 
 class _Filling:
-    """The loop over the rows that one iteration fills."""
+    """The loop over the rows that become due in one iteration."""
 
     def __init__(
         self, code: Code, row: ScalarProgram, rows: Mapping[str, Rows], arguments: Sequence[Array], table: int
@@ -155,11 +155,11 @@ class _Filling:
         """Adds the loop of an iteration after which row `number` is the first that is not filled; the number after it.
 
         Args:
-            live: which bodies took the iteration.
+            live: which members took the iteration.
             record: what it left for rows; first how far it came.
         """
         code, counter, kind = self._code, self._counter, NAMES[self._mark.dtype]
-        places = [(k, j) for k, own in enumerate(self._row.inputs[:-1]) for j in range(own.size)]
+        places = [(k, j) for k, array in enumerate(self._row.inputs[:-1]) for j in range(array.size)]
         known = dict(zip(places, record, strict=True))
         before, head, fill, latch, done = (code.label() for _ in range(5))
         now, following = code.name(), code.name()
@@ -209,13 +209,13 @@ def _by_numpy_too(
         if not due.any():
             return [number, table]
         (values,) = by_numpy(row, [*record, mark], rounded)
-        for body in every[due[:, 0]]:
-            table[body, place[body] * size : (place[body] + 1) * size] = values[body]
+        for member in every[due[:, 0]]:
+            table[member, place[member] * size : (place[member] + 1) * size] = values[member]
         number = number + due
 
 
 def _finite(code: Code, kind: str, values: Sequence[str]) -> str:
-    """Whether all values are: zero times each of them is then zero."""
+    """Whether all values are finite: zero times each of them is zero."""
     zero = code.constant(kind, 0.0)
     total = zero
     for value in values:

@@ -1,4 +1,4 @@
-"""A scalar program as one function that computes as many bodies at once as a vector has lanes."""
+"""A scalar program as one function that computes as many batch members at once as a vector has lanes."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ...program import ScalarProgram, called_names
 from ...rewriting import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
-from .pieces import Scratch, Values, in_pieces
+from .pieces import PieceValues, Scratch, in_pieces
 from .trigonometry import sines_and_cosines
 
 #: Kernels call no library: more is unrolled than for XLA.
@@ -38,7 +38,7 @@ _TURNING = (OPERATIONS["sin"], OPERATIONS["cos"])
 
 
 def native_form(program: ScalarProgram) -> ScalarProgram:
-    """The program as kernels are written from it.
+    """The program in the form from which kernels are written.
 
     Raises:
         NotNative: it calls functions, or has numbers or operations, that have no native form, or grows too large.
@@ -62,7 +62,7 @@ def native_form(program: ScalarProgram) -> ScalarProgram:
 
 
 def _form_of(operation: Operation, dtype: np.dtype[Any]) -> Callable[..., str]:
-    """How an operation on arguments of a type is written."""
+    """The LLVM form of an operation on arguments of a type."""
     form: Callable[..., str] | None = operation.llvm.of(dtype)
     if form is None:
         raise NotNative(f"{operation.name} of {NAMES[dtype]} has no native form")
@@ -79,16 +79,16 @@ class Scalars:
         self._values: dict[int, str] = {}
 
     def compute(self, nodes: Sequence[int]) -> list[str]:
-        """The values of nodes; sines and cosines that do not wait for one another together."""
+        """The values of nodes; independent sines and cosines are computed together."""
         g, values, live = self._graph, self._values, self._graph.live(nodes, self._values)
         for angles in self._angles(live):
             self._in_order(g.live(angles, values))
-            found = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
-            self._code.sines.update(zip((values[i] for i in angles), found, strict=True))
+            pairs = sines_and_cosines(self._code, NAMES[g.dtype], [values[i] for i in angles])
+            self._code.sines.update(zip((values[i] for i in angles), pairs, strict=True))
         self._in_order(live)
         return [values[i] for i in nodes]
 
-    def in_piece(self, nodes: Sequence[int], values: Values) -> Values:
+    def in_piece(self, nodes: Sequence[int], values: PieceValues) -> PieceValues:
         """The values of nodes, given those of all nodes before; sines and cosines stand in the first piece."""
         self._values = values
         if any(self._graph.operation(i) in _TURNING for i in nodes):
@@ -97,7 +97,7 @@ class Scalars:
         return values
 
     def value(self, node: int) -> str:
-        """Of a node that is there, or is a number or an entry of an argument."""
+        """The value of a node that is computed, a number, or an entry of an argument."""
         if node not in self._values and self._graph.operation(node) is None:
             self._in_order([node])
         return self._values[node]
@@ -113,30 +113,30 @@ class Scalars:
             elif operation is None:
                 values[i] = self._code.constant(NAMES[g.dtypes[i]], g.numbers[i])
             else:
-                own = g.dtypes[arguments[-1]]
-                values[i] = _form_of(operation, own)(self._code, NAMES[own], *map(self.value, arguments))
+                dtype = g.dtypes[arguments[-1]]
+                values[i] = _form_of(operation, dtype)(self._code, NAMES[dtype], *map(self.value, arguments))
 
     def _angles(self, live: Sequence[int]) -> list[list[int]]:
         """The angles of sines and cosines to come: first those that depend on no other of them, and so on."""
         g = self._graph
         depth: dict[int, int] = {}
-        found: dict[int, dict[int, None]] = {}
+        by_depth: dict[int, dict[int, None]] = {}
         for i in live:
             if i in self._values:
                 continue
             arguments = g.arguments(i)
             depth[i] = max((depth.get(a, 0) for a in arguments), default=0)
             if g.operation(i) in _TURNING and self._values.get(arguments[0]) not in self._code.sines:
-                found.setdefault(depth[i], {})[arguments[0]] = None
+                by_depth.setdefault(depth[i], {})[arguments[0]] = None
                 depth[i] += 1
-        return [list(found[k]) for k in sorted(found)]
+        return [list(by_depth[k]) for k in sorted(by_depth)]
 
 
 # ---- tiles -----------------------------------------------------------------------------------------------------------
 
 
-class RowFunction(ABC):
-    """A function `tile(last, arguments, results)`: rows 0 to `last` of arrays, at most as many as there are lanes.
+class BatchFunction(ABC):
+    """A function `tile(last, arguments, results)` of rows 0 to `last` of arrays, at most as many as a vector has lanes.
 
     Attributes:
         lanes: rows computed side by side.
@@ -144,11 +144,9 @@ class RowFunction(ABC):
         read, written: the places of those that are needed and not empty.
         chunk: rows that a thread takes at a time, a multiple of the lanes.
         in_place: results that stand where an argument stood, and that argument: what is not written stays.
-        by_columns: of one lane, whether the first entries of all rows stand side by side, then the second ones.
     """
 
     in_place: Mapping[int, int] = {}
-    by_columns = False
 
     def __init__(self, lanes: int, arguments: list[Array], results: list[Array], needed: Collection[int]) -> None:
         self.lanes = lanes
@@ -159,25 +157,25 @@ class RowFunction(ABC):
 
     @property
     def arrays(self) -> dict[str, Array]:
-        """Those that are read and written, by what kernels call them."""
+        """The arrays that are read and written, by their names in kernels."""
         arguments = {f"a{k}": self.arguments[k] for k in self.read}
         return arguments | {f"r{k}": self.results[k] for k in self.written}
 
     @abstractmethod
     def write(self, module: Module) -> None:
-        """Adds the function, and what it calls."""
+        """Add the function, and the functions that it calls."""
 
     def _heads(self, pointer: str) -> str:
         return "".join(f", {pointer} %{name}, i64 %{name}.stride" for name in self.arrays)
 
 
-class Tile(RowFunction):
-    """The function of a scalar program.
+class KernelBody(BatchFunction):
+    """The function of a scalar program in a kernel.
 
     Attributes:
         program: from `native_form`.
         tried: the length that long arrays have where the function is checked.
-        packed: the bits of vectors into which LLVM is to put operations of one body; 0: it is not.
+        packed: the bits of vectors into which LLVM is to put operations of one member; 0: it is not.
     """
 
     tried, packed = 0, 0
@@ -200,14 +198,14 @@ class Tile(RowFunction):
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
         return {
-            name: Rows(code, array, f"%{name}", stride, places, stride if self.by_columns else "1")
+            name: Rows(code, array, f"%{name}", stride, places, stride if code.module.by_columns else "1")
             for name, array in self.arrays.items()
             for stride in (f"%{name}.stride",)
         }
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        """Adds the instructions.
+        """Add the instructions.
 
         Args:
             rows: those of `arrays`.
@@ -218,11 +216,11 @@ class Tile(RowFunction):
         """All results by NumPy, for all arguments, (rows, entries) each; `rounded` is applied to each number met."""
 
     def exercised(self, arguments: list[NDArray[Any]]) -> list[NDArray[Any]]:
-        """Arguments drawn at random, changed where chance alone would leave much of the function untried."""
+        """Random arguments, changed so that all parts of the function are exercised."""
         return arguments
 
 
-class Straight(Tile):
+class Straight(KernelBody):
     """A program, from its arguments to its results."""
 
     #: Operations on scalars that a thread takes at a time, some 5 us.
@@ -245,22 +243,22 @@ class Straight(Tile):
             rows[f"r{k}"].write(scalars.compute(flat(self.program.outputs[k])))
 
     def _in_pieces(self, code: Code, rows: Mapping[str, Rows]) -> None:
-        """One call after the other."""
+        """Write the program as several functions, called in turn."""
         program, module, g = self.program, code.module, self.program.graph
-        blocks = {(k, start): own for k in self.written for start, own in rows[f"r{k}"].blocks().items()}
+        blocks = {(k, start): piece for k in self.written for start, piece in rows[f"r{k}"].blocks().items()}
         scratch = Scratch(program, [i for i in program.live if g.operation(i) in _TURNING], blocks)
         memory = scratch.allocated(code)
         for number, (nodes, complete) in enumerate(scratch.pieces):
-            own = Code(module, self.lanes)
-            inner = self._moved(own)
-            scalars = Scalars(own, program, functools.partial(_entry, inner))
-            values = scalars.in_piece(nodes, Values(own, scratch))
+            piece = Code(module, self.lanes)
+            inner = self._moved(piece)
+            scalars = Scalars(piece, program, functools.partial(_entry, inner))
+            values = scalars.in_piece(nodes, PieceValues(piece, scratch))
             for k, start in complete:
                 entries = [flat(program.outputs[k])[entry] for entry in blocks[k, start]]
                 inner[f"r{k}"].write_block(start, [scalars.value(i) for i in entries])
             values.keep(nodes)
             head = f"ptr noalias %scratch, i64 %last{self._heads('ptr noalias')}"
-            module.functions[f"piece.{number}"] = own.function(f"internal void @piece.{number}({head})")
+            module.functions[f"piece.{number}"] = piece.function(f"internal void @piece.{number}({head})")
             code.lines.append(f"call void @piece.{number}(ptr {memory}, i64 %last{self._heads('ptr')})")
         scratch.freed(code, memory)
 
@@ -284,7 +282,7 @@ def needed_by(program: ScalarProgram) -> set[int]:
 def by_numpy(
     program: ScalarProgram, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray
 ) -> list[NDArray[Any]]:
-    """The results for rows of arguments, (rows, entries) each, operation by operation: kernels are held against it."""
+    """The results for rows of arguments, (rows, entries) each, by NumPy: the reference for kernels."""
     count = len(arguments[0]) if arguments else 1
     with np.errstate(all="ignore"):
         values = program.computed(

@@ -73,9 +73,9 @@ class Rows:
 
     def window(self, starts: Sequence[str], array: Array) -> Rows:
         """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
-        found = Rows(self._code, array, "", "", [], self._apart)
-        found._pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
-        return found
+        window = Rows(self._code, array, "", "", [], self._apart)
+        window._pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
+        return window
 
     def read(self, entry: int) -> str:
         """The value of an entry in all rows."""
@@ -98,8 +98,8 @@ class Rows:
         size = self._array.size
         if not self._blocks:
             return {entry: [entry] for entry in range(size)}
-        found = dict(self._block(first) for first in range(0, size, self._code.lanes))
-        return {start: list(range(start, start + width)) for start, width in found.items()}
+        widths = dict(self._block(first) for first in range(0, size, self._code.lanes))
+        return {start: list(range(start, start + width)) for start, width in widths.items()}
 
     def write_block(self, start: int, values: list[str]) -> None:
         """The entries of a block of all rows."""
@@ -119,28 +119,30 @@ class Rows:
 
     def _loaded(self, start: int, width: int) -> list[str]:
         code, kind, places = self._code, self._array.kind, self._at(start)
-        own = code.vector(kind)
+        vector_type = code.vector(kind)
         if width == code.lanes:
-            return [code.emit(f"load {own}, ptr {place}, align {self._align}") for place in places]
-        rest = ("i32", str(self._align)), self._mask(width), (own, "zeroinitializer")
-        return [code.call(own, f"llvm.masked.load.{code.suffix(kind)}.p0", ("ptr", place), *rest) for place in places]
+            return [code.emit(f"load {vector_type}, ptr {place}, align {self._align}") for place in places]
+        rest = ("i32", str(self._align)), self._mask(width), (vector_type, "zeroinitializer")
+        name = f"llvm.masked.load.{code.suffix(kind)}.p0"
+        return [code.call(vector_type, name, ("ptr", place), *rest) for place in places]
 
     def _stored(self, start: int, width: int, rows: list[str]) -> None:
         code, kind = self._code, self._array.kind
-        own, rest = code.vector(kind), (("i32", str(self._align)), self._mask(width))
+        vector_type, rest = code.vector(kind), (("i32", str(self._align)), self._mask(width))
         for place, row in zip(self._at(start), rows, strict=True):
             if width == code.lanes:
-                code.lines.append(f"store {own} {row}, ptr {place}, align {self._align}")
+                code.lines.append(f"store {vector_type} {row}, ptr {place}, align {self._align}")
             else:
-                code.call("void", f"llvm.masked.store.{code.suffix(kind)}.p0", (own, row), ("ptr", place), *rest)
+                name = f"llvm.masked.store.{code.suffix(kind)}.p0"
+                code.call("void", name, (vector_type, row), ("ptr", place), *rest)
 
     def _gathered(self, entry: int) -> str:
         code, array = self._code, self._array
-        own, value = code.vector(array.stored), "poison"
+        vector_type, value = code.vector(array.stored), "poison"
         for lane, place in enumerate(self._at(entry)):
             one = code.emit(f"load {array.stored}, ptr {place}, align {self._align}")
             value = code.put(array.stored, value, lane, one)
-        return code.emit(f"icmp ne {own} {value}, zeroinitializer") if array.kind == "i1" else value
+        return code.emit(f"icmp ne {vector_type} {value}, zeroinitializer") if array.kind == "i1" else value
 
     def _scatter(self, entry: int, value: str) -> None:
         code, array = self._code, self._array
@@ -163,17 +165,16 @@ class Rows:
 
     def _transposed(self, rows: list[str]) -> list[str]:
         """Entry i of vector k becomes entry k of vector i: blocks of 1, 2, 4, ... change places in pairs."""
-        code, own = self._code, self._code.vector(self._array.kind)
-        lanes, size, found = code.lanes, 1, list(rows)
+        code, vector_type = self._code, self._code.vector(self._array.kind)
+        lanes, size, vectors = code.lanes, 1, list(rows)
         while size < lanes:
-            paired = list(found)
+            paired = list(vectors)
             for k in (k for k in range(lanes) if not k & size):
                 low = [j if not j & size else lanes + j - size for j in range(lanes)]
                 high = [j + size if not j & size else lanes + j for j in range(lanes)]
                 for mask, place in ((low, k), (high, k + size)):
                     order = ", ".join(f"i32 {j}" for j in mask)
-                    paired[place] = code.emit(
-                        f"shufflevector {own} {found[k]}, {own} {found[k + size]}, <{lanes} x i32> <{order}>"
-                    )
-            found, size = paired, 2 * size
-        return found
+                    pair = f"{vector_type} {vectors[k]}, {vector_type} {vectors[k + size]}"
+                    paired[place] = code.emit(f"shufflevector {pair}, <{lanes} x i32> <{order}>")
+            vectors, size = paired, 2 * size
+        return vectors

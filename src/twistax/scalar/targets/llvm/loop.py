@@ -1,4 +1,4 @@
-"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations of as many bodies as a vector has lanes."""
+"""A loop of JAX, `scan` or `while_loop`, as one function: all iterations, for a vector of batch members."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from ...loops import Ring
 from ...primitives.interface import flat
 from ...program import ScalarProgram
 from .code import NAMES, Code
-from .kernel_body import Rounded, Scalars, Tile, arguments_of, by_numpy, needed_by
+from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
-#: The most operations that are put into vectors within one body: it takes LLVM twice as long.
+#: The most operations that are put into vectors within one member: it takes LLVM twice as long.
 _PACKED = 3000
 #: Of many instructions each, without a branch. Four of them gain by themselves; sixteen fill wide vectors.
 _LONG = {"exp", "expm1", "logistic", "tanh"}
@@ -24,8 +24,8 @@ _LONG = {"exp", "expm1", "logistic", "tanh"}
 _MOST = 0.75
 
 
-class Loop(Tile):
-    """Takes (count, *fixed, *state, *rows), gives (*state, *rows).
+class LoopBody(KernelBody):
+    """The kernel body of a loop: takes (count, *fixed, *state, *rows), gives (*state, *rows).
 
     The count of a scan is its length, at least one, which no kernel depends on. That of a `while_loop` bounds the
     iterations; -1: nothing does.
@@ -38,12 +38,13 @@ class Loop(Tile):
 
     def __init__(self, program: ScalarProgram, lanes: int, ring: Ring) -> None:
         self.ring = ring
-        own = arguments_of(program)
-        self._rows = own[ring.fixed + ring.state :]
-        arguments = [COUNT, *own[: ring.fixed + ring.state], *(_long(a) for a in self._rows)]
-        found = [Array(a.shape, t) for a, t in zip(program.outputs, program.types, strict=True)][ring.length is None :]
-        self._results = found[ring.state :]
-        results = [*found[: ring.state], *(_long(a) for a in self._results)]
+        inputs = arguments_of(program)
+        self._rows = inputs[ring.fixed + ring.state :]
+        arguments = [COUNT, *inputs[: ring.fixed + ring.state], *(_long(a) for a in self._rows)]
+        outputs = [Array(a.shape, t) for a, t in zip(program.outputs, program.types, strict=True)]
+        outputs = outputs[ring.length is None :]
+        self._results = outputs[ring.state :]
+        results = [*outputs[: ring.state], *(_long(a) for a in self._results)]
         states = range(ring.fixed + 1, ring.fixed + ring.state + 1)
         carried = [i for nodes in program.outputs[ring.length is None :][: ring.state] for i in flat(nodes)]
         self.packed = _width(program, carried)
@@ -56,11 +57,11 @@ class Loop(Tile):
         kinds = [NAMES[self.arguments[k + 1].dtype] for k, _ in states]
         starts = [rows[f"a{k + 1}"].read(j) for k, j in states]
         now = {place: code.name() for place in states}
-        own: dict[int, Rows] = {}
+        windows: dict[int, Rows] = {}
 
         def read(argument: int, entry: int) -> str:
-            if argument in own:
-                return own[argument].read(entry)
+            if argument in windows:
+                return windows[argument].read(entry)
             return now.get((argument, entry)) or rows[f"a{argument + 1}"].read(entry)
 
         scalars = Scalars(code, step, read)
@@ -79,13 +80,13 @@ class Loop(Tile):
         def window(name: str, array: Array) -> Rows:
             return rows[name].window([code.emit(f"mul i64 {place}, {array.size}")] * code.lanes, array)
 
-        own |= {n: window(f"a{n + 1}", a) for n, a in enumerate(self._rows, first_row) if n + 1 in self.read}
-        found = scalars.compute(step.flat)
-        after = found[ring.length is None :][: len(states)]
+        windows |= {n: window(f"a{n + 1}", a) for n, a in enumerate(self._rows, first_row) if n + 1 in self.read}
+        outputs = scalars.compute(step.flat)
+        after = outputs[ring.length is None :][: len(states)]
         following, flags = code.emit(f"add i64 {k}, 1"), list[str]()
         again = code.emit(f"icmp ult i64 {following}, {count}")
         if ring.length is None:
-            flags.append(going := code.instruction("and", "i1", live, found[0]))
+            flags.append(going := code.instruction("and", "i1", live, outputs[0]))
             after = [code.select(kind, going, new, now[p]) for kind, p, new in zip(kinds, states, after, strict=True)]
             again = code.emit(f"and i1 {again}, {code.any(going)}")
         for n, array in enumerate(self._results, ring.state):
@@ -110,18 +111,18 @@ class Loop(Tile):
         live = np.ones((len(count), 1), bool)
         for k in range(length):
             place = length - 1 - k if ring.reverse else k
-            here = [_part(a, place, own.size) for a, own in zip(longer, self._rows, strict=True)]
-            found = by_numpy(self.program, [*fixed, *state, *here], rounded)
+            here = [_part(a, place, array.size) for a, array in zip(longer, self._rows, strict=True)]
+            outputs = by_numpy(self.program, [*fixed, *state, *here], rounded)
             if ring.length is None:
-                live = live & found.pop(0)
-            state = [np.where(live, new, old) for new, old in zip(found, state, strict=False)]
-            for a, own, new in zip(rows, self._results, found[ring.state :], strict=True):
-                _part(a, place, own.size)[:] = new
+                live = live & outputs.pop(0)
+            state = [np.where(live, new, old) for new, old in zip(outputs, state, strict=False)]
+            for a, array, new in zip(rows, self._results, outputs[ring.state :], strict=True):
+                _part(a, place, array.size)[:] = new
         return [*state, *rows]
 
 
 def _width(program: ScalarProgram, carried: Sequence[int]) -> int:
-    """Bits of vectors within one body; 0 where they do not pay."""
+    """Bits of vectors within one member; 0 where they do not pay."""
     long = sum(count for name, count in program.counts().items() if name in _LONG)
     if program.operations > _PACKED:
         return 0
@@ -136,8 +137,8 @@ def _alike(program: ScalarProgram, nodes: Sequence[int]) -> bool:
         operation = g.operation(i)
         if operation is None or levels == 0:
             return []
-        own = "add" if operation.name == "sub" else operation.name
-        return sorted([own, *(name for a in g.arguments(i) for name in names(a, levels - 1))])
+        kind = "add" if operation.name == "sub" else operation.name
+        return sorted([kind, *(name for a in g.arguments(i) for name in names(a, levels - 1))])
 
     count = max(Counter(tuple(names(i, 3)) for i in nodes).values(), default=0)
     return count >= max(4, _MOST * len(nodes))

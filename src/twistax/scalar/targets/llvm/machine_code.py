@@ -14,6 +14,7 @@ from typing import Any
 import numpy as np
 
 from ....errors import ModelError
+from ....progress import watched
 
 #: The levels of x86-64 that are narrower than a processor may be: bits of a vector -> LLVM's name, and whether a b + c
 #: is one instruction: SSE2, and AVX2.
@@ -76,7 +77,7 @@ _LOCK = threading.Lock()
 
 
 class BuildError(Exception):
-    """No machine code came of it; the message says why."""
+    """Machine code could not be made; the message says why."""
 
 
 class MachineCode:
@@ -99,11 +100,11 @@ _OPTIONS: dict[str, Any] = {"reloc": "pic", "codemodel": "jitdefault", "jit": Tr
 
 
 def written_by(processor: Processor) -> str:
-    """All that machine code depends on, but for what it is compiled from."""
+    """Everything besides the compiled text on which machine code depends."""
     import llvmlite
     import llvmlite.binding as llvm
 
-    own = (
+    facts = (
         llvmlite.__version__,
         llvm.get_default_triple(),
         processor.name,
@@ -111,7 +112,7 @@ def written_by(processor: Processor) -> str:
         sorted(_OPTIONS.items()),
         LEVEL,
     )
-    return repr(own)
+    return repr(facts)
 
 
 def compiled(text: str, processor: Processor, long: bool = False, packed: bool = False) -> bytes:
@@ -126,7 +127,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
     """
     import llvmlite.binding as llvm
 
-    with _LOCK, _in_order() if long else contextlib.nullcontext():
+    with watched("compile"), _LOCK, _in_order() if long else contextlib.nullcontext():
         machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
         try:
             # A context of its own: what it keeps, each number of a text, goes with it.
@@ -137,10 +138,10 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
                 tuning.slp_vectorization = True
                 passes = llvm.create_pass_builder(machine, tuning)
                 passes.getModulePassManager().run(parsed, passes)
-            found: bytes = machine.emit_object(parsed)
+            code: bytes = machine.emit_object(parsed)
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
-        return found
+        return code
 
 
 #: The versions of LLVM with the option below. One that does not know it would end the process.
@@ -212,14 +213,14 @@ def _target_machine(processor: Processor, level: int) -> Any:
 
 
 def _address(symbol: str) -> int:
-    """Of a function of the C library. LLVM ends the process where it finds none, so it is looked up before."""
+    """The address of a function of the C library, looked up because LLVM ends the process for a missing one."""
     # Names of files are looked for, which takes time, only where the process itself has no such function.
     for name in (None, "m", "c"):
         try:
             function = getattr(ctypes.CDLL(name and ctypes.util.find_library(name)), symbol)
         except (AttributeError, OSError, TypeError):
             continue
-        found = ctypes.cast(function, ctypes.c_void_p).value
-        if found:
-            return found
+        address = ctypes.cast(function, ctypes.c_void_p).value
+        if address:
+            return address
     raise BuildError(f"the C library has no {symbol}")

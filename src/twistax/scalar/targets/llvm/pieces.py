@@ -23,7 +23,7 @@ Piece = tuple[list[int], list[tuple[int, int]]]
 
 
 class Scratch:
-    """Which nodes pass from piece to piece, and where they stand meanwhile.
+    """The nodes that pass from piece to piece, and their places in memory.
 
     Args:
         program: in the order in which it is computed.
@@ -37,9 +37,9 @@ class Scratch:
         parts = [[i for i in program.live if i in begun]]
         rest = [i for i in program.live if i not in begun and g.operation(i) is not None]
         parts += [rest[k : k + _LENGTH] for k in range(0, len(rest), _LENGTH)]
-        place = {i: number for number, own in enumerate(parts) for i in own}
+        place = {i: number for number, part in enumerate(parts) for i in part}
         outputs = [flat(nodes) for nodes in program.outputs]
-        self.pieces: list[Piece] = [(own, []) for own in parts]
+        self.pieces: list[Piece] = [(part, []) for part in parts]
         last: dict[int, int] = {}
         for i, number in place.items():
             for a in g.arguments(i):
@@ -55,9 +55,9 @@ class Scratch:
         self.size = 0
         free: list[int] = []
         ending: dict[int, list[int]] = {}
-        for number, own in enumerate(parts):
+        for number, part in enumerate(parts):
             free += ending.pop(number - 1, [])
-            for i in own:
+            for i in part:
                 if g.operation(i) is not None and last.get(i, 0) > number:
                     if not free:
                         free.append(self.size)
@@ -87,8 +87,8 @@ class Scratch:
             code.call("void", "free", ("ptr", memory))
 
 
-class Values(dict[int, str]):
-    """The values of nodes in one piece: those of earlier ones are read where they are first needed."""
+class PieceValues(dict[int, str]):
+    """The values of nodes in one piece; those of earlier pieces are loaded where they are first needed."""
 
     def __init__(self, code: Code, scratch: Scratch) -> None:
         super().__init__()
@@ -100,7 +100,7 @@ class Values(dict[int, str]):
         return value
 
     def keep(self, nodes: Sequence[int]) -> None:
-        """Write what later pieces need of these."""
+        """Store the values that later pieces need."""
         for i in nodes:
             if i in self._scratch.slots:
                 kind, place = self._scratch.at(self._code, i)
@@ -108,5 +108,5 @@ class Values(dict[int, str]):
 
 
 def in_pieces(program: ScalarProgram) -> bool:
-    """Whether a program is long enough."""
+    """Whether a program is long enough to be split."""
     return program.operations >= _LONG

@@ -1,4 +1,4 @@
-"""A tile of one lane as a kernel for CUDA devices: a thread for each row, in PTX, which the driver assembles.
+"""A kernel body of one lane as a kernel for CUDA devices: a thread for each row, in PTX, which the driver assembles.
 
 PTX of a capability runs on all devices with that one or a higher one (NVIDIA, PTX ISA, section 2).
 """
@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 
 from .code import Module
-from .kernel_body import RowFunction
+from .kernel_body import BatchFunction
 from .machine_code import BuildError, Processor
 
 #: What the entry of the kernel is called.
@@ -46,15 +46,11 @@ done:
 ret void
 }}"""
 
-#: Where the row of a thread begins: rows one after the other; or entry by entry, where one row that all share has the
-#: distance one.
-_BY_ROWS = "%{name}.place = mul i64 %row, %{name}.stride"
-_BY_COLUMNS = """%{name}.all = icmp eq i64 %{name}.stride, %rows
-%{name}.place = select i1 %{name}.all, i64 %row, i64 0"""
-
-#: The row of a thread, as a pointer of which LLVM knows that it is one to global memory.
+#: The row of a thread, as a pointer that LLVM knows to be one to global memory. Arrays are stored by columns, so that
+#: the threads of a warp read neighbouring entries; a row that all threads share has the stride one.
 _ROW = """%{name}.global = addrspacecast ptr %{name} to ptr addrspace(1)
-{place}
+%{name}.all = icmp eq i64 %{name}.stride, %rows
+%{name}.place = select i1 %{name}.all, i64 %row, i64 0
 %{name}.there = getelementptr {stored}, ptr addrspace(1) %{name}.global, i64 %{name}.place
 %{name}.row = addrspacecast ptr addrspace(1) %{name}.there to ptr"""
 
@@ -65,20 +61,18 @@ def device(capability: tuple[int, int]) -> Processor:
     return Processor(f"sm_{major}{minor}", _VERSION, 64, True, False, _TRIPLE)
 
 
-def write_kernel(module: Module, tile: RowFunction) -> None:
-    """Adds a tile of one lane, and the kernel that takes pointers to all its arrays, their strides, and the rows."""
-    tile.write(module)
-    # The tile becomes part of the kernel, where LLVM sees to what memory its pointers point.
+def write_kernel(module: Module, body: BatchFunction) -> None:
+    """Add a kernel body of one lane, and its kernel, which takes pointers to all arrays, their strides and the rows."""
+    module.by_columns = True
+    body.write(module)
+    # The kernel body becomes part of the kernel, where LLVM sees to what memory its pointers point.
     module.functions["tile"] = module.functions["tile"].replace(" #0 {", " alwaysinline nounwind {")
     module.declarations |= {f"declare i32 @llvm.nvvm.read.ptx.sreg.{name}.x()" for name in _INDICES}
-    names, place = list(tile.arrays), _BY_COLUMNS if tile.by_columns else _BY_ROWS
+    names = list(body.arrays)
     module.functions[ENTRY] = _ENTRY.format(
         name=ENTRY,
         heads=", ".join([f"ptr noalias %{name}" for name in names] + [f"i64 %{name}.stride" for name in names]),
-        rows="\n".join(
-            _ROW.format(name=name, stored=array.stored, place=place.format(name=name))
-            for name, array in tile.arrays.items()
-        ),
+        rows="\n".join(_ROW.format(name=name, stored=array.stored) for name, array in body.arrays.items()),
         passed="".join(f", ptr %{name}.row, i64 %{name}.stride" for name in names),
     )
 

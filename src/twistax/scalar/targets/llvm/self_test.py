@@ -1,4 +1,4 @@
-"""Whether a kernel does what its program says: asked once, before anything relies on it."""
+"""The self-test of a kernel: its results against those of NumPy, once, before anything relies on it."""
 
 from __future__ import annotations
 
@@ -26,42 +26,43 @@ _CALLED: set[str] = set()
 
 
 def check_kernel(kernel: Kernel) -> None:
-    """Computes rows of a tile at random, one more than a vector has lanes; compares, the first time through JAX too.
+    """Compare a kernel with NumPy on random rows; the first time on a platform in a process also through JAX.
 
     Once for each kernel: what was seen to be right is kept, also for other processes.
 
     Raises:
         BuildError: they differ.
     """
-    tile = kernel.tile
-    if kernel.lease.checked:
+    body = kernel.body
+    if kernel.handle.checked:
         return
     random = np.random.default_rng(0)
     # What reads no arguments gives one row by itself.
-    rows = kernel.checked_rows if tile.read else 1
-    arguments = tile.exercised([_drawn(random, (rows, math.prod(a.of_length(tile.tried))), a) for a in tile.arguments])
-    expected, beside = tile.plain(arguments), [tile.plain([_moved(a) for a in arguments])]
-    found = kernel.run([arguments[k] for k in tile.read], tile.tried)
+    rows = kernel.checked_rows if body.read else 1
+    arguments = body.exercised([_drawn(random, (rows, math.prod(a.of_length(body.tried))), a) for a in body.arguments])
+    expected, nearby = body.plain(arguments), [body.plain([_moved(a) for a in arguments])]
+    results = kernel.run([arguments[k] for k in body.read], body.tried)
 
     def agrees() -> bool:
-        own = zip(tile.written, found, strict=True)
-        return all(_agree(values, expected[k], [each[k] for each in beside]) for k, values in own)
+        pairs = zip(body.written, results, strict=True)
+        return all(_agree(values, expected[k], [near[k] for near in nearby]) for k, values in pairs)
 
     if not agrees():
         # Of nearly singular constants the arguments, moved once, may say nothing: each operation is moved.
-        beside += [tile.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
+        nearby += [body.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
         if not agrees():
             raise BuildError("its results differ from those of NumPy")
     if kernel.platform not in _CALLED:
         with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend=kernel.platform)[0]):
-            shapes = ((rows, *a.of_length(tile.tried)) for a in tile.arguments)
+            shapes = ((rows, *a.of_length(body.tried)) for a in body.arguments)
             shaped = [a.reshape(shape) for a, shape in zip(arguments, shapes, strict=True)]
-            called = jax.jit(lambda *values: kernel(rows, *values, length=tile.tried))(*shaped)
-        for k, own in zip(tile.written, found, strict=True):
-            if not np.array_equal(np.asarray(called[k]).reshape(own.shape), own, equal_nan=own.dtype.kind == "f"):
-                raise BuildError("JAX calls it otherwise than expected")
+            called = jax.jit(lambda *values: kernel(rows, *values, length=body.tried))(*shaped)
+        for k, result in zip(body.written, results, strict=True):
+            by_jax = np.asarray(called[k]).reshape(result.shape)
+            if not np.array_equal(by_jax, result, equal_nan=result.dtype.kind == "f"):
+                raise BuildError("its results differ where JAX calls it")
         _CALLED.add(kernel.platform)
-    kernel.lease.keep()
+    kernel.handle.keep()
 
 
 def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> NDArray[Any]:
@@ -70,26 +71,26 @@ def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> 
 
 
 def _moved(values: NDArray[Any]) -> NDArray[Any]:
-    """The next numbers: how far results move by that tells how much rounding may do."""
+    """The next larger floating-point numbers: the change of the results shows the effect of rounding."""
     return np.nextafter(values, np.inf, dtype=values.dtype) if values.dtype.kind == "f" else values
 
 
 def _rounded(random: np.random.Generator, values: NDArray[Any]) -> NDArray[Any]:
-    """The next numbers, above or below."""
+    """The next larger or smaller floating-point numbers, at random."""
     if values.dtype.kind != "f":
         return values
     return np.nextafter(values, random.choice([-np.inf, np.inf], values.shape), dtype=values.dtype)
 
 
-def _agree(own: NDArray[Any], other: NDArray[Any], beside: Sequence[NDArray[Any]]) -> bool:
-    if own.dtype.kind != "f":
+def _agree(values: NDArray[Any], expected: NDArray[Any], nearby: Sequence[NDArray[Any]]) -> bool:
+    if values.dtype.kind != "f":
         # A comparison of nearly equal numbers may fall either way.
-        return bool(np.mean(own == other) >= 0.5)
-    finite = np.isfinite(other) & np.all(np.isfinite(beside), axis=0)
+        return bool(np.mean(values == expected) >= 0.5)
+    finite = np.isfinite(expected) & np.all(np.isfinite(nearby), axis=0)
     if not finite.any():
         return True
-    size = np.max(np.abs(other[finite]), initial=_LEAST) * _TOLERANCE[own.dtype]
-    moved = np.max([np.abs(near[finite] - other[finite]) for near in beside], axis=0)
-    own, other = own[finite], other[finite]
+    size = np.max(np.abs(expected[finite]), initial=_LEAST) * _TOLERANCE[values.dtype]
+    moved = np.max([np.abs(near[finite] - expected[finite]) for near in nearby], axis=0)
+    values, expected = values[finite], expected[finite]
     with np.errstate(invalid="ignore"):  # what is infinite where it should not be does not agree
-        return bool(np.mean(np.abs(own - other) <= size + 1e3 * moved) >= 0.9)
+        return bool(np.mean(np.abs(values - expected) <= size + 1e3 * moved) >= 0.9)

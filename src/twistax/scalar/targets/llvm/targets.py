@@ -1,4 +1,4 @@
-"""Where kernels run: what makes them of tiles on each platform of JAX."""
+"""The targets of kernels: what makes a kernel of a kernel body on each platform of JAX."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ....jax_inside import backends
 from ...program import ScalarProgram
 from .cuda_kernel import CudaKernel
 from .kernel import HostKernel, Kernel
-from .kernel_body import Tile
+from .kernel_body import KernelBody
 from .machine_code import Processor
 
 
@@ -24,13 +24,13 @@ class Target(ABC):
 
     @abstractmethod
     def kernel(
-        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
-        """The kernel of a tile.
+        """The kernel of a kernel body.
 
         Args:
-            kind: the tile, made of a program in its native form, the lanes, and more.
-            single: whether it is for one body.
+            kind: the body, made of a program in its native form, the lanes, and more.
+            single: whether it is for one member.
             threads: of the processor, at most; None: all.
         Raises:
             ImportError: llvmlite is not installed.
@@ -39,26 +39,26 @@ class Target(ABC):
 
 
 class Host(Target):
-    """This processor: as many bodies side by side as a vector has lanes."""
+    """This processor: as many members side by side as a vector has lanes."""
 
     present = True
 
     def kernel(
-        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         processor = Processor.host()
         return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
 
 
 class Cuda(Target):
-    """Devices of CUDA: a thread for each body."""
+    """Devices of CUDA: a thread for each member."""
 
     @property
     def present(self) -> bool:
         return "cuda" in backends()
 
     def kernel(
-        self, kind: type[Tile], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
         return CudaKernel(kind(form, 1, *more))
 

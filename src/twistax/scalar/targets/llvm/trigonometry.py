@@ -50,12 +50,12 @@ _QUARTER_TURN = Fraction(0x1921FB54442D18469898CC51701B839A252049C1114CF98E, 2**
 
 def _pieces(count: int, bits: int) -> list[float]:
     """Numbers of so many bits whose sum is pi / 2. None is negative, or sin(-0.0) would lose its sign."""
-    rest, found = _QUARTER_TURN, []
+    rest, pieces = _QUARTER_TURN, []
     for _ in range(count):
         unit = Fraction(2) ** (math.frexp(float(rest))[1] - bits)
-        found.append(float(rest // unit * unit))
-        rest -= Fraction(found[-1])
-    return found
+        pieces.append(float(rest // unit * unit))
+        rest -= Fraction(pieces[-1])
+    return pieces
 
 
 #: With one rounding in a b + c, k times a piece need not be exact.
@@ -66,16 +66,17 @@ _EXACT = _pieces(6, 23)
 
 def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tuple[str, ...]]:
     """The values of sin x and cos x of several angles: one branch for all, in case that one of them is far."""
-    own, vector = computed_in(code, kind), code.vector(kind)
-    largest = code.constant(kind, LARGEST if own is DOUBLE else _LARGEST_SINGLE)
+    precision, vector_type = computed_in(code, kind), code.vector(kind)
+    largest = code.constant(kind, LARGEST if precision is DOUBLE else _LARGEST_SINGLE)
     near: list[tuple[str, ...]] = []
     far: list[str] = []
     for x in angles:
         # Not "greater": so that NaN is among them.
-        far.append(code.emit(f"fcmp ugt {vector} {code.intrinsic('fabs', kind, x)}, {largest}"))
-        pair = _near(code, own, x if kind == own.kind else code.convert("fpext", kind, own.kind, x))
-        if kind != own.kind:
-            pair = tuple(code.convert("fptrunc", own.kind, kind, value) for value in pair)
+        size = code.intrinsic("fabs", kind, x)
+        far.append(code.emit(f"fcmp ugt {vector_type} {size}, {largest}"))
+        pair = _near(code, precision, x if kind == precision.kind else code.convert("fpext", kind, precision.kind, x))
+        if kind != precision.kind:
+            pair = tuple(code.convert("fptrunc", precision.kind, kind, value) for value in pair)
         near.append(pair)
     return _with_far(code, kind, angles, near, far)
 
@@ -133,11 +134,11 @@ def _with_far(
         for x, pair, mask in zip(angles, near, far, strict=True)
     ]
     code.lines += [f"br label %{after}", f"{after}:"]
-    own = code.vector(kind)
+    vector_type = code.vector(kind)
     return [
         tuple(
-            code.emit(f"phi {own} [ {value}, %{here} ], [ {other}, %{beyond} ]")
-            for value, other in zip(values, others, strict=True)
+            code.emit(f"phi {vector_type} [ {value}, %{here} ], [ {other}, %{beyond} ]")
+            for value, other in zip(values, exact_values, strict=True)
         )
-        for values, others in zip(near, exact, strict=True)
+        for values, exact_values in zip(near, exact, strict=True)
     ]

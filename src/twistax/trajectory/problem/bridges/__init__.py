@@ -1,1 +1,1 @@
-"""Maps of a statement to one that the transcription knows, and of its solution back."""
+"""Bridges: maps of a statement to a simpler one that the transcription knows, and of its solution back."""

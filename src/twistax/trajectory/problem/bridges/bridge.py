@@ -21,7 +21,7 @@ _NOTHING = 1e-4
 
 
 class Statement(NamedTuple):
-    """What a phase asks for.
+    """The statement of a phase: system, objective, conditions and parameters.
 
     Attributes:
         dynamics, objective: as they are before a bridge.
@@ -40,7 +40,7 @@ class Statement(NamedTuple):
         return max(self.rows)
 
     def substituted(self, put: Callable[[Expr, bool], Expr]) -> Statement:
-        """With other expressions in objective and constraints.
+        """A copy with substituted expressions in objective and constraints.
 
         Args:
             put: gives another expression for one; its second argument says whether that is of the last node.
@@ -103,7 +103,7 @@ def extended(
 
 @dataclasses.dataclass
 class Path:
-    """States and controls at nodes, or over intervals, on their way through the bridges.
+    """States and controls at nodes, or over intervals, which bridges transform.
 
     Attributes:
         ts: (nodes,) times.
@@ -119,7 +119,7 @@ class Path:
     sizes: Mapping[str, Array] = dataclasses.field(default_factory=dict)
 
     def sized(self, side: float = 1.0) -> Path:
-        """The same path, in which controls that are nearly zero have their typical sizes, or the opposites of these."""
+        """A copy in which controls close to zero have their typical sizes, or the negatives of these."""
         sizes = {name: side * size for name, size in self.sizes.items()}
         return dataclasses.replace(self, xs=_sized(self.xs, sizes), us=_sized(self.us, sizes))
 

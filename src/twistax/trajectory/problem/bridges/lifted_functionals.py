@@ -39,7 +39,7 @@ from .bridge import Bridge, Path, Statement, extended
 
 @dataclasses.dataclass(frozen=True)
 class InPhase:
-    """What a phase knows of the problem that it is a part of.
+    """The facts about the whole problem that a phase needs.
 
     Attributes:
         name: which parameters of extremes have in front.
@@ -102,12 +102,15 @@ class LiftedFunctionals(Bridge):
         self.free = {name: (None, None) for _, name in self.extremes.values()}
 
     def _smooth_bounds(self, controls: Mapping[str, Spline]) -> dict[str, Spline]:
-        """Bounds on norms of continuous controls are linear in time."""
-        return {
-            name: Linear()
-            for name, part in self.bounds.items()
-            if any(isinstance(leaf, Control) and leaf.name in controls for leaf in leaves_of(part))
-        }
+        """Bounds on norms of continuous controls are as smooth as these."""
+        splines = dict[str, Spline]()
+        for name, part in self.bounds.items():
+            degrees = [
+                controls[e.name].degree for e in leaves_of(part) if isinstance(e, Control) and e.name in controls
+            ]
+            if degrees:
+                splines[name] = Spline(max(degrees)) if max(degrees) > 1 else Linear()
+        return splines
 
     def complete(self, guess: Path) -> None:
         known = {name: guess.xs[s.name] for name, s in self.starts.items() if self._within.first}

@@ -136,7 +136,7 @@ def is_free(soft: Soft) -> bool:
 
 
 class PathBounds(Bridge):
-    """Controls beside those of the system: bounds of norms in the running cost, and slacks of soft constraints.
+    """Additional controls: bounds of norms in the running cost, and slacks of soft constraints.
 
     Args:
         statement: after all other bridges.
@@ -181,7 +181,7 @@ class PathBounds(Bridge):
         return [((side * residual - slack).canonicalize(), False) for side in sides]
 
     def columns(self, guess: Path, phase: Any) -> list[Array]:
-        """Values of what is added, (intervals, entries) each.
+        """Values of the additional controls, (intervals, entries) each.
 
         Bounds are a little above what they bound. A slack is the same all along, for the guess is none of the
         violations of an optimum.

@@ -1,14 +1,12 @@
 """The Delta III ascent in four phases, and a step of a five-link biped."""
 
-from __future__ import annotations
-
 import math
 from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from ..statement import Foreign, Phased, Points, Var
+from .statement import Foreign, Phased, Points, Var
 
 # ---- Delta III: lengths in radii of the Earth, speeds in circular ones, masses in those at lift-off ------------------
 
@@ -169,9 +167,9 @@ def _landed(x: Any, m: Any, first: Any) -> list[Any]:
     q, w = _each(x, "q"), _each(x, "w")
     after = _each(first, "w")[::-1]
     change, foot, push = [a - b for a, b in zip(after, w, strict=True)], [x.sx, x.sy], [x.lx, x.ly]
-    ways = [(-m.cos(angle), -m.sin(angle)) for angle in q]
+    directions = [(-m.cos(angle), -m.sin(angle)) for angle in q]
     moved = lambda coefficients, values, axis: sum(  # noqa: E731
-        float(coefficients[k]) * ways[k][axis] * values[k] for k in _LINKS if coefficients[k]
+        float(coefficients[k]) * directions[k][axis] * values[k] for k in _LINKS if coefficients[k]
     )
     rows = [a - b for a, b in zip(_each(first, "q"), q[::-1], strict=True)]
     rows += [sum(-float(_TO_FOOT[k]) * m.sin(q[k]) for k in _LINKS if _TO_FOOT[k]) - _STEP]
@@ -181,7 +179,7 @@ def _landed(x: Any, m: Any, first: Any) -> list[Any]:
     heavy = _inertial(m, q, change)
     for j in _LINKS:
         lever, arm = float(_LEVER[j]), float(_TO_FOOT[j])
-        rows.append(heavy[j] + sum((lever * foot[i] - arm * push[i]) * ways[j][i] for i in (0, 1)))
+        rows.append(heavy[j] + sum((lever * foot[i] - arm * push[i]) * directions[j][i] for i in (0, 1)))
     return rows
 
 
