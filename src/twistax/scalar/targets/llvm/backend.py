@@ -30,7 +30,7 @@ from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
 from .loop import LoopBody
 from .machine_code import BuildError
 from .self_test import check_kernel
-from .targets import TARGETS
+from .targets import TARGETS, notes, on_all_platforms
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
 #: read it from the cache.
@@ -138,7 +138,8 @@ class Native(Backend):
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        if not installed():
+        # Where there are no kernels a step written out whole compiles for long and runs no faster.
+        if not installed() or not on_all_platforms():
             return None
         closed = pure(step, shapes)
         if closed is None:
@@ -164,7 +165,9 @@ class Native(Backend):
             _FORMS[program] = form
         if not form.operations:
             return Derived(program, None, self), "numbers are moved, nothing is computed"
-        reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        reason = (
+            f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}{notes()}"
+        )
         return Derived(program, None, self), reason
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:

@@ -8,10 +8,12 @@ from typing import Any
 
 from ....jax_inside import backends
 from ...program import ScalarProgram
+from .cuda import driver
 from .cuda_kernel import CudaKernel
 from .kernel import HostKernel, Kernel
 from .kernel_body import KernelBody
-from .machine_code import Processor
+from .machine_code import BuildError, Processor
+from .ptx import libdevice
 
 
 class Target(ABC):
@@ -21,6 +23,11 @@ class Target(ABC):
     @abstractmethod
     def present(self) -> bool:
         """Whether this process has devices of it. Programs may be lowered for others: those run as XLA has them."""
+
+    @property
+    @abstractmethod
+    def note(self) -> str:
+        """How native programs run here, for `explain`; empty on the processor, where that needs no words."""
 
     @abstractmethod
     def kernel(
@@ -41,7 +48,7 @@ class Target(ABC):
 class Host(Target):
     """This processor: as many members side by side as a vector has lanes."""
 
-    present = True
+    present, note = True, ""
 
     def kernel(
         self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
@@ -57,6 +64,15 @@ class Cuda(Target):
     def present(self) -> bool:
         return "cuda" in backends()
 
+    @property
+    def note(self) -> str:
+        try:
+            major, minor = driver().capability
+        except BuildError as error:
+            return f"as XLA has them on CUDA devices: {error}"
+        rest = "" if libdevice() else ", but by XLA where they call the C library: libdevice.10.bc is not installed"
+        return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
+
     def kernel(
         self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
     ) -> Kernel:
@@ -65,3 +81,13 @@ class Cuda(Target):
 
 #: By the names that JAX has for platforms.
 TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
+
+
+def on_all_platforms() -> bool:
+    """Whether kernels can be made for all platforms of this process."""
+    return all(name in TARGETS for name in backends())
+
+
+def notes() -> str:
+    """How native programs run on the devices of this process."""
+    return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
