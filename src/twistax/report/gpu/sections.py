@@ -223,7 +223,7 @@ def arms() -> Rows:
         "Jacobian of it": (cases.slopes, 1),
         "200 steps in a scan": (cases.steps_in_scan, 200),
     }
-    runs = [("ABA of the Panda", KERNELS, BATCH), ("ABA of the Panda", KERNELS, LARGE)]
+    runs: list[tuple[str, Any, int]] = [("ABA of the Panda", KERNELS, BATCH), ("ABA of the Panda", KERNELS, LARGE)]
     runs += [("100 calls in a jit", KERNELS, BATCH), ("100 calls in a jit", KERNELS, LARGE)]
     runs += [("Jacobian of it", KERNELS, BATCH), ("200 steps in a scan", KERNELS, BATCH)]
     runs += [("ABA of the Panda", BY_XLA, BATCH), ("ABA of the Panda", BY_XLA, LARGE)]

@@ -165,10 +165,8 @@ class Native(Backend):
             _FORMS[program] = form
         if not form.operations:
             return Derived(program, None, self), "numbers are moved, nothing is computed"
-        reason = (
-            f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}{notes()}"
-        )
-        return Derived(program, None, self), reason
+        reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
+        return Derived(program, None, self), reason + notes()
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
