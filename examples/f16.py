@@ -29,7 +29,7 @@ jax.config.update("jax_enable_x64", True)
 CENTRE = 25.0  # of mass, in percent of the chord
 PILOT = dict.fromkeys(("throttle", "longStk", "latStk", "pedal"), 0.0)
 
-#: The air that simulation 05 flies in: with these constants its density, pressure and speed of sound come out to 3e-13.
+#: The air of simulation 05: these constants reproduce its density, pressure and speed of sound to 3e-13.
 AIR_OF_05 = dataclasses.replace(
     US1976,
     pressure_at_base=float(2116.22 * pounds_force / feet**2),
@@ -41,7 +41,7 @@ PLANETS = {"standard": EARTH, "05": dataclasses.replace(EARTH, air=AIR_OF_05)}
 
 @dataclasses.dataclass(frozen=True)
 class Case:
-    """A case: its start, and what the autopilot is told before and from a time on.
+    """A case: its start, and the commands of its autopilot before and after a time.
 
     Attributes:
         folder: of the published trajectories.
@@ -161,7 +161,7 @@ def aircraft(folder: Path, planet: flight.Planet, navigator: bool = False) -> tu
 
 
 def commands(case: Case) -> dict[str, tuple[float, float]]:
-    """What the autopilot is told, before and after the step: to go on as at the start, but for the case's own."""
+    """The commands of the autopilot before and after the step: those of the start, but for the changes of the case."""
     names = {
         "altitude": case.place[2],
         "airspeed": 287.98,

@@ -63,11 +63,11 @@ if (
 ):
     raise SystemExit("the runner leaves the picture")
 
-figure, axes = plt.subplots(figsize=(6.0, 3.0), layout="constrained")
-axes.plot(times, angle, label="angle off the axis, deg")
-axes.plot(times, 10.0 * distance, label="distance, dm")
-for limit in (np.rad2deg(HALF), 10.0 * NEAR, 10.0 * FAR):
-    axes.axhline(limit, color="0.6", linestyle="--", linewidth=0.9)
-axes.set(xlabel="time, s")
-axes.legend(frameon=False)
+figure, both = plt.subplots(1, 2, figsize=(8.0, 3.0), layout="constrained")
+curves = ((angle, "angle off the axis, deg", [np.rad2deg(HALF)]), (distance, "distance, m", [NEAR, FAR]))
+for axes, (values, name, limits) in zip(both, curves):
+    axes.plot(times, values)
+    for limit in limits:
+        axes.axhline(limit, color="0.6", linestyle="--", linewidth=0.9)
+    axes.set(xlabel="time, s", ylabel=name)
 figure.savefig("filming.png", dpi=100)

@@ -35,7 +35,7 @@ for method in (tx.RKMK(tx.tableaus.RK4), diffrax.Dopri8()):
     replay = result.replay(method)
     end = {name: values[-1] for name, values in replay.xs.items()}
     print(f"{type(method).__name__}: {np.linalg.norm(end['g'][:3, 3]):.4f} m off the pad,", end=" ")
-    print(f"at {np.linalg.norm(end['V'][:3]):.4f} m/s; largest violation of a limit on the way:", end=" ")
+    print(f"at {np.linalg.norm(end['V'][:3]):.4f} m/s; largest violation of a limit:", end=" ")
     worst = max(replay.violations, key=replay.violations.__getitem__)
     print(f"{worst}, by {replay.violations[worst]:.2g}")
 

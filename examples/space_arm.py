@@ -33,7 +33,7 @@ momentum = np.asarray(jax.vmap(lambda t, x: dynamics.outputs(t, x, motors)["mome
 trace = np.trace(sol.xs["hull_position"][:, :3, :3], axis1=1, axis2=2)
 turn = np.degrees(np.arccos(np.clip(0.5 * (trace - 1.0), -1.0, 1.0)))
 print(f"the satellite has turned by {turn[-1]:.2f} degrees")
-print(f"largest momentum on the way: {np.max(np.abs(momentum)):.1e} N s and N m s")
+print(f"largest momentum: {np.max(np.abs(momentum)):.1e} N s and N m s")
 if not np.max(np.abs(momentum)) < 1e-10:
     raise SystemExit("motors between its own bodies cannot change the momentum of the whole")
 

@@ -34,10 +34,10 @@ for name, end in (("body", body_end), ("world", world_end)):
         raise SystemExit("the integration is off")
 
 times = np.linspace(0.0, 2.0, 41)
-figure, axes = plt.subplots(figsize=(4.2, 3.4), layout="constrained")
+figure, axes = plt.subplots(figsize=(6.0, 3.6), layout="constrained")
 for name, dynamics in (("body", in_body), ("world", in_world)):
     path = tx.integrate(dynamics, start, t1=2.0, dt=0.05, u=u, save_at=times).xs["g"][:, :2, 3]
     axes.plot(path[:, 0], path[:, 1], ".-", markersize=3, label=f"twist in the {name} frame")
 axes.set(xlabel="x, m", ylabel="y, m", aspect="equal")
-axes.legend(frameon=False)
+axes.legend(frameon=False, loc="upper left", bbox_to_anchor=(1.0, 1.0))
 figure.savefig("spatial_velocity.png", dpi=100)

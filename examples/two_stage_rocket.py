@@ -31,7 +31,7 @@ END = 200.0
 burned = tx.State("burned")  # kg of fuel of the stage
 firing = tx.Parameter("firing", shape=(2,), value=[0.0, 0.0])
 staged, capacity = tx.Parameter("staged", value=0.0), tx.Parameter("capacity", value=CAPACITY["first"])
-#: kg/s, times the inertia that a kilogram takes along: how fast the inertia is said to change.
+#: kg/s, times the inertia that a kilogram takes along: the rate of the inertia.
 shrinking = tx.Parameter("shrinking", value=0.0)
 
 

@@ -9,7 +9,7 @@ from twistax.scalar.loops import Repeated
 
 
 def _compiled(dynamics: tx.Dynamics, kind: type[Any]) -> list[Any]:
-    return [made for made in dynamics._functions.steps.values() if isinstance(made, kind)]
+    return [made for made in dynamics.functions.steps.values() if isinstance(made, kind)]
 
 
 def kernels_of_equal_steps(dynamics: tx.Dynamics) -> list[KernelSteps]:

@@ -1,6 +1,7 @@
 """The house: each layer imports only the layers below it; importing changes nothing and stays light."""
 
 import ast
+import graphlib
 import re
 import subprocess
 import sys
@@ -88,6 +89,44 @@ def test_the_check_sees_an_upward_import(tmp_path: Path, monkeypatch: pytest.Mon
     assert len(upward_imports(bad)) == 3
 
 
+def imports(source: Path) -> dict[str, set[str]]:
+    """For each module the modules of the package that it imports, lazily or for types too; packages around it aside."""
+    modules = {}
+    for path in source.rglob("*.py"):
+        parts = path.relative_to(source).with_suffix("").parts
+        modules[parts[:-1] if parts[-1] == "__init__" else parts] = path
+    graph: dict[str, set[str]] = {}
+    for module, path in modules.items():
+        package = module if path.name == "__init__.py" else module[:-1]
+        below = graph.setdefault(".".join(module), set())
+        for node in ast.walk(ast.parse(path.read_text())):
+            if not isinstance(node, ast.ImportFrom):
+                continue
+            stem = tuple(node.module.split(".")) if node.module else ()
+            if node.level:
+                stem = (*package[: len(package) - node.level + 1], *stem)
+            elif stem[0] != "twistax":
+                continue
+            else:
+                stem = stem[1:]
+            for alias in node.names:
+                target = (*stem, alias.name) if (*stem, alias.name) in modules else stem
+                if target != module[: len(target)]:
+                    below.add(".".join(target))
+    return graph
+
+
+def test_no_imports_go_round_in_circles() -> None:
+    graphlib.TopologicalSorter(imports(SOURCE)).prepare()  # raises a CycleError that names a circle
+
+
+def test_the_check_sees_a_circle_of_lazy_imports(tmp_path: Path) -> None:
+    (tmp_path / "a.py").write_text("def f():\n    from .b import g\n")
+    (tmp_path / "b.py").write_text("from typing import TYPE_CHECKING\nif TYPE_CHECKING:\n    from . import a\n")
+    with pytest.raises(graphlib.CycleError, match="'a'"):
+        graphlib.TopologicalSorter(imports(tmp_path)).prepare()
+
+
 def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
@@ -102,6 +141,7 @@ def loaded_by(statement: str) -> set[str]:
 HEAVY = (
     "diffrax",
     "equinox",
+    "jaxtyping",
     "scipy",
     "matplotlib",
     "llvmlite",
@@ -134,7 +174,7 @@ def test_import_loads_the_language_alone() -> None:
     loaded = loaded_by("from twistax import progress")
     heavy = [*HEAVY, *(f"twistax.{layer}" for layer in LAYERS_ABOVE)]
     assert [name for name in loaded if any(f"{name}.".startswith(f"{each}.") for each in heavy)] == []
-    assert len([name for name in loaded if name.split(".")[0] == "twistax"]) < 68
+    assert len([name for name in loaded if name.split(".")[0] == "twistax"]) < 72
 
 
 def test_what_is_loaded_later_is_what_type_checkers_see() -> None:
@@ -249,5 +289,5 @@ def test_types_and_shapes_are_checked_while_tests_run(monkeypatch: pytest.Monkey
     monkeypatch.setattr(so3, "rigid_polynomial", lambda *_: jnp.zeros((2, 2)))
     with pytest.raises(jaxtyping.TypeCheckError):
         so3.exp(jnp.zeros(3))
-    elsewhere = [path for path in SOURCE.rglob("*.py") if path.parent.name != "groups"]
-    assert [path for path in elsewhere if "from jaxtyping" in path.read_text()] == []
+    annotating = [path.name for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text()]
+    assert annotating == ["annotations.py"]

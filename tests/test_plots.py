@@ -116,7 +116,7 @@ def test_labels_of_a_system_are_checked_and_saved(tmp_path: Path) -> None:
     assert system.labels == {"x": (("cart", "m"), ("pole", "rad")), "u": (("motor", "N"),)}
     tx.compile(system).save(tmp_path / "cart.twistax")
     assert tx.load(tmp_path / "cart.twistax").system.labels == system.labels
-    for wrong in ({"y": [("a", "m")]}, {"x": [("a", "m")]}, {"x": [("a", 1), ("b", 2)]}):
+    for wrong in ({"y": [("a", "m")]}, {"x": [("a", "m")]}, {"x": [("a", "m", "x"), ("b", "m")]}):
         with pytest.raises(tx.ModelError, match="labels"):
             tx.System(rates={x: tx.Concat(x[1], u)}, labels=wrong)
 

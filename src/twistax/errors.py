@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import contextlib
-import sys
+import inspect
 from collections.abc import Iterator
 from types import FrameType
 from typing import ClassVar
@@ -54,7 +54,7 @@ class TwistaxError(Exception):
 
 def _page_of_caller() -> str | None:
     """The page of the part that makes an error: of the innermost frame that belongs to one."""
-    frame: FrameType | None = sys._getframe(2)
+    frame: FrameType | None = inspect.currentframe()
     while frame is not None:
         module = frame.f_globals.get("__name__", "")
         if module.startswith("twistax.") and not module.startswith(_EVERYWHERE):

@@ -406,7 +406,7 @@ def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:
     return contextlib.nullcontext() if _set_xla_metadata is None else _set_xla_metadata(**attributes)
 
 
-# ---- diffrax and Equinox, imported when asked for --------------------------------------------------------------------
+# ---- diffrax and Equinox, imported when needed -----------------------------------------------------------------------
 
 
 def batched_branches_transpose() -> bool:

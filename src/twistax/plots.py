@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from typing import Any, NamedTuple, TypeAlias
 
@@ -142,7 +143,8 @@ def chosen(names: Sequence[Any], there: Iterable[str], units: Mapping[str, str] 
     several = (
         names[0] if len(names) == 1 and isinstance(names[0], Sequence) and not isinstance(names[0], str) else names
     )
-    wanted, known = [getattr(name, "name", name) for name in several], list(dict.fromkeys(there))
+    wanted = [str(getattr(name, "name", name)) for name in several]
+    known = list(dict.fromkeys(there))
     wrong = [name for name in [*wanted, *(units or {})] if name not in known]
     if wrong:
         raise InputError(f"plot: unknown name {wrong[0]!r}; there are: {listed(known, str(wrong[0]))}")
@@ -218,7 +220,7 @@ def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | N
     for axes in places[count:]:
         axes.remove()
     if title:
-        figure.suptitle(title)
+        figure.suptitle(textwrap.fill(title, 50 * across), fontsize="medium")
     return figure
 
 

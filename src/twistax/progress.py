@@ -127,7 +127,7 @@ class Progress:
             if self._logs:
                 LOGGER.info(line)
             else:
-                # On a terminal what is printed next goes over a live line.
+                # On a terminal the next text overwrites a live line.
                 begin, end = ("\r\033[K" if self._live else ""), ("\r" if live else "\n")
                 print(f"{begin}{line}", end=end, file=self._stream, flush=True)
         self._written, self._standing = time.perf_counter(), live

@@ -38,6 +38,11 @@ def adaptive(**options):
     return decays(**({"dt": None, "rtol": 1e-6} | options))
 
 
+def free(**options):
+    """The body with tolerances, with other options."""
+    return turn(**({"dt": None, "rtol": 1e-6} | options))
+
+
 @functools.cache
 def made():
     return tx.simulator(decay(), DECAY, t1=1.0, dt=0.5)
@@ -78,6 +83,13 @@ ROWS = [
     bad("an infinite start", lambda: decays(x0=DECAY | {"v": [1.0, np.inf, 0.0]}), "x0['v']", "inf"),
     bad("a pose that is none", lambda: turn(x0=AT_REST | {"g": 2.0 * np.eye(4)}), "x0['g']", "SE3", "off by"),
     bad("a reflected pose", lambda: turn(x0=AT_REST | {"g": np.diag([1.0, 1.0, -1.0, 1.0])}), "x0['g']", "SE3"),
+    bad(
+        "a pose a little off",
+        lambda: turn(x0=AT_REST | {"g": np.diag([1.0, 1.0, 1.01, 1.0])}),
+        "x0['g']",
+        "off by 0.02",
+    ),
+    bad("a last row", lambda: turn(x0=AT_REST | {"g": np.eye(4) + 0.02 * np.eye(4, k=-3)}), "x0['g']", "off by 0.02"),
     bad("a pose of NaN", lambda: turn(x0=AT_REST | {"g": np.nan * np.eye(4)}), "x0['g']", "nan"),
     bad("a quaternion for a pose", lambda: turn(x0=AT_REST | {"g": [1.0, 0.0, 0.0, 0.0]}), "x0['g']", "(4, 4)", "(4,)"),
     # times
@@ -95,6 +107,7 @@ ROWS = [
     bad("both dt and steps", lambda: decays(steps=3), "dt", "steps"),
     bad("a step of zero", lambda: decays(dt=0.0), "dt", "0"),
     bad("a step backwards", lambda: decays(dt=-0.1), "dt", "-0.1"),
+    bad("an infinite step", lambda: decays(dt=np.inf), "dt", "inf"),
     bad("a step of NaN", lambda: decays(dt=np.nan), "dt", "nan"),
     bad("a step of text", lambda: decays(dt="0.1"), "dt", "'0.1'"),
     bad("steps of several lengths", lambda: decays(dt=[0.1, 0.2]), "dt", "[0.1, 0.2]"),
@@ -118,6 +131,7 @@ ROWS = [
     bad("a tolerance of NaN", lambda: adaptive(rtol=np.nan), "rtol", "nan"),
     bad("a tolerance below round-off", lambda: adaptive(rtol=1e-16), "rtol", "1e-16"),
     bad("a tolerance of text", lambda: adaptive(rtol="1e-6"), "rtol", "'1e-6'"),
+    bad("a truth value as a tolerance", lambda: adaptive(rtol=True), "rtol", "True"),
     bad("tolerances by state", lambda: adaptive(rtol={"x": 1e-6}), "rtol", "dict"),
     bad("a list of tolerances", lambda: adaptive(rtol=[1e-6, 1e-6]), "rtol", "(2,)"),
     bad("atol alone", lambda: adaptive(rtol=None, atol=1e-6), "atol", "rtol"),
@@ -127,6 +141,9 @@ ROWS = [
     bad("an atol without a state", lambda: adaptive(atol={"x": 1.0}), "atol", "'v'"),
     bad("a pair for a vector", lambda: adaptive(atol=(1e-6, 1e-6)), "atol", "(2,)"),
     bad("an atol of text", lambda: adaptive(atol="1e-6"), "atol", "'1e-6'"),
+    bad("a pair with None", lambda: free(atol={"g": (1e-6, None), "V": 1e-6}), "atol", "'g'", "None"),
+    bad("a pair of a tolerance below zero", lambda: free(atol={"g": (1e-6, -1.0), "V": 1e-6}), "atol", "'g'", "-1"),
+    bad("three tolerances for a pose", lambda: free(atol={"g": np.ones(3), "V": 1e-6}), "atol", "'g'", "(6,)", "(3,)"),
     bad("steps with tolerances", lambda: adaptive(steps=3), "steps", "rtol"),
     bad("a control of steps without tolerances", lambda: decays(control=tx.StepControl()), "control", "rtol"),
     bad(
@@ -142,6 +159,15 @@ ROWS = [
     bad("no steps allowed", lambda: tx.StepControl(max_steps=0), "max_steps", "0"),
     bad("a factor that shrinks", lambda: tx.StepControl(factormax=0.5), "factormax", "0.5"),
     bad("dtmax below dtmin", lambda: tx.StepControl(dtmin=1.0, dtmax=0.5), "dtmax", "0.5"),
+    bad("a factor that grows", lambda: tx.StepControl(factormin=1.0), "factormin", "1.0"),
+    bad("a factor below zero", lambda: tx.StepControl(factormin=-0.1), "factormin", "-0.1"),
+    bad(
+        "coefficients that cancel",
+        lambda: tx.StepControl(pcoeff=-0.3, icoeff=0.2),
+        "pcoeff + icoeff + dcoeff",
+        "positive",
+    ),
+    bad("a dtmin of zero", lambda: tx.StepControl(dtmin=0.0), "dtmin", "0.0"),
     bad("a dtmin of NaN", lambda: tx.StepControl(dtmin=np.nan), "dtmin", "nan"),
     # methods
     bad("a method by name", lambda: decays(method="RK4"), "method", "'RK4'", "tx.RKMK"),
@@ -201,8 +227,8 @@ ROWS = [
     bad("a misspelt control", lambda: run(u={"forc": 1.0}), "'forc'", "'force'"),
     bad("a control of NaN", lambda: run(u={"force": np.nan}), "u['force']", "nan"),
     bad("a control of another shape", lambda: run(u={"force": [1.0]}), "u['force']", "(1,)"),
-    bad("a bare table", lambda: run(u=tx.ZeroOrderHold(TS, ROWS_OF_TABLE)), "u", "ZeroOrderHold"),
-    bad("a function of one control", lambda: run(u={"force": lambda t: 1.0}), "u['force']", "function"),
+    bad("a bare table", lambda: run(u=tx.ZeroOrderHold(TS, ROWS_OF_TABLE)), "u must be a dict", "ZeroOrderHold"),
+    bad("a function of one control", lambda: run(u={"force": lambda t: 1.0}), "u['force']", "one function"),
     bad("a function of two arguments", lambda: run(u=lambda t, x: U), "u", "t, x"),
     bad("a function of no arguments", lambda: run(u=lambda: U), "u", "()"),
     bad("a function that gives a list", lambda: run(u=lambda t: [t]), "u", "list"),
@@ -233,6 +259,8 @@ ROWS = [
     bad("a ramp that begins late", lambda: run(u=ramp([0.5, 1.0, 2.0])), "u['force']", "0.5", "t0 = 0"),
     bad("a ramp that ends early", lambda: run(u=ramp([0.0, 0.2, 0.5])), "u['force']", "0.5", "t1 = 1"),
     bad("a table of times that fall", lambda: held([0.0, 2.0, 1.0]), "ZeroOrderHold", "2.0 before 1.0"),
+    bad("a table of one time twice", lambda: held([0.0, 1.0, 1.0]), "ZeroOrderHold", "1.0 before 1.0"),
+    bad("a ramp of a bare time", lambda: ramp(0.0, [1.0]), "FirstOrderHold", "ts", "()"),
     bad("a table of NaN", lambda: held([0.0, 1.0, np.nan]), "ZeroOrderHold", "ts"),
     bad("a table of text", lambda: held("ts"), "ZeroOrderHold", "ts", "'ts'"),
     bad("a table of values of text", lambda: held(TS, "values"), "ZeroOrderHold", "values", "'values'"),
@@ -249,6 +277,7 @@ ROWS = [
     bad("parameters as a number", lambda: run(params=2.0), "params", "float"),
     # events
     bad("an expression as an event", lambda: decays(event=s), "event", "tx.Event"),
+    bad("a number among events", lambda: decays(event=[3.0]), "event", "3.0", "tx.Event"),
     bad("a function as an event", lambda: decays(event=lambda t, x, u, p: x["x"]), "event", "function", "tx.Event"),
     bad("an event that ends by text", lambda: tx.Event(s, terminal="no"), "terminal", "'no'"),
     bad("an event at the start by text", lambda: tx.Event(s, at_start="stop"), "at_start", "tx.AtStart"),

@@ -67,6 +67,11 @@ ROWS = [
     bad("a body joined with a number", lambda: body().merge(3.0), "merge", "3.0"),
     bad("a body plus a number", lambda: body() + 3.0, "SpatialInertia", "3.0"),
     bad("a frame that is no pose", lambda: body().in_frame(2.0 * np.eye(4)), "in_frame", "T"),
+    bad("a frame that is mirrored", lambda: body().in_frame(np.diag([1.0, 1.0, -1.0, 1.0])), "in_frame", "T"),
+    bad("a frame a little off", lambda: body().in_frame(np.diag([1.0, 1.0, 1.001, 1.0])), "in_frame", "T"),
+    bad("a frame with a last row", lambda: body().in_frame(np.eye(4) + 0.1 * np.eye(4, k=-3)), "in_frame", "T"),
+    bad("a frame of NaN", lambda: body().in_frame(np.full((4, 4), np.nan)), "in_frame", "T", "nan"),
+    bad("a weight at no pose", lambda: body().weight(2.0 * np.eye(4), np.zeros(3)), "weight", "T", "tx.pose"),
     bad("a frame that is a rotation", lambda: body().in_frame(UNIT), "in_frame", "T", "(3, 3)"),
     bad("a momentum of three", lambda: body().momentum(np.zeros(3)), "momentum", "V", "(3,)"),
     bad("a momentum of text", lambda: body().momentum("V"), "momentum", "V"),
@@ -129,6 +134,9 @@ ROWS = [
     bad("a mount of three", lambda: link(mount=UNIT), "Link", "mount", "(3, 3)"),
     bad("gravity as a number", lambda: Chain([link()], gravity=-9.81), "Chain", "gravity", "()"),
     bad("gravity of NaN", lambda: Chain([link()], gravity=[0.0, 0.0, np.nan]), "Chain", "gravity", "nan"),
+    bad(
+        "a force of three on a body", lambda: body().acceleration(np.zeros(6), np.zeros(3)), "acceleration", "F", "(3,)"
+    ),
     bad("positions of another number", lambda: tx.mechanics.rnea(arm(), q, q, tx.State("a", 3)), "qdd", "(2,)", "(3,)"),
     bad("dynamics of a list of links", lambda: tx.mechanics.aba([link()], q, q, q), "forward_dynamics", "list"),
     bad("a mass matrix of one", lambda: tx.mechanics.mass_matrix(arm(), tx.State("a")), "q", "(2,)", "()"),

@@ -51,6 +51,7 @@ ROWS = [
     bad("up that is a word", lambda: show(up="z"), "up", "'z'"),
     bad("no time at all", lambda: show(seconds=0.0), "seconds", "0.0"),
     bad("a time without end", lambda: show(seconds=np.inf), "seconds", "inf"),
+    bad("a time backwards", lambda: show(seconds=-1.0), "seconds", "-1.0"),
     bad("shapes that are numbers", lambda: show(shapes=[1.0]), "shapes", "1.0"),
     bad("a solution without poses", lambda: plain.show("a.html"), "no state is a pose", "'m'"),
     bad("a batch in three dimensions", lambda: batch.show("a.html"), "show", "batch"),
@@ -76,6 +77,12 @@ ROWS = [
     bad("an arrow from two entries", lambda: view.Arrow(at=(0.0, 1.0)), "at", "(0.0, 1.0)"),
     bad("an ellipsoid of no mass", lambda: view.Ellipsoid.of_inertia(0.0, np.zeros(3), np.eye(3)), "mass", "0.0"),
     bad("an ellipsoid of moments", lambda: view.Ellipsoid.of_inertia(1.0, np.zeros(3), np.ones(3)), "inertia", "1."),
+    bad(
+        "an ellipsoid of no inertia",
+        lambda: view.Ellipsoid.of_inertia(1.0, np.zeros(3), np.zeros((3, 3))),
+        "inertia",
+        "0.",
+    ),
     bad(
         "a link that looks like a word", lambda: Link(joints.Fixed("a"), ball, np.eye(4), shapes="box"), "shapes", "'b'"
     ),

@@ -15,20 +15,22 @@ import twistax as tx
 MENDS = re.compile(
     r"fix:|expect|must|need|give|known|has:|are:|takes?\b|choose from|--help|reads|requires|knows|too many|missing a"
 )
+#: What a ShapeError says.
+SHAPES = re.compile(r"^(\S+ expects [^\n]* with shape|'\w+': \w+ expects shape) \([^\n]*\), got \(")
 #: Seconds of this process that an error may take.
 SLOWEST = 2.0
 
 
 class Bad(NamedTuple):
-    """A bad use: a few words for it, the call, and what its error must say."""
+    """A bad use: a few words for it, the call, and what its error must say, or be."""
 
     name: str
     call: Callable[[], Any]
-    words: tuple[str, ...]
+    words: tuple[str | type, ...]
 
 
-def bad(name: str, call: Callable[[], Any], *words: str) -> Bad:
-    """A row of a table. The words: the thing's name first, then what came."""
+def bad(name: str, call: Callable[[], Any], *words: str | type) -> Bad:
+    """A row of a table. The words: the thing's name first, then what came, and its class where that matters."""
     return Bad(name, call, words)
 
 
@@ -42,12 +44,13 @@ class Verdict(NamedTuple):
 def judge(row: Bad) -> Verdict:
     """Run a bad use."""
     said = io.StringIO()
-    begin = time.process_time()
+    begin, kind = time.process_time(), None
     try:
         with contextlib.redirect_stderr(said):
             found = row.call()
     except tx.TwistaxError as error:
-        text, clean = str(error), error.__cause__ is None and (error.__context__ is None or error.__suppress_context__)
+        kind, text = type(error), str(error)
+        clean = error.__cause__ is None and (error.__context__ is None or error.__suppress_context__)
     except SystemExit as error:  # argparse, which has printed why
         text, clean = said.getvalue(), error.code == 2
     except Exception as error:
@@ -58,7 +61,8 @@ def judge(row: Bad) -> Verdict:
     seconds = time.process_time() - begin
     if not clean:
         return Verdict("foreign", f"chained: {text}")
-    missing = [word for word in row.words if word not in text]
+    words = (*row.words, tx.ShapeError) if SHAPES.search(text) else row.words
+    missing = [word for word in words if (word not in text if isinstance(word, str) else word is not kind)]
     if missing or not row.words or not MENDS.search(text):
         return Verdict("words", f"missing {missing or 'what to do'}: {text}")
     return Verdict("slow" if seconds > SLOWEST else "ours", text if seconds <= SLOWEST else f"{seconds:.1f} s: {text}")

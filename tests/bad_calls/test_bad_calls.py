@@ -21,10 +21,11 @@ def test_it_is_said(row: Bad, unchecked: None) -> None:
         ("foreign", lambda: 1 / 0, ("x",)),
         ("words", lambda: tx.State(""), ("another",)),
         ("words", lambda: tx.State(""), ()),
+        ("words", lambda: tx.State(""), ("State", tx.ShapeError)),
         ("ours", lambda: tx.State(""), ("State", "''")),
     ],
 )
-def test_what_is_not_said_is_seen(kind: str, call: Callable[[], object], words: tuple[str, ...]) -> None:
+def test_what_is_not_said_is_seen(kind: str, call: Callable[[], object], words: tuple[str | type, ...]) -> None:
     assert judge(bad("a use", call, *words)).kind == kind
 
 

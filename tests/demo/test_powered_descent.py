@@ -82,7 +82,7 @@ def test_each_limit_breaks_alone(dynamics: tx.Dynamics, broken: str, change: dic
     exceeded = [limit.name for limit in scene.limits() if limit.margin(outputs[limit.output]) < 0.0]
     assert exceeded == [broken]
     residuals = dict(
-        zip(dynamics._functions.constraint_names["inequality"], dynamics.constraints(0.0, x, u)["inequality"])
+        zip(dynamics.functions.constraint_names["inequality"], dynamics.constraints(0.0, x, u)["inequality"])
     )
     assert [name for name, value in residuals.items() if value > 0.0] == [broken] * (broken != "dry mass")
 

@@ -11,7 +11,6 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
-from twistax.errors import InputError
 
 OWN = ["".join(axes).upper() for axes in itertools.product("xyz", repeat=3) if axes[0] != axes[1] != axes[2]]
 SEQUENCES = [*OWN, *(sequence.lower() for sequence in OWN)]
@@ -151,23 +150,3 @@ def test_rewrites_and_printing() -> None:
     assert tx.spatial.QDCM(tx.lie.quaternion(R)).canonicalize() is R
     assert repr(turned) == "EulerRotation(a, sequence='ZXZ')"
     assert repr(tx.lie.euler(tx.pose(euler=a))) == "EulerAngles(EulerRotation(a))"
-
-
-def test_numbers_beside_expressions_are_checked(unchecked: None) -> None:
-    for wrong, message in (
-        ({"quaternion": [0.0, 0.0, 0.0, 0.0]}, "not zero"),
-        ({"rotation": 2.0 * np.eye(3)}, "to be a rotation"),
-        ({"euler": [np.nan, 0.0, 0.0]}, "finite"),
-    ):
-        with pytest.raises(tx.InputError, match=message):
-            tx.pose(position=a, **wrong)
-    with pytest.raises(tx.InputError, match="position to be finite"):
-        tx.pose(position=[np.inf, 0.0, 0.0], euler=a)
-    with pytest.raises(tx.InputError, match="names three axes"):
-        tx.pose(euler=a, sequence=["z", "x", "z"])
-
-
-def test_a_sequence_is_checked_without_angles() -> None:
-    for position in (None, np.zeros(3), tx.State("p", (3,))):
-        with pytest.raises(InputError, match="names three axes"):
-            tx.pose(position=position, sequence="abc")

@@ -14,7 +14,9 @@ from expr_cases import function_of
 from scipy.spatial.transform import Rotation
 
 import twistax as tx
+from oracles import skew
 from twistax.expr import Constant, Expr, leaves_of
+from twistax.jax_inside import all_equations
 
 PAGE = (Path(__file__).parents[2] / "docs" / "coscrews.md").read_text()
 
@@ -41,22 +43,17 @@ I3, O3 = np.eye(3), np.zeros((3, 3))
 AXES = dict(zip("xyz", range(3), strict=True))
 
 
-def tilde(r: np.ndarray) -> np.ndarray:
-    x, y, z = r
-    return np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-
-
 def Ad(R: np.ndarray, r: np.ndarray) -> np.ndarray:
-    return np.block([[R, tilde(r) @ R], [O3, R]])
+    return np.block([[R, skew(r) @ R], [O3, R]])
 
 
 def co_Ad(R: np.ndarray, r: np.ndarray) -> np.ndarray:
-    return np.block([[R, O3], [tilde(r) @ R, R]])
+    return np.block([[R, O3], [skew(r) @ R, R]])
 
 
 def ad_dual(s: np.ndarray) -> np.ndarray:
     v, w = s[:3], s[3:]
-    return np.block([[tilde(w), O3], [tilde(v), tilde(w)]])
+    return np.block([[skew(w), O3], [skew(v), skew(w)]])
 
 
 def size(first: np.ndarray, second: np.ndarray) -> Any:
@@ -190,22 +187,10 @@ def test_row(name: str, computed: tuple[Any, dict[str, list[jax.Array]]]) -> Non
 # ---- cost --------------------------------------------------------------------------------------------------------
 
 
-def equations(jaxpr: Any) -> list[Any]:
-    """All equations, those inside of calls too."""
-    found = []
-    for equation in jaxpr.eqns:
-        found.append(equation)
-        inner = jax.tree_util.tree_leaves(list(equation.params.values()), is_leaf=lambda p: hasattr(p, "jaxpr"))
-        for part in inner:
-            if hasattr(part, "eqns") or hasattr(part, "jaxpr"):
-                found += equations(getattr(part, "jaxpr", part))
-    return found
-
-
 def lowered(expr: Expr) -> list[Any]:
     """The equations of an expression over its own leaves."""
     names = {leaf.name: leaf.shape for leaf in leaves_of(expr) if not isinstance(leaf, Constant)}
-    return equations(jax.make_jaxpr(function_of(expr))({n: jnp.ones(s) for n, s in names.items()}).jaxpr)
+    return [*all_equations(jax.make_jaxpr(function_of(expr))({n: jnp.ones(s) for n, s in names.items()}).jaxpr)]
 
 
 def multiplications(found: list[Any]) -> int:

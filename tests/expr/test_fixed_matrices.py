@@ -37,7 +37,7 @@ def test_a_loop_inverts_it_once() -> None:
 
     def loop(x: jax.Array, A: jax.Array) -> jax.Array:
         def step(x: jax.Array, _: None) -> tuple[jax.Array, None]:
-            return x + 0.1 * dynamics._functions.vector_field(jnp.zeros(()), {"b": x}, {}, {"A": A})["b"], None
+            return x + 0.1 * dynamics.functions.vector_field(jnp.zeros(()), {"b": x}, {}, {"A": A})["b"], None
 
         return jax.lax.scan(step, x, None, length=100)[0]
 

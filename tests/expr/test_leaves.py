@@ -1,13 +1,12 @@
 """Leaves: what they carry, what they refuse, and that they stay as they are."""
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
 
 from twistax import expr as tx
-from twistax.errors import ImmutableError, ModelError, ShapeError
+from twistax.errors import ImmutableError, ModelError
 from twistax.groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, pose
 
 ROTATED = np.asarray(pose(position=[1.0, 2.0, 3.0], euler=[0.1, -0.2, 0.3]))
@@ -39,36 +38,6 @@ def test_what_an_optimiser_reads() -> None:
     assert g.min is None
     assert g.order is LINEAR_FIRST
     assert tx.State("g", group=SE3, order=ANGULAR_FIRST).order is ANGULAR_FIRST
-
-
-@pytest.mark.parametrize(
-    ("attempt", "error", "sentence"),
-    [
-        (lambda: tx.State(""), ModelError, "needs a name"),
-        (lambda: tx.State("x", shape=(0,)), ModelError, "positive whole numbers"),
-        (lambda: tx.State("x", shape=-1), ModelError, "positive whole numbers"),
-        (lambda: tx.State("x", shape=(3,), min=[1.0, 2.0]), ShapeError, r"'x': min expects shape \(3,\), got \(2,\)"),
-        (lambda: tx.State("x", min=2.0, max=1.0), ModelError, "'x' expects min below max"),
-        (lambda: tx.State("x", shape=(3,), initial=np.ones((2, 2))), ShapeError, "initial expects shape"),
-        (lambda: tx.State("x", shape=(3,), guess=np.ones((3, 2))), ShapeError, r"guess expects shape \(3,\) or \(n, "),
-        (lambda: tx.State("x", scale=0.0), ModelError, "scale must be positive"),
-        (lambda: tx.State("x", scale=-1.0), ModelError, "scale must be positive"),
-        (lambda: tx.State("g", group=SE3, min=0.0), ModelError, "a box of .* entries has no meaning"),
-        (lambda: tx.State("g", group=SE3, shape=(6,)), ShapeError, r"on SE3 has shape \(4, 4\), got"),
-        (lambda: tx.State("g", group=SE3, initial=np.ones((4, 4))), ModelError, "initial is not an element of SE3"),
-        (lambda: tx.State("g", group=SE3, final=np.eye(3)), ShapeError, "final expects shape"),
-        (lambda: tx.State("R", group=SO3, order=LINEAR_FIRST), ModelError, "order= is for poses"),
-        (lambda: tx.State("x", shape=(6,), order=LINEAR_FIRST), ModelError, "order= is for poses"),
-        (
-            lambda: tx.Parameter("p", shape=(2,), value=np.ones(3)),
-            ShapeError,
-            r"value expects shape \(2,\), got \(3,\)",
-        ),
-    ],
-)
-def test_refused(attempt: Callable[[], Any], error: type[Exception], sentence: str) -> None:
-    with pytest.raises(error, match=sentence):
-        attempt()
 
 
 @pytest.mark.parametrize(

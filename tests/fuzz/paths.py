@@ -63,7 +63,7 @@ def functions(case: Case) -> Iterator[tuple[str, Callable[..., Any], tuple[Any, 
 
 def has_form(dynamics: tx.Dynamics, x: Any, u: Any, p: Any) -> bool:
     """Whether the outputs run as scalars, by native backends as a kernel, and not as arrays."""
-    functions = dynamics._functions
+    functions = dynamics.functions
     try:
         inputs = functions.prepare(0.0, x, u, p, reads=("outputs",))
         leaves, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))

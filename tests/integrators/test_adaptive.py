@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from test_integrate import compilations
 
 import twistax as tx
+from twistax.jax_inside import all_equations
 from twistax.scenes import SCENES
 
 PAIRS = [tableau for tableau in tx.tableaus.ALL if tableau.is_pair]
@@ -183,17 +184,9 @@ def turning() -> tx.Dynamics:
 
 def doubles(jaxpr: object) -> set[str]:
     """The operations that give double precision, those on plain Python numbers left out."""
-    found = set()
-    for equation in jaxpr.eqns:
-        for out in equation.outvars:
-            if getattr(out.aval, "dtype", None) == jnp.float64 and not out.aval.weak_type:
-                found.add(f"{equation.primitive.name} {out.aval}")
-        for value in equation.params.values():
-            for entry in value if isinstance(value, (tuple, list)) else (value,):
-                inner = getattr(entry, "jaxpr", entry)
-                if hasattr(inner, "eqns"):
-                    found |= doubles(inner)
-    return found
+    values = ((equation, out.aval) for equation in all_equations(jaxpr) for out in equation.outvars)
+    is_double = lambda aval: getattr(aval, "dtype", None) == jnp.float64 and not aval.weak_type  # noqa: E731
+    return {f"{equation.primitive.name} {aval}" for equation, aval in values if is_double(aval)}
 
 
 # ---- saved times -----------------------------------------------------------------------------------------------------

@@ -92,12 +92,3 @@ def test_rotations_controls_and_parameters() -> None:
     ambient = solve(term, x0, (u, params))
     for name in ("R", "w"):
         np.testing.assert_allclose(ambient[name], integrated[name], atol=1e-9)
-
-
-def test_wrong_arguments_are_named() -> None:
-    dynamics = forced()
-    term = tx.diffrax.ambient_term(dynamics)
-    with pytest.raises(tx.InputError, match="unknown key 'x' in x"):
-        term.to_ambient({"x": np.zeros(3)})
-    with pytest.raises(tx.InputError, match="unknown key 'k' in params"):
-        term.vf(0.0, term.to_ambient(start()), (None, {"k": 1.0}))

@@ -62,9 +62,9 @@ def test_kernels_go_backward_and_other_directions_compile_nothing(how: dict) -> 
     own = tx.compile(system().system, backend=tx.Native())
     for t0, t1 in ((0.0, 1.0), (1.0, 0.0)):
         near(tx.integrate(own, exact(t0), t0=t0, t1=t1, u={"F": 0.5}, **how).last, exact(t1), 1e-6)
-    before = len(list(own._functions.steps.values()))
+    before = len(list(own.functions.steps.values()))
     tx.integrate(own, exact(0.5), t0=0.5, t1=-1.0, u={"F": 0.5}, **how)
-    assert len(list(own._functions.steps.values())) == before
+    assert len(list(own.functions.steps.values())) == before
 
 
 @pytest.mark.parametrize("how", [{"steps": 40}, {"rtol": 1e-9}], ids=["fixed", "chosen"])

@@ -133,7 +133,7 @@ def test_a_quaternion_that_overflows_is_no_rotation() -> None:
 def test_the_increment_is_the_step() -> None:
     """x (+) increment is where the step ends, in exponential coordinates; other charts say what to use."""
     dynamics = forced()
-    inputs = dynamics._functions.prepare(0.3, start())
+    inputs = dynamics.functions.prepare(0.3, start())
     field = VectorField(dynamics, lambda t: {}, dict(inputs.params))
     arguments = (field, inputs.t, dict(inputs.x), jnp.asarray(0.1))
     for method in (tx.RKMK(RK4), tx.RKMK(DOP853, Exponential())):

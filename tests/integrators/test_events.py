@@ -236,24 +236,6 @@ def test_other_methods(method: Any, how: dict) -> None:
     np.testing.assert_allclose(solution.ts, [np.sqrt(2.0 * 5.0 / WEIGHT)], atol=1e-6)
 
 
-def test_refusals(unchecked: None) -> None:
-    with pytest.raises(tx.ModelError, match=r"shape \(\), got \(3,\)"):
-        tx.Event(V)
-    with pytest.raises(tx.ModelError, match="Event, of no expression, expects a function"):
-        tx.Event(1.0)
-    for direction in ("up", 0, 2):
-        with pytest.raises(tx.ModelError, match="direction must be"):
-            tx.Event(g[2, 3], direction=direction)
-    with pytest.raises(tx.InputError, match=r"expects tx\.Event"):
-        solve(g[2, 3], **FIXED)
-    with pytest.raises(tx.InputError, match=r"expects tx\.Event"):
-        solve([], **FIXED)
-    with pytest.raises(tx.InputError, match=r"event 1 must return one real number, got shape \(3,\)"):
-        solve([GROUND, tx.Event(lambda t, x, u, params: x["V"])], **FIXED)
-    with pytest.raises(tx.ModelError, match="reads Parameter 'other'"):
-        solve(tx.Event(g[2, 3] - tx.Parameter("other", value=1.0)), **FIXED)
-
-
 @pytest.mark.parametrize("how", [{"dt": 0.1}, {"rtol": 1e-5}], ids=["fixed", "adaptive"])
 @pytest.mark.parametrize("direction", [None, False])
 @pytest.mark.parametrize("height", [5e-4, 4e-4, 1e-4])

@@ -126,49 +126,6 @@ def test_other_controls_do_not_compile_again(caplog: pytest.LogCaptureFixture) -
         assert compilations(caplog, call) == []
 
 
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"dt": None}, "give either dt, the length of a step, or steps"),
-        ({"steps": 3}, "give either dt, the length of a step, or steps"),
-        ({"dt": 0.0}, "dt must be a positive number of s, got 0.0"),
-        ({"dt": np.nan}, "dt must be a positive number of s, got nan"),
-        ({"t1": np.inf}, "t1 must be a finite time in s"),
-        ({"dt": None, "steps": 2.5}, "steps must be a whole number of 1 or more, got 2.5"),
-        ({"save_at": [0.5, 0.2]}, "save_at must be sorted from t0 to t1, got 0.5 before 0.2"),
-        ({"save_at": [0.5, 1.2]}, r"save_at must lie inside \[t0, t1\] = \[0, 1\], got 1.2"),
-        ({"save_at": [-0.1, 0.2]}, "got -0.1"),
-        ({"save_at": []}, r"save_at expects times with shape \(n,\)"),
-        ({"save_at": 0.5}, r"save_at expects times with shape \(n,\)"),
-        ({"save_at": [np.nan]}, "save_at expects finite times"),
-        ({"method": tx.tableaus.RK4}, r"method expects an object like tx.RKMK\(tx.tableaus.RK4\), got ButcherTableau"),
-        ({"x0": {"x": np.nan}}, r"x0\['x'\] expects finite numbers, got nan"),
-        ({"x0": {"y": 1.0}}, "unknown key 'y' in x0"),
-        ({"params": {"a": np.inf}}, r"params\['a'\] expects finite numbers, got inf"),
-        ({"params": {"k": 1.0}}, "unknown key 'k' in params"),
-    ],
-)
-def test_nonsense_is_named(change: dict, message: str, unchecked: None) -> None:
-    arguments = {"dynamics": decay(), "x0": {"x": 1.0}, "t1": 1.0, "dt": 0.1, "u": {"F": 0.0}} | change
-    with pytest.raises(tx.InputError, match=message):
-        tx.integrate(**arguments)
-
-
-@pytest.mark.parametrize("spoil", ["rotation", "reflection", "row"])
-def test_a_start_that_is_no_pose_is_refused(spoil: str) -> None:
-    x0 = start()
-    pose, off = x0["g"].copy(), "0.02"
-    if spoil == "rotation":
-        pose[:3, :3] *= 1.01
-        off = "0.0303"
-    elif spoil == "reflection":
-        pose[:3, 0], off = -pose[:3, 0], "2"
-    else:
-        pose[3, 0], off = 0.02, "0.02"
-    with pytest.raises(tx.InputError, match=rf"x0\['g'\] is no element of SE3: off by {off}"):
-        tx.integrate(forced(), x0 | {"g": pose}, t1=1.0, dt=0.1)
-
-
 @functools.cache
 def blow_up() -> tx.Dynamics:
     """x' = x^2 reaches infinity at t = 1 from x = 1."""

@@ -157,7 +157,7 @@ def test_phases_alike_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
     dynamics = tx.compile(tx.System({h: v, v: -pull}))
     made, real = [], jax.jit
     monkeypatch.setattr(method.jax, "jit", lambda f, **how: made.append(f) or real(f, **how))
-    one, loops = tx.Phase(dynamics, duration=10.0, event=GROUND), dynamics._functions.loops
+    one, loops = tx.Phase(dynamics, duration=10.0, event=GROUND), dynamics.functions.loops
     start = {"h": 1.0, "v": 0.0}
     tx.integrate_phases([one], start, rtol=1e-8)
     count, kinds = len(made), len(loops.values())

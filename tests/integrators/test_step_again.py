@@ -124,7 +124,7 @@ def test_other_accelerators_take_no_kernels(platform: str, kernels: bool, monkey
     cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    steps = [made for made in dynamics._functions.steps.values() if made is not None]
+    steps = [made for made in dynamics.functions.steps.values() if made is not None]
     assert (steps != programs_of_steps(dynamics)) == kernels
     assert all((program.runner is not None) == kernels for program in programs_of_steps(dynamics))
 

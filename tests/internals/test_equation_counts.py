@@ -22,6 +22,6 @@ def test_a_shared_chain_of_24_nodes_is_computed_once() -> None:
         node = node + node
     assert count_equations(jax.make_jaxpr(tx.lower(node))(0.0, {"x": X}).jaxpr) <= 30
     compiled = tx.compile(tx.System(rates={x: node * np.ones(3)}))
-    field = jax.make_jaxpr(lambda z: compiled._functions.vector_field(jnp.zeros(()), {"x": z}, {}, {}))(X)
+    field = jax.make_jaxpr(lambda z: compiled.functions.vector_field(jnp.zeros(()), {"x": z}, {}, {}))(X)
     assert count_equations(field.jaxpr) <= 30
     assert compiled.explain().nodes[0] > 2**24

@@ -33,7 +33,7 @@ def test_none_is_kept_too() -> None:
 def test_kernels_of_integrations_are_bounded() -> None:
     x = tx.State("x")
     dynamics = tx.compile(tx.System(rates={x: -x}))
-    dynamics._functions.steps = steps = Kept(2)
+    dynamics.functions.steps = steps = Kept(2)
     for dtmax in (1.0, 1.1, 1.2, 1.0):
         control = tx.StepControl(dtmax=dtmax)
         sol = tx.integrate(dynamics, {"x": 1.0}, t1=0.5, rtol=1e-8, atol=1e-8, control=control)

@@ -44,7 +44,7 @@ def _used(k: int) -> list[weakref.ref[Any]]:
     tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, dt=0.001)
     made = [code for name, code in kernel._CODE.items() if name not in before]
     assert len(made) >= 3
-    return [weakref.ref(dynamics._functions), *map(weakref.ref, made)]
+    return [weakref.ref(dynamics.functions), *map(weakref.ref, made)]
 
 
 def _own_memory() -> float:
@@ -142,7 +142,7 @@ def test_integrated_systems_go_without_a_word_to_jax(how: dict[str, Any]) -> Non
     solution = tx.integrate(dynamics, POINT, t0=0.0, t1=0.002, **how)
     if "dense" in how:
         solution.evaluate(0.001)
-    ref = weakref.ref(dynamics._functions)
+    ref = weakref.ref(dynamics.functions)
     del dynamics, solution
     assert _left([ref]) == 0
 

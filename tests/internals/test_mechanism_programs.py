@@ -139,7 +139,7 @@ def test_systems_use_them(unchecked: None) -> None:
     x = {state.name: rng.normal(size=state.shape) for state in system.states} | {"root_position": pose(rng)}
     found, operations = [], []
     for each in (system, plain):
-        functions = tx.compile(each)._functions
+        functions = tx.compile(each).functions
         inputs = functions.prepare(0.3, x, {"tau": np.full(system.controls[0].shape, 0.5)})
         jacobian, arrays = functions.rate_jacobian(inputs, wrt)
         blocks = by_numpy(jacobian.program, [np.asarray(a).reshape(1, -1) for a in arrays])

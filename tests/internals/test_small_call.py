@@ -111,7 +111,7 @@ def test_solutions_by_tables_are_small_calls() -> None:
         def advance(i: jax.Array, x: jax.Array) -> jax.Array:
             t, h = 0.1 * i, jnp.asarray(0.1)
             F = tx.ZeroOrderHold(ts, values).during(t, h)(t)
-            return x + h * dynamics._functions.vector_field(t, {"x": x}, {"F": F}, {})["x"]
+            return x + h * dynamics.functions.vector_field(t, {"x": x}, {"F": F}, {})["x"]
 
         return jax.lax.fori_loop(0, 10, advance, x)
 

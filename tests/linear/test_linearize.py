@@ -3,7 +3,6 @@
 import jax
 import jax.numpy as jnp
 import numpy as np
-import pytest
 from trajectory_systems import everything, quick_jit, sample, spinning_ball
 
 import twistax as tx
@@ -71,10 +70,3 @@ def test_a_system_without_controls_has_an_empty_b() -> None:
     found = linearize(dynamics, 0.0, {"x": np.ones(2)})
     np.testing.assert_array_equal(found.A, -2.0 * np.eye(2))
     assert found.B.shape == (2, 0)
-
-
-def test_wrong_names_are_refused() -> None:
-    dynamics = tx.compile(everything())
-    x, u = sample(0)
-    with pytest.raises(tx.InputError, match="thrust"):
-        linearize(dynamics, T, x, u | {"thrust": 1.0})

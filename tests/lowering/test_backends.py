@@ -136,13 +136,6 @@ def test_the_backend_is_shown() -> None:
     assert repr(baked) == "Dynamics(states: a (); backend: XLA)"
 
 
-@pytest.mark.parametrize("wrong", ["XLA", "native", "", None, tx.XLA])
-def test_another_choice_is_refused(wrong: Any, unchecked: None) -> None:
-    accepted = r'backend expects "auto", tx\.XLA\(\), tx\.Native\(\) or tx\.JAX\(\), got '
-    with pytest.raises(tx.ModelError, match=accepted):
-        tx.compile(case("free body")[0], backend=wrong)
-
-
 # ---- what is kept ----------------------------------------------------------------------------------------------------
 
 

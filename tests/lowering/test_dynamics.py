@@ -81,7 +81,7 @@ def test_outputs_and_constraints() -> None:
     limits = DYNAMICS.constraints(0.0, POINT, CONTROLS)
     np.testing.assert_allclose(limits["inequality"], [-10.0, -9.0, -3.0])
     np.testing.assert_allclose(limits["equality"], [1.0, 2.0])
-    assert DYNAMICS._functions.constraint_names == {
+    assert DYNAMICS.functions.constraint_names == {
         "inequality": ["thrust[0]", "thrust[1]", "dry"],
         "equality": ["still[0]", "still[1]"],
     }
@@ -120,7 +120,7 @@ def test_outputs_are_narrowed() -> None:
 def test_outputs_cost_nothing_where_rates_are_asked_for() -> None:
     costly = tx.System(rates={mass: -mass}, outputs={"y": tx.Sin(tx.Cos(tx.Exp(mass)))})
     dynamics = tx.compile(costly)
-    jaxpr = jax.make_jaxpr(lambda x: dynamics._functions.vector_field(jnp.zeros(()), {"mass": x}, {}, {}))(1.0)
+    jaxpr = jax.make_jaxpr(lambda x: dynamics.functions.vector_field(jnp.zeros(()), {"mass": x}, {}, {}))(1.0)
     assert [e.primitive.name for e in jaxpr.jaxpr.eqns] == ["neg"]
 
 
@@ -158,13 +158,13 @@ def test_explain_counts_what_simplification_saves() -> None:
 def traces_of(dynamics: tx.Dynamics) -> list[str]:
     """Every family traced from now on."""
     seen: list[str] = []
-    evaluate = dynamics._functions.evaluate
+    evaluate = dynamics.functions.evaluate
 
     def counted(family: str, *arguments: Any) -> Any:
         seen.append(family)
         return evaluate(family, *arguments)
 
-    dynamics._functions._jitted = jax.jit(counted, static_argnums=0)
+    dynamics.functions.jitted = jax.jit(counted, static_argnums=0)
     return seen
 
 
@@ -253,32 +253,6 @@ def test_states_as_plain_numbers_and_lists() -> None:
         np.testing.assert_array_equal(found[name], wanted[name])
 
 
-# ---- mistakes at call time -----------------------------------------------------------------------------------------
-
-LIMITS: dict[str, tuple[tuple[Any, ...], list[str]]] = {
-    "an unknown state": (
-        (0.0, POINT | {"v": 1.0}, CONTROLS),
-        ["unknown key 'v' in x", "'V', 'g', 'mass', 'grid', 'a'"],
-    ),
-    "an unknown control": ((0.0, POINT, {"F": np.ones(6), "G": 1.0}), ["unknown key 'G' in u", "'F', 'spare'"]),
-    "an unknown parameter": ((0.0, POINT, CONTROLS, {"m": 1.0}), ["unknown key 'm' in params", "'M', 'k', 'idle'"]),
-    "a missing state": ((0.0, {"V": POINT["V"]}, CONTROLS), ["State 'g' is missing", "of shape (4, 4)"]),
-    "no states": ((0.0, None, CONTROLS), ["State 'V' is missing"]),
-    "a wrong shape": ((0.0, POINT, {"F": np.ones(3)}), ["u['F'] expects shape (6,), got (3,)"]),
-    "a vector for a dict": ((0.0, np.zeros(20), CONTROLS), ["x must be a dict from names to arrays, got ndarray"]),
-}
-
-
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("what", LIMITS)
-def test_mistake_at_call_time(what: str) -> None:
-    arguments, words = LIMITS[what]
-    with pytest.raises(tx.InputError) as caught:
-        DYNAMICS(*arguments)
-    for word in words:
-        assert word in str(caught.value)
-
-
 def test_names_of_leaves_never_meet_those_of_time_and_constants() -> None:
     """A control called t, read by an output only, is not asked for where the rate reads the time."""
     odd, other = tx.Control("t"), tx.Control("constant")
@@ -331,9 +305,9 @@ def test_calls_are_pure() -> None:
 
 def test_the_same_tree_compiles_to_the_same_program() -> None:
     def text(dynamics: tx.Dynamics) -> str:
-        inputs = dynamics._functions.prepare(0.0, POINT, CONTROLS)
+        inputs = dynamics.functions.prepare(0.0, POINT, CONTROLS)
         return str(
-            jax.make_jaxpr(dynamics._functions.vector_field)(
+            jax.make_jaxpr(dynamics.functions.vector_field)(
                 inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params)
             )
         )

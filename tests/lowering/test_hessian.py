@@ -200,7 +200,7 @@ def test_scenes(name: str) -> None:
     weights = {n: RNG.normal(size=np.shape(r)) for n, r in dynamics(0.3, x, u, params).items()}
 
     def total(x: Any, u: Any) -> Any:
-        found = dynamics._functions.as_written("rates", jnp.asarray(0.3), x, u, params)
+        found = dynamics.functions.as_written("rates", jnp.asarray(0.3), x, u, params)
         return sum(jnp.vdot(weights[n], found[n]) for n in rates)
 
     found = np.asarray(dynamics.hessian(0.3, x, u, params, weights))
@@ -233,7 +233,7 @@ def test_two_orders_products_and_constraints() -> None:
     weights = {"h": 6, "a": 3, "m": (2, 2), "far": (), "inequality": 3, "level": 2, "low": 2}
     weights = {name: RNG.normal(size=size) for name, size in weights.items()}
     found = dynamics.hessian(0.0, x, u, None, weights, wrt=kinds)
-    functions = dynamics._functions
+    functions = dynamics.functions
     weighted = hessians._weighted(functions, weights)
     inputs = functions.prepare(0.0, x, u, reads=("rates", "outputs", "constraints"))
 
@@ -288,7 +288,7 @@ def test_as_many_programs_as_sets_of_names() -> None:
     for scale in (1.0, 2.0):
         dynamics.hessian(0.0, {"y": np.ones(2)}, None, None, {"y": scale * np.ones(2)})
         dynamics.hessian(0.0, {"y": scale * np.ones(2)}, None, None, {"y": np.ones(2), "one": scale})
-    programs = [each for each in dynamics._functions.hessians.values() if isinstance(each, hessians.WeightedHessian)]
+    programs = [each for each in dynamics.functions.hessians.values() if isinstance(each, hessians.WeightedHessian)]
     assert len(programs) == 2
 
 
@@ -307,7 +307,7 @@ def test_zeros_are_not_computed() -> None:
     np.testing.assert_array_equal(dynamics.hessian(0.0, *point, None, {"y": np.array([1.0, 2.0, 4.0])}), 7.0 * expected)
     (program,) = [
         each.program
-        for each in dynamics._functions.hessians.values()
+        for each in dynamics.functions.hessians.values()
         if isinstance(each, hessians.WeightedHessian) and each.pattern.any()
     ]
     assert program.counts() == {"add": 2}
@@ -374,28 +374,6 @@ def test_functions_with_derivatives_of_their_own(function: Any) -> None:
 
 
 # ---- errors --------------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize(
-    ("weights", "message"),
-    [
-        (None, "weights must be a dict from names to arrays, got NoneType"),
-        (np.ones(6), "weights must be a dict from names to arrays, got ndarray"),
-        (
-            {"W": np.ones(6)},
-            "unknown key 'W' in weights; expected a rate, an output or a constraint: 'g', 'V', 'reach'",
-        ),
-        ({"V": np.ones(3)}, r"weights\['V'\] expects shape \(6,\), got \(3,\)"),
-        ({"V": 1.0}, r"weights\['V'\] expects shape \(6,\), got \(\)"),
-        ({"V": "much"}, r"weights\['V'\]"),
-        ({"inequality": np.ones(1)}, r"weights\['inequality'\] expects shape \(0,\), got \(1,\)"),
-    ],
-)
-def test_wrong_weights(weights: Any, message: str) -> None:
-    x, u = {"g": np.eye(4), "V": np.zeros(6)}, {"F": np.zeros(6)}
-    with pytest.raises(tx.InputError, match=message):
-        FALLING.hessian(0.0, x, u, None, weights)
 
 
 def test_wrong_names() -> None:

@@ -144,33 +144,6 @@ def test_equal_structures_are_computed_once_whatever_objects_they_are() -> None:
 
 # ---- mistakes ------------------------------------------------------------------------------------------------------
 
-MISTAKES: dict[str, tuple[tuple[Any, ...], list[str]]] = {
-    "no state": ((0.0,), ["State 'x' is missing", "pass x={'x': ...} of shape (3,)"]),
-    "no control": ((0.0, {"x": X}), ["Control 'u' is missing", "pass u={'u': ...} of shape ()"]),
-    "an unknown control": ((0.0, {"x": X}, {"u": 1.0, "w": 1.0}), ["unknown key 'w' in u", "expected: 'u'"]),
-    "an unknown parameter": ((0.0, {"x": X}, {"u": 1.0}, {"P": 1.0}), ["unknown key 'P' in params", "expected: 'p'"]),
-    "a control among the states": ((0.0, {"x": X, "u": 1.0}), ["unknown key 'u' in x"]),
-    "a wrong shape": ((0.0, {"x": X[:2]}, {"u": 1.0}), ["x['x'] expects shape (3,), got (2,)"]),
-    "a batch": ((0.0, {"x": M}, {"u": 1.0}), ["x['x'] expects shape (3,), got (2, 3)", "fix:", "jax.vmap"]),
-    "no dict": ((0.0, X, {"u": 1.0}), ["x must be a dict from names to arrays, got ndarray"]),
-    "words": ((0.0, {"x": "abc"}, {"u": 1.0}), ["x['x'] expects real numbers"]),
-    "nothing": ((0.0, {"x": X}, {"u": None}), ["u['u'] expects real numbers"]),
-    "an expression": ((0.0, {"x": x}, {"u": 1.0}), ["x['x'] expects real numbers", "State is an expression"]),
-    "complex numbers": ((0.0, {"x": 1j * X}, {"u": 1.0}), ["x['x'] expects real numbers, got complex128"]),
-    "several times": ((X, {"x": X}, {"u": 1.0}), ["t expects a scalar, got shape (3,)"]),
-    "no time": ((None, {"x": X}, {"u": 1.0}), ["t expects real numbers"]),
-}
-
-
-@pytest.mark.usefixtures("unchecked")
-@pytest.mark.parametrize("what", MISTAKES)
-def test_mistake_at_call_time(what: str) -> None:
-    arguments, words = MISTAKES[what]
-    with pytest.raises(tx.InputError) as caught:
-        tx.lower(CURVE)(*arguments)
-    for word in words:
-        assert word in str(caught.value)
-
 
 def test_a_parameter_without_a_value() -> None:
     mass = tx.Parameter("mass")

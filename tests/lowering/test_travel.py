@@ -87,3 +87,20 @@ def test_what_pickle_refuses_is_named_with_its_node(monkeypatch: pytest.MonkeyPa
 
     with pytest.raises(pickle.PicklingError, match=r"the node Here\(x\) cannot be pickled for its class"):
         pickle.dumps(Here(x))
+
+
+@pytest.mark.parametrize(
+    ("expr", "module", "key"),
+    [
+        (tx.State("x") < 1.0, "twistax.expr.arithmetic", "d5ee1f4a0978171c8b15da2d6a29e343"),
+        (tx.State("x") <= 1.0, "twistax.expr.operations.arithmetic", "8584111153b61782fd5640be5d9e857d"),
+        (tx.lie.LeftJacobian(tx.State("w", (3,))), "twistax.expr.lie.elements", "48851983524313e0322db4e1a996cabd"),
+    ],
+    ids=["<", "<=", "LeftJacobian"],
+)
+def test_a_class_that_has_moved_is_found_by_its_earlier_name_and_keeps_its_key(
+    expr: Expr, module: str, key: str
+) -> None:
+    named = pickle.GLOBAL + f"{module}\n{type(expr).__name__}\n".encode() + pickle.STOP
+    assert pickle.loads(named) is type(expr)
+    assert expr.key() == key

@@ -139,31 +139,7 @@ def test_power_is_force_times_velocity_in_every_frame() -> None:
     np.testing.assert_allclose(value(in_frame, F=wrench), exact, rtol=1e-12)
 
 
-# ---- what is no body ----------------------------------------------------------------------------------------------
-
-SKEWED = np.eye(3) + 0.1 * np.eye(3, k=1)
-
-
-@pytest.mark.parametrize(
-    ("change", "error", "words"),
-    [
-        ({"mass": 0.0}, tx.ModelError, "positive, finite mass in kg, got 0.0"),
-        ({"mass": np.inf}, tx.ModelError, "positive, finite mass in kg, got inf"),
-        ({"mass": tx.Parameter("m", value=-2.0)}, tx.ModelError, "positive, finite mass in kg, got -2.0"),
-        ({"mass": [1.0]}, tx.ShapeError, r"mass with shape \(\), got \(1,\)"),
-        ({"center_of_mass": [0.0, 1.0]}, tx.ShapeError, r"center_of_mass with shape \(3,\), got \(2,\)"),
-        ({"center_of_mass": [0.0, 1.0, np.nan]}, tx.ModelError, "finite center_of_mass"),
-        ({"mass": None}, tx.ModelError, r"SpatialInertia expects mass with shape \(\): .*got None"),
-        ({"inertia": np.ones(3)}, tx.ShapeError, r"(?s)inertia with shape \(3, 3\), got \(3,\).*fix: .*np.diag"),
-        ({"inertia": np.full((3, 3), np.nan)}, tx.ModelError, "finite inertia"),
-        ({"inertia": SKEWED}, tx.ModelError, "symmetric inertia"),
-        ({"inertia": np.diag([1.0, 1.0, -0.1])}, tx.ModelError, r"not negative, got \[-0.1, 1.0, 1.0\]"),
-        ({"inertia": np.diag([1.0, 3.0, 1.0])}, tx.ModelError, r"sum of the other two.*got \[1.0, 1.0, 3.0\]"),
-    ],
-)
-def test_what_is_no_body_is_refused(change: dict[str, Any], error: type[Exception], words: str) -> None:
-    with pytest.raises(error, match=words):
-        SpatialInertia(**({"mass": 1.0, "inertia": np.eye(3)} | change))
+# ---- what is just a body ------------------------------------------------------------------------------------------
 
 
 def test_limits_of_bodies_are_bodies() -> None:
@@ -176,39 +152,6 @@ def test_limits_of_bodies_are_bodies() -> None:
         assert np.isfinite(value((thin + plate).acceleration(V, F))).all()
         with pytest.raises(tx.ModelError, match="three positive principal moments"):
             thin.acceleration(V, F)
-
-
-def test_arguments_of_another_shape_are_named() -> None:
-    body = body_of(FIRST)
-    for call, words in (
-        (lambda: body.momentum(g), r"V with shape \(6,\), got \(3,\)"),
-        (lambda: body.acceleration(V, g), r"F with shape \(6,\), got \(3,\)"),
-        (lambda: body.weight(V, g), r"T with shape \(4, 4\), got \(6,\)"),
-        (lambda: body.weight(T, 9.81), r"gravity with shape \(3,\), got \(\)"),
-        (lambda: body.in_frame(np.eye(3)), r"T with shape \(4, 4\), got \(3, 3\)"),
-        (lambda: power(g, V), r"power expects F with shape \(6,\), got \(3,\)"),
-    ):
-        with pytest.raises(tx.ShapeError, match=words):
-            call()
-
-
-@pytest.mark.parametrize(
-    "matrix",
-    [
-        2.0 * np.eye(4),
-        np.diag([1.0, 1.0, -1.0, 1.0]),
-        np.eye(4) + 0.1 * np.eye(4, k=-3),
-        np.full((4, 4), np.nan),
-        np.eye(4) * [1.0, 1.0, 1.001, 1.0],
-    ],
-    ids=["scaled", "mirrored", "position in the last row", "no numbers", "stretched"],
-)
-def test_numbers_that_are_no_pose_are_refused(matrix: np.ndarray) -> None:
-    body = body_of(FIRST)
-    for call in (lambda: body.in_frame(matrix), lambda: body.weight(matrix, np.zeros(3))):
-        with pytest.raises(tx.ModelError, match=r"(?s)T to be a pose \[R p; 0 1\].*fix: tx.pose\(...\) builds one"):
-            call()
-    body.in_frame(np.round(VALUES["T"], 5))  # typed with few digits
 
 
 @pytest.mark.usefixtures("unchecked")

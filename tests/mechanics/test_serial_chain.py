@@ -227,36 +227,3 @@ def test_thirty_equal_links() -> None:
 
 
 # ---- what is refused -------------------------------------------------------------------------------------------------
-
-
-def test_what_is_no_chain_is_refused(unchecked: None) -> None:
-    hinge, rod = joints.Revolute("a", (0.0, 0.0, 1.0)), double_pendulum().links[0].body
-    with pytest.raises(tx.ModelError, match=r"Link expects a joint, such as joints.Revolute, got 3"):
-        Link(3, rod, np.eye(4))
-    with pytest.raises(tx.ModelError, match="SpatialInertia as body, got 3"):
-        Link(hinge, 3, np.eye(4))
-    with pytest.raises(tx.ModelError, match="Link expects mount to be a pose"):
-        Link(hinge, rod, 2.0 * np.eye(4))
-    with pytest.raises(tx.ShapeError, match=r"Link expects mount with shape \(4, 4\), got \(3, 3\)"):
-        Link(hinge, rod, np.eye(3))
-    with pytest.raises(tx.ModelError, match="at least one link, got none"):
-        Chain([])
-    with pytest.raises(tx.ModelError, match=r"links made by Link, got Revolute\('a'\)"):
-        Chain([hinge])
-    with pytest.raises(tx.ShapeError, match=r"Chain expects gravity with shape \(3,\), got \(\)"):
-        Chain([Link(hinge, rod, np.eye(4))], gravity=9.81)
-    with pytest.raises(tx.ModelError, match="count must be a whole number of 1 or more, got 0"):
-        chain_models.equal_links(0)
-
-
-@pytest.mark.parametrize(
-    ("function", "names"), [(inverse_dynamics, ("q", "qd", "qdd")), (forward_dynamics, ("q", "qd", "tau"))]
-)
-def test_arguments_of_another_length_are_named(function: Any, names: tuple[str, ...]) -> None:
-    with pytest.raises(tx.ShapeError, match=r"mass_matrix expects q with shape \(2,\), got \(3,\)"):
-        mass_matrix(double_pendulum(), np.zeros(3))
-    for i, name in enumerate(names):
-        values = [np.zeros(3 if i == k else 2) for k in range(3)]
-        message = rf"{function.__name__} expects {name} with shape \(2,\), got \(3,\)(.|\n)*one entry for each link"
-        with pytest.raises(tx.ShapeError, match=message):
-            function(double_pendulum(), *values)

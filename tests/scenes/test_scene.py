@@ -131,13 +131,6 @@ def test_contradictions_are_refused() -> None:
             made(duration=duration)
 
 
-def test_a_state_of_another_shape_is_refused() -> None:
-    with pytest.raises(tx.InputError, match=r"'V' expects shape \(6,\), got \(1, 6\)"):
-        made().error(changed("V", TRUTH["V"][None]))
-    with pytest.raises(tx.InputError, match="'V' is missing; given: m"):
-        made(build=lambda: tx.System(rates={tx.State("V", shape=(6,)): np.zeros(6)})).error({"m": 1.0})
-
-
 def test_a_scene_cannot_be_changed_by_its_readers() -> None:
     with pytest.raises(ValueError, match="read-only"):
         SCENES["rocket"].start["V"][0] = 1.0

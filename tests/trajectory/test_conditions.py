@@ -138,7 +138,7 @@ def test_a_limit_that_the_given_half_decides_leaves_room(initial: Any) -> None:
     assert result.solved
     assert result.iterations < 100
     assert result.cost == pytest.approx(SHIFT @ SHIFT, rel=1e-3)
-    names = problem.shooting.names[problem.shooting.pinned]
+    names = problem.shooting.names[problem.shooting.redundant]
     assert list(names) == ["ground", "ground"]
 
 

@@ -112,12 +112,6 @@ def test_what_is_no_sum_of_squares_is_refused(objective: Any) -> None:
         )
 
 
-@pytest.mark.parametrize("hessian", ["GaussNewton", GaussNewton, 1])
-def test_another_hessian_is_refused(hessian: Any) -> None:
-    with pytest.raises(TrajectoryError, match=r"hessian expects tx.trajectory.GaussNewton\(\), .*, got "):
-        fastest(hessian)
-
-
 def test_quasi_newton_has_the_optima_of_newton() -> None:
     exact, found = (pendulum(hessian, swing=True).solve() for hessian in (None, QuasiNewton()))
     assert found.solved

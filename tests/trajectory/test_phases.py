@@ -193,6 +193,14 @@ def test_an_integral_of_a_later_phase_begins_at_zero() -> None:
     assert result.phases[1].integrals["Integral(u * u)"][-1] == pytest.approx(budget, abs=1e-6)
 
 
+def test_an_optimum_as_a_function_is_of_no_list_of_phases() -> None:
+    with pytest.raises(tx.TrajectoryError, match="no list of phases, got a list of phases, 2"):
+        tx.trajectory.solution(bang_bang())
+    alone = Problem([Phase(pushed(1.0), tx.Minimize(tx.Time()), nodes=3, final_time=1.0, initial={"p": 0.0, "v": 0.0})])
+    with pytest.raises(tx.TrajectoryError, match="got a list of phases, 1"):
+        tx.trajectory.solution(alone)
+
+
 def test_a_limit_that_the_end_of_a_phase_meets_binds_nobody_at_the_next_start() -> None:
     p, v, u = tx.State("p", max=1.0), tx.State("v"), tx.Control("u")
     dynamics = tx.compile(tx.System(rates={p: v, v: u}))

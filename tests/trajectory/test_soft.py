@@ -252,3 +252,22 @@ def test_what_is_no_soft_constraint_is_refused() -> None:
     rows = [tx.Soft(v <= 1.0, l1=tx.State("q"))]
     with pytest.raises(ModelError, match=r"the weight of v <= 1\. reads 'q'"):
         problem(rows)
+
+
+def test_messages_name_no_violation_of_a_soft_constraint() -> None:
+    """Its row with the slack is far less violated than the constraint, and that is what a search has left to do."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-2.0, max=2.0)
+    soft = {"slow": tx.Soft(v <= 0.6, l1=0.1)}
+    problem = Problem(
+        tx.compile(tx.System(rates={p: v, v: u}, constraints=soft)),
+        tx.Minimize(running=u * u),
+        nodes=9,
+        final_time=2.0,
+        initial={p: 0.0, v: 0.0},
+        final=[p == 1.0, v == 0.0],
+    )
+    result = problem.solve(callback=lambda iteration, *_: iteration >= 3)
+    assert result.status is Status.STOPPED
+    assert "Worst: 'slow'" in result.message
+    named = float(result.message.partition("off by ")[2].split(";")[0])
+    assert named < 0.7 * result.soft["slow"]

@@ -83,7 +83,11 @@ def test_a_warm_start_from_such_a_result(limit: dict[str, Any]) -> None:
         assert again.iterations <= 1
         assert again.message.endswith("Solved by Collocation(tx.tableaus.RADAU_IIA5), as the start was.")
         assert again.cost == pytest.approx(first.cost, rel=1e-9)
-    assert float(solution(stated)().cost) == pytest.approx(first.cost, rel=1e-7)
+
+
+def test_an_optimum_in_programs_is_that_of_implicit_steps() -> None:
+    stated = hypersensitive(at_ends(40, 15.0))
+    assert float(solution(stated)().cost) == pytest.approx(stated.solve().cost, rel=1e-8)
 
 
 def test_it_is_a_strategy() -> None:
@@ -103,6 +107,19 @@ def test_phases_are_integrated_anew() -> None:
     result = Problem([first, last]).solve()
     assert result.cost == pytest.approx(exact(), rel=1e-2)
     assert SAID in result.message
+
+
+def test_a_start_from_which_no_step_is_finite_is_not_infeasible() -> None:
+    """Explicit steps grow by 1e30. p follows v at once: the least effort from rest to v = 1 m/s in 2 s costs 1/2."""
+    p, v, push = tx.State("p"), tx.State("v"), tx.Control("push", min=-2.0, max=2.0)
+    dynamics = tx.compile(tx.System(rates={p: -1e5 * (p - v), v: push}))
+    ends: dict[str, Any] = {"final_time": 2.0, "initial": {p: 0.0, v: 0.0}, "final": {p: 1.0}}
+    stated = Problem(dynamics, tx.Minimize(running=push**2), nodes=9, **ends)
+    assert stated.solve(strategies=()).status is Status.STALLED
+    result = stated.solve()
+    assert result.solved
+    assert SAID in result.message
+    assert result.cost == pytest.approx(0.5, rel=1e-4)
 
 
 def test_failures_for_other_reasons_stay() -> None:

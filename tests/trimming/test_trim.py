@@ -199,7 +199,7 @@ def test_the_measure_has_no_unit_and_other_values_compile_nothing() -> None:
                            zero=["rate"], fixed={"height": height * unit})  # fmt: skip
             np.testing.assert_allclose(high.params["length"], -height * unit / np.cos(0.3), rtol=1e-12)
     np.testing.assert_allclose(measures[0], measures[1], rtol=1e-6)
-    kept = system._functions.loops.values()
+    kept = system.functions.loops.values()
     assert len(kept) == 2  # of rates, and of rates and outputs
     assert [function._cache_size() for function in kept] == [1, 1]
 

@@ -173,51 +173,6 @@ def test_phases_are_shown_one_after_the_other() -> None:
         dataclasses.replace(flight, save_at=None).show()
 
 
-@pytest.mark.parametrize(
-    ("choices", "said"),
-    [
-        ({"bodies": {"h": ()}}, "no state 'h'"),
-        ({"bodies": {"m": ()}}, "'m' has shape"),
-        ({"bodies": {"g": "box"}}, "tx.view.Sphere"),
-        ({"bodies": 3}, "as a mechanism"),
-        ({"arrows": {"T": tx.view.Arrow()}}, "no 'T'.*'g', 'm', 'F', 'f'"),
-        ({"arrows": {"F": tx.view.Arrow("h")}}, "no body 'h'"),
-        ({"arrows": {"m": tx.view.Arrow()}}, "expects arrows"),
-        ({"arrows": {"F": 1.0}}, "tx.view.Arrow"),
-        ({"trails": ["h"]}, "no body 'h'"),
-        ({"axes": ["h"]}, "no body 'h'"),
-        ({"up": (0.0, 0.0, 0.0)}, "direction"),
-        ({"seconds": -1.0}, "positive time"),
-        ({"shapes": [1.0]}, "as shapes"),
-    ],
-)
-def test_what_is_refused(choices: dict, said: str) -> None:
-    with pytest.raises(tx.InputError, match=said):
-        scene(**choices)
-
-
-@pytest.mark.parametrize(
-    "make",
-    [
-        lambda: tx.view.Box((1.0, -1.0, 1.0)),
-        lambda: tx.view.Sphere(0.0),
-        lambda: tx.view.Cylinder(1.0, np.inf),
-        lambda: tx.view.Capsule(1.0, 0.0),
-        lambda: tx.view.Cone(1.0, 2.0),
-        lambda: tx.view.Sphere(1.0, at=(1.0, 2.0)),
-        lambda: tx.view.Sphere(1.0, at=2.0 * np.eye(4)),
-        lambda: tx.view.Sphere(1.0, color=(300, 0, 0)),
-        lambda: tx.view.Sphere(1.0, opacity=2.0),
-        lambda: tx.view.Arrow(at=(1.0,)),
-        lambda: tx.view.Arrow(scale=0.0),
-        lambda: tx.view.Ellipsoid.of_inertia(1.0, np.zeros(3), np.zeros((3, 3))),
-    ],
-)
-def test_sizes_and_places_are_checked(make) -> None:
-    with pytest.raises(tx.InputError):
-        make()
-
-
 def test_without_viser_it_says_what_to_install(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setitem(__import__("sys").modules, "viser", None)
     with pytest.raises(tx.ModelError, match=r"pip install 'twistax\[view\]'"):

@@ -59,7 +59,7 @@ def check_derivatives(dynamics: tx.Dynamics, xs: dict[str, Any], us: dict[str, A
         values, tangents = jax.lax.map(lambda z: (pointwise(z), end(z)), jnp.asarray(steps))
         return jax.jacfwd(pointwise)(jnp.zeros(len(scale))), values, closed, tangents
 
-    # Loops, not vmaps: what compiles is one point, and that is where the time goes.
+    # Loops, not vmaps: then one point is compiled, and compilation takes most of the time.
     slopes, values, closed, tangents = jax.jit(lambda x, u: jax.lax.map(compared, (x, u)))(xs, us)
     rows = np.concatenate([scale[:n], np.zeros(slopes.shape[1] - n)])
     return DerivativeCheck(len(slopes), _largest(slopes, values, rows), _largest(closed, tangents, scale[:n]))

@@ -11,22 +11,10 @@ from .matrices.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpos
 from .matrices.solve import Inv, Solve
 from .matrices.solve_positive import InverseFactor, InversePositive, SolvePositive
 from .node import Expr, all_nodes, to_expr
-from .operations.arithmetic import (
-    Add,
-    Constraint,
-    Div,
-    Equality,
-    Inequality,
-    Less,
-    MatMul,
-    Mul,
-    Neg,
-    Power,
-    Sub,
-    refuse_conditions,
-)
+from .operations.arithmetic import Add, Div, MatMul, Mul, Neg, Power, Sub
 from .operations.array import Block, Concat, Hstack, Index, Stack, Vstack
 from .operations.choice import All, Any, Cond, LogSumExp, Max, Min, Not, Where
+from .operations.comparisons import Constraint, Equality, Inequality, Less, refuse_conditions
 from .operations.elementwise import (
     Abs,
     Acos,

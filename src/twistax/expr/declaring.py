@@ -10,6 +10,7 @@ import itertools
 import numbers
 import pickle
 import weakref
+from collections.abc import Iterable
 from typing import Any, NamedTuple
 
 import jax
@@ -30,7 +31,7 @@ class Field(NamedTuple):
     default: Any = _MISSING
 
     def shown(self, value: Any) -> bool:
-        """Whether printing mentions this static field: only when it differs from its default."""
+        """Whether printing shows this static field: only if it differs from its default."""
         if self.operand or self.variadic:
             return False
         return self.default is _MISSING or freeze(value) != freeze(self.default)
@@ -79,6 +80,14 @@ def positive(owner: object, name: str, value: object, unit: str = "") -> None:
     if not (number and 0.0 < float(value) < np.inf):  # type: ignore[arg-type]
         unit = f" of {unit}" if unit else ""
         raise ModelError(f"{type(owner).__name__} expects {name} to be a positive number{unit}, got {value!r}")
+
+
+def digest(cls: type, static_key: Any, keys: Iterable[str]) -> str:
+    """The structural key of a node: of its class, its static data and the keys of its children."""
+    hashed = hashlib.blake2b(digest_size=16)
+    for part in (f"{first_module(cls)}.{cls.__qualname__}", repr(static_key), *keys):
+        hashed.update(part.encode())
+    return hashed.hexdigest()
 
 
 def freeze(value: Any) -> Any:
@@ -135,7 +144,7 @@ _KEPT: list[Any] = []
 
 
 def _number_of(value: Any) -> int:
-    """A number that no other object gets, not even one that comes to lie at the same address."""
+    """A number unique to an object, even if another object later has the same address."""
     new = next(_NUMBERS)
     number = _IDENTITIES.setdefault(id(value), new)
     if number == new:

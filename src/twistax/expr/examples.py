@@ -23,7 +23,7 @@ class Example(NamedTuple):
 
 
 def example_of(cls: Any, case: Case, smooth: bool) -> Example:
-    """A case of a class as an example."""
+    """An example of a class from one of its cases."""
     values: dict[str, np.ndarray] = {}
 
     def leaf(name: str, value: Any) -> Any:

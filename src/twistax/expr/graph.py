@@ -71,7 +71,7 @@ def substitute(root: N, exchange: Mapping[str, N]) -> N:
 
 
 def find_path(root: Node, target: Node) -> str:
-    """How to reach `target` from `root`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long way is left out."""
+    """The path from `root` to `target`: `Solve.b -> Sub.right -> Adjoint`. The middle of a long path is left out."""
     parents: dict[int, tuple[Node, str]] = {}
     stack = [root]
     seen = {id(root)}

@@ -1,4 +1,4 @@
-"""Leaves: what an expression is a function of. Where a leaf sits in a vector is a layout's business, not the leaf's."""
+"""Leaves: the arguments of expressions. The place of a leaf in a vector is the business of a layout."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from ..checks import reals, short
 from ..errors import InputError, ModelError, ShapeError
-from ..groups import SE3, SO3, Euclidean, Group, Order, SpecialEuclidean
+from ..groups import SE3, SO3, Euclidean, Group, Order
 from ..groups.arrays import element_defect
 from .fields import freeze
 from .node import Expr, Shape
@@ -50,7 +50,7 @@ class Leaf(Expr):
         return (self.name, self.shape)
 
     def read(self, inputs: Inputs) -> jax.Array:
-        """This leaf's value among a lowered function's arguments."""
+        """The value of this leaf in the arguments of a lowered function."""
         raise NotImplementedError
 
     def check_in_system(self) -> None:
@@ -88,7 +88,7 @@ class Constant(Leaf):
 
     @property
     def folded_from(self) -> Expr | None:
-        """The structured matrix whose numbers these are, if `canonicalize` made them of one."""
+        """The structured matrix from which `canonicalize` folded this constant, if any."""
         origin: Expr | None = self.__dict__.get("_folded_from")
         return origin
 
@@ -202,13 +202,13 @@ class State(Variable):
         return super().replace(**(dict.fromkeys(implied) | changes))
 
     def boundary(self, what: str, value: Any) -> np.ndarray | None:
-        """A value at the start or the end, "initial" or "final", checked as one that the state is declared with."""
+        """A checked value at the start or the end, "initial" or "final"."""
         return _boundary(self.name, what, value, self.group)
 
     @property
     def order(self) -> Order | None:
         """Order of the twists of a pose; None for other states."""
-        return self.group.order if isinstance(self.group, SpecialEuclidean) else None
+        return self.group.twist_order
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape, repr(self.group))
@@ -294,7 +294,6 @@ def _shape_of(name: str, shape: Shape | int) -> Shape:
 
 
 def _group(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
-    """The group of a state, in its order."""
     if group is None:
         if order is not None:
             raise ModelError(
@@ -319,7 +318,7 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
         )
     if order is None:
         return group
-    if not isinstance(group, SpecialEuclidean):
+    if group.twist_order is None:
         raise ModelError(f"State {name!r}: order= is for poses, got the group {group.name}.\n  fix: leave order out")
     if not isinstance(order, Order):
         raise ModelError(f"State {name!r} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {order!r}")
@@ -339,7 +338,6 @@ def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan)
 
 
 def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
-    """Bounds, guess and scale of a variable."""
     shape = group.shape
     low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
     if low is not None and high is not None and (low > high).any():
@@ -364,7 +362,7 @@ _ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
 
 
 def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
-    """An element of which whole parts are open, NaN, such as the position of a pose; any other entries cannot be."""
+    """An element with whole parts left free (NaN), such as the position of a pose; single entries cannot be free."""
     parts, rest = group.parts if len(group.parts) > 1 else (), array.copy()
     for part in parts:
         if np.isnan(array[part.place]).all():
@@ -380,7 +378,7 @@ def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndar
 
 
 def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    """A start or an end: an element of a group, or numbers of which some may be None."""
+    """A value at the start or the end: an element of a group, or numbers of which some may be None."""
     if value is None or group.flat:
         numbers = _value(name, what, value, group.shape)
         if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip

@@ -1,12 +1,15 @@
-"""Modules that have moved, by their earlier names, which files and pickles of earlier versions hold."""
+"""Modules that have moved, by the earlier names in files and pickles of earlier versions."""
 
 from __future__ import annotations
 
 import importlib
 import sys
+from collections.abc import Callable
 from importlib.machinery import ModuleSpec
 from types import ModuleType
 from typing import Any
+
+from ..errors import ModelError
 
 _PACKAGE = __name__.partition(".")[0]
 #: Below the package. Only modules whose classes and functions files or pickles may name.
@@ -36,28 +39,55 @@ MOVED = {
     "integrators.solution": "integrators.results.solution",
     "lowering.backends": "scalar.backends",
     "lowering.dynamics": "system.dynamics",
+    "lowering.explain": "system.explain",
+    "lowering.fast": "scalar.fast",
     "lowering.functions": "system.functions",
     "lowering.native.backend": "scalar.targets.llvm.backend",
     "layout": "groups.columns",
     "table_load": "scalar.primitives.table_load",
     "tables": "expr.tables",
+    "trajectory.accuracy": "trajectory.strategy.accuracy",
     "trajectory.controls": "trajectory.problem.controls",
+    "trajectory.discretize": "linear.discretize",
+    "trajectory.external": "trajectory.adapters.solvers",
     "trajectory.functionals": "trajectory.problem.functionals",
+    "trajectory.linearize": "linear.linearize",
+    "trajectory.mesh": "trajectory.transcription.mesh",
+    "trajectory.modes": "linear.modes",
+    "trajectory.phase": "trajectory.problem.phase",
     "trajectory.statement": "trajectory.problem.statement",
+    "trajectory.strategies": "trajectory.strategy.strategies",
+    "trajectory.trimming": "trimming.trim",
+    "trajectory.watch": "trajectory.strategy.status",
 }
+#: Classes that have another name now, or whose module is a package now.
+_CLASSES = {
+    "integrators.tableaus.Rows": "integrators.tableaus.StageRows",
+    "trajectory.hessians.GaussNewton": "trajectory.hessians.options.GaussNewton",
+    "trajectory.hessians.QuasiNewton": "trajectory.hessians.options.QuasiNewton",
+    "trajectory.transcription.Collocation": "trajectory.transcription.methods.Collocation",
+    "trajectory.transcription.MultipleShooting": "trajectory.transcription.methods.MultipleShooting",
+}
+#: Modules of problems and of their results, whose parts are others now; and such classes of what is a package now.
+_UNREAD = ("trajectory.cases", "trajectory.phased_result", "trajectory.phases", "trajectory.warm")
+_UNREAD_CLASSES = ("trajectory.problem.Problem", "trajectory.result.TrajectoryResult")
 _EARLIER = {now: earlier for earlier, now in MOVED.items()}
+#: Modules all of whose classes come from another one, which has them still for pickles.
+_EARLIER |= {"expr.operations.comparisons": "expr.arithmetic", "expr.lie.jacobians": "expr.lie.elements"}
 #: Packages that are gone; of their modules those above are left.
 _GONE = ("lowering", "lowering.native")
 
 
 def module_now(module: str) -> str:
-    """The module that an earlier name means."""
+    """The present module of an earlier name."""
     package, _, below = module.partition(".")
     return f"{package}.{MOVED[below]}" if package == _PACKAGE and below in MOVED else module
 
 
 def first_module(cls: type) -> str:
-    """Where a class was first defined: what files and keys name, so that they stay the same when it moves."""
+    """The module in which a class was first defined: files and keys name it, so that they stay the same if the class
+    moves.
+    """
     package, _, below = cls.__module__.partition(".")
     return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
 
@@ -68,7 +98,7 @@ class EarlierNames:
     @classmethod
     def find_spec(cls, name: str, path: Any = None, target: Any = None) -> ModuleSpec | None:
         package, _, module = name.partition(".")
-        if package != _PACKAGE or (module not in MOVED and module not in _GONE):
+        if package != _PACKAGE or module not in (*MOVED, *_GONE, *_UNREAD):
             return None
         return ModuleSpec(name, cls, is_package=module in _GONE)  # type: ignore[arg-type]  # a loader by its methods
 
@@ -81,6 +111,32 @@ class EarlierNames:
         """A module may put another one in its place."""
         if (now := module_now(module.__name__)) != module.__name__:
             sys.modules[module.__name__] = importlib.import_module(now)
+        else:
+            module.__dict__["__getattr__"] = earlier_classes(module.__name__)
+
+
+def earlier_classes(module: str) -> Callable[[str], Any]:
+    """`__getattr__` of a module: the classes that it had in earlier versions, by their names then.
+
+    Raises:
+        ModelError: one that this version does not read.
+    """
+    _, _, below = module.partition(".")
+
+    def earlier(name: str) -> Any:
+        qualified = f"{below}.{name}"
+        if (now := _CLASSES.get(qualified)) is not None:
+            home, _, class_name = now.rpartition(".")
+            return getattr(importlib.import_module(f"{_PACKAGE}.{home}"), class_name)
+        if qualified in _UNREAD_CLASSES or (below in _UNREAD and not name.startswith("_")):
+            raise ModelError(
+                f"this pickle has a {name} of an earlier version of twistax, which this version does not read.\n"
+                "  fix: state the problem again and solve it, with the earlier xs and us as guess; the version that "
+                "wrote the pickle reads it"
+            )
+        raise AttributeError(f"module {module!r} has no attribute {name!r}")
+
+    return earlier
 
 
 def find_earlier_names() -> None:

@@ -6,9 +6,8 @@ caching, keys, operators and printing are written once, here and beside.
 
 from __future__ import annotations
 
-import hashlib
 import inspect
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import TYPE_CHECKING, Any, ClassVar, TypeAlias, TypeVar, cast, dataclass_transform, overload
 
 import jax
@@ -17,10 +16,9 @@ import numpy as np
 from ..checks import listed
 from ..errors import ImmutableError, ModelError, OperationError, ShapeError
 from .canonical import canonicalize_all
-from .declaring import Field, bind_fields, declare_fields, freeze
+from .declaring import Field, bind_fields, declare_fields, digest, freeze
 from .examples import Case, Example, example_of
 from .graph import bottom_up, find_path
-from .moved import first_module
 from .operators import NODES, Operators, as_node
 from .packing import pack, unpack
 from .printing.printed import Printed
@@ -130,22 +128,24 @@ class Expr(Printed, Operators):
         for field in self._fields:
             value = values[field.name]
             if field.variadic:
-                value = tuple(map(to_expr, value))
-            setattr(self, field.name, to_expr(value) if field.operand else value)
-        if self.of_numbers and any(child.boolean for child in self.children()):
-            self._take_numbers()
+                value = tuple(map(self._child, value))
+            setattr(self, field.name, self._child(value) if field.operand else value)
         self.validate()
         self._seal()
 
-    def _take_numbers(self) -> None:
-        """Constant truth values are 0 and 1; a condition is refused."""
-        name = type(self).__name__
-        for field in self._fields:
-            value = getattr(self, field.name)
-            if field.variadic:
-                setattr(self, field.name, tuple(to_numbers(name, child) for child in value))
-            elif field.operand:
-                setattr(self, field.name, to_numbers(name, value))
+    def _child(self, value: Any) -> Expr:
+        child = to_expr(value)
+        return to_numbers(type(self).__name__, child) if self.of_numbers else child
+
+    @classmethod
+    def from_fields(cls: type[E], fields: Mapping[str, Any], *, validated: bool = True) -> E:
+        """A node with these fields, without its constructor; `validated` says that they pass `validate`."""
+        node = object.__new__(cls)
+        node.__dict__.update(fields)
+        if not validated:
+            node.validate()
+        node.__dict__["_sealed"] = True
+        return node
 
     def validate(self) -> None:
         """Check static fields at construction; shapes are `infer_shape`'s business."""
@@ -267,7 +267,7 @@ class Expr(Printed, Operators):
         return names
 
     def outline(self) -> list[tuple[str, Expr]]:
-        """What `tree()` shows below this node, with names: the children, unless a node holds more than these."""
+        """The named entries that `tree()` shows below this node: its children, unless a node holds more."""
         return list(zip(self.child_names(), self.children(), strict=True))
 
     def with_children(self: E, children: list[Expr]) -> E:
@@ -275,8 +275,7 @@ class Expr(Printed, Operators):
         mine = self.children()
         if len(mine) == len(children) and all(a is b for a, b in zip(mine, children)):
             return self
-        copy = object.__new__(type(self))
-        rest = iter(children)
+        rest, fields = iter(children), {}
         free = len(children) - sum(field.operand for field in self._fields)
         for field in self._fields:
             value = getattr(self, field.name)
@@ -284,25 +283,16 @@ class Expr(Printed, Operators):
                 value = tuple(next(rest) for _ in range(free))
             elif field.operand:
                 value = next(rest)
-            copy.__dict__[field.name] = value
-        copy._seal()
-        return copy
+            fields[field.name] = value
+        return type(self).from_fields(fields)
 
     def static_key(self) -> tuple[Any, ...]:
-        """What distinguishes this node from others of its class over the same children."""
+        """The data that distinguishes this node from others of its class with the same children."""
         return tuple(freeze(getattr(self, f.name)) for f in self._fields if not (f.operand or f.variadic))
 
     def key(self) -> str:
         """Digest of the structure: equal for equal trees, whatever objects they are made of."""
-        return bottom_up(self, "_key", Expr._own_key)
-
-    def _own_key(self) -> str:
-        digest = hashlib.blake2b(digest_size=16)
-        digest.update(f"{first_module(type(self))}.{type(self).__qualname__}".encode())
-        digest.update(repr(self.static_key()).encode())
-        for child in self.children():
-            digest.update(child.__dict__["_key"].encode())
-        return digest.hexdigest()
+        return bottom_up(self, "_key", lambda node: digest(type(node), node.static_key(), _read(node, "_key")))
 
     def check_shape(self) -> Shape:
         """The shape of the value.
@@ -324,14 +314,12 @@ class Expr(Printed, Operators):
     @property
     def is_group_element(self) -> bool:
         """Whether the value is known to be a rotation (3, 3) or a pose (4, 4); a plain matrix is not."""
-        of_node = lambda node: node.makes_group_element(*(c.__dict__["_element"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_element", of_node)
+        return bottom_up(self, "_element", lambda node: node.makes_group_element(*_read(node, "_element")))
 
     @property
     def boolean(self) -> bool:
         """Whether the entries are true or false: constraints and what is made of them."""
-        of_node = lambda node: node.makes_boolean(*(c.__dict__["_boolean"] for c in node.children()))  # noqa: E731
-        return bottom_up(self, "_boolean", of_node)
+        return bottom_up(self, "_boolean", lambda node: node.makes_boolean(*_read(node, "_boolean")))
 
     def canonicalize(self) -> Expr:
         """A simpler tree of the same shape, equal wherever the original is finite."""
@@ -350,6 +338,11 @@ class Expr(Printed, Operators):
         return unpack, pack(self)
 
 
+def _read(node: Expr, name: str) -> list[Any]:
+    """What `bottom_up` keeps in the children."""
+    return [child.__dict__[name] for child in node.children()]
+
+
 def to_expr(value: Any) -> Expr:
     """The value itself if it is an expression, else a Constant made of a number or an array.
 
@@ -361,7 +354,7 @@ def to_expr(value: Any) -> Expr:
 
 def _shape_of(node: Expr, root: Expr) -> Shape:
     try:
-        return node.infer_shape(*(child.__dict__["_shape"] for child in node.children()))
+        return node.infer_shape(*_read(node, "_shape"))
     except ShapeError as error:
         raise error.located(f"{find_path(root, node)} in {root!r}") from None
 

@@ -25,12 +25,12 @@ def _unary(node: str) -> Callable[[Any], Any]:
 
 
 def _both_ways(node: str) -> tuple[Callable[[Any, Any], Any], Callable[[Any, Any], Any]]:
-    """The operator of a node with two operands, and the one Python asks where the expression stands on the right."""
+    """The operator of a node with two operands, and its reflected version."""
     return lambda a, b: NODES[node](a, b), lambda b, a: NODES[node](a, b)
 
 
 def _refused(written: str, why: str, fix: str) -> Callable[..., Any]:
-    """An operator that has no meaning: how it is written with a and b, why, and what has one."""
+    """An operator that is not defined: its form with a and b, the reason, and the alternative."""
 
     def refuse(a: Any, b: Any = None, c: Any = None) -> NoReturn:
         raise OperationError(f"{written.format(a=a, b=b, c=c)}: {why}.\n  fix: {fix}")
@@ -84,7 +84,7 @@ class Operators:
     )
     __hash__ = object.__hash__
 
-    # NumPy asks this method before it tries to loop over us: `array @ expr`, `np.sin(expr)`.
+    # NumPy calls this method before it would iterate over the expression: `array @ expr`, `np.sin(expr)`.
     def __array_ufunc__(self, ufunc: np.ufunc, method: str, *inputs: Any, **kwargs: Any) -> Any:
         name = ufunc.__name__
         if getattr(np, name, None) is not ufunc:
@@ -282,12 +282,12 @@ _NEAR = {
 
 
 def takes_expressions(name: str) -> bool:
-    """Whether a function of NumPy builds something of expressions."""
+    """Whether a function of NumPy accepts expressions."""
     return name in _SAME or name in _MEANINGS
 
 
 def _meaning(name: str, expr: Any) -> Callable[..., Any]:
-    """What a function of NumPy builds from expressions, of which `expr` is one. Raises TypeError."""
+    """The node of a function of NumPy applied to expressions, of which `expr` is one. Raises TypeError."""
     if name in _NEAR:
         raise OperationError(f"np.{name} is not available for expressions.\n  fix: use {_NEAR[name]}")
     if name in _SAME:

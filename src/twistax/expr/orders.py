@@ -31,7 +31,7 @@ _Slot: TypeAlias = tuple[_Token, int]
 
 @dataclasses.dataclass(frozen=True)
 class _Place:
-    """What fixed an order: a node below a named root, or the root itself."""
+    """The place that fixed an order: a node below a named root, or the root itself."""
 
     order: Order
     name: str
@@ -58,7 +58,7 @@ class _Classes:
         return slot
 
     def place_of(self, slot: _Slot) -> _Place | None:
-        """What fixed the order of an axis, if anything did."""
+        """The place that fixed the order of an axis, or None."""
         return self._fixed.get(self._find(slot))
 
     def fix(self, slot: _Slot, place: _Place) -> None:
@@ -85,7 +85,7 @@ def _agree(known: _Place | None, place: _Place | None, where: str = "") -> None:
 
 @dataclasses.dataclass(frozen=True)
 class _Scope:
-    """Where values live: in the system, or in the body of one Vmap, whose elements have no name outside."""
+    """The scope of values: the system, or the body of one Vmap, whose elements have no name outside."""
 
     key: str = ""
     outer: _Scope | None = None
@@ -98,7 +98,7 @@ class _Scope:
 
 
 class _Flow:
-    """Walks all expressions of a system and gathers what their nodes say about orders."""
+    """Walks all expressions of a system and collects constraints on orders from their nodes."""
 
     def __init__(self) -> None:
         self._classes = _Classes()
@@ -106,11 +106,10 @@ class _Flow:
         self._operators: dict[_Token, tuple[str, Expr]] = {}
 
     def read(self, name: str, root: Expr) -> None:
-        """Everything below a root."""
         self._read(name, root, root, _Scope())
 
     def _read(self, name: str, root: Expr, below: Expr, scope: _Scope) -> None:
-        """What stands below a node, children first, bodies of Vmaps too; each once in all roots."""
+        """Everything below a node, children first, including bodies of Vmaps; each node once."""
         for node in postorder(below):
             if _token(scope, node) in self._free:
                 continue
@@ -150,7 +149,7 @@ class _Flow:
                 _agree(known, place, f" on the two sides of {name}: {_short(value)}")
 
     def _is_free(self, scope: _Scope, node: Expr) -> bool:
-        """Whether nothing the value is made of has an order."""
+        """Whether no part of the value has an order."""
         if isinstance(node, Leaf):
             return isinstance(node, Constant)
         if node.twist_orders()[1] is not None:
@@ -160,7 +159,7 @@ class _Flow:
         return all(self._free[_token(scope, value)] for value in sources)
 
     def _slot(self, scope: _Scope, parent: Expr, value: Expr, axis: int) -> _Slot:
-        """The axis of a value as its parent sees it: what is free of orders is another value in every place."""
+        """The axis of a value as its parent sees it: a value without order is another one at every place."""
         token = _token(scope, value)
         return ((*token, parent.key()) if self._free.get(token, False) else token), axis
 
@@ -190,7 +189,7 @@ def _body_scope(scope: _Scope, node: Expr) -> _Scope:
 
 
 def _bodies(node: Expr) -> list[Expr]:
-    """What a node holds besides its children."""
+    """The expressions that a node holds besides its children."""
     children = {id(child) for child in node.children()}
     return [part for _, part in node.outline() if id(part) not in children]
 

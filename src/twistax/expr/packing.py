@@ -15,7 +15,7 @@ _MADE_AGAIN = ("_key", "_lookup")
 
 
 class _Place(int):
-    """Stands for a node in a table."""
+    """The place of a node in the table."""
 
 
 def pack(value: Any) -> tuple[list[tuple[type[Any], dict[str, Any]]], Any]:
@@ -62,7 +62,7 @@ def _exchanged(value: Any, other: Callable[[Any], Any]) -> Any:
 
 
 def _check_pickles(node: Any, fields: Mapping[str, Any]) -> None:
-    """Name the node that holds what pickle refuses; cloudpickle takes more."""
+    """Raise PicklingError that names the node with something that pickle refuses; cloudpickle accepts more."""
     values = {"class": type(node)} | {name: value for name, value in fields.items() if callable(value)}
     for name, value in values.items():
         try:

@@ -1,4 +1,4 @@
-"""What a table of a solution is made of: what lays one out derives from `Layout`, without loading integrators."""
+"""The parts of a table of a solution. Layouts derive from `Layout`, without loading integrators."""
 
 from __future__ import annotations
 

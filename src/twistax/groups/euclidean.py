@@ -9,9 +9,9 @@ from typing import Any, ClassVar
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
 from twistax.errors import ModelError
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, floats, of_shape
 from twistax.groups.group import Group
 

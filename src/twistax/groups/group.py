@@ -1,17 +1,19 @@
-"""What every group of states offers."""
+"""The interface of groups of states."""
 
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any, ClassVar
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
+from twistax.errors import ModelError
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, floats, multiply, of_shape
 
 
@@ -61,13 +63,13 @@ class Group(ABC):
 
     @classmethod
     def examples(cls) -> tuple[Group, ...]:
-        """Groups of this class, for the suites that run over all classes: that without arguments unless overridden."""
+        """Instances of this class for the test suites of all groups; by default the one without arguments."""
         return (cls(),)
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """How messages call the group."""
+        """The name of the group in messages."""
 
     @property
     @abstractmethod
@@ -157,12 +159,12 @@ class Group(ABC):
 
     # ---- what states, integrators, problems and tables ask of any group ------------------------------------------
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         """The parts of an element by unit, each entry of a tangent in one; one without a unit unless overridden."""
         return (ElementPart("distance", ..., tuple(range(self.dimension))),)
 
-    @property
+    @cached_property
     def tangent_shape(self) -> tuple[int, ...]:
         """The shape of rates: (dimension,), for flat groups that of the elements."""
         return self.shape if self.flat else (self.dimension,)
@@ -174,7 +176,7 @@ class Group(ABC):
 
     @property
     def sized(self) -> np.ndarray:
-        """(dimension,): which entries of a tangent are compared with the size of what they move, not with 1."""
+        """(dimension,): which entries of a tangent are compared to the size of what they move, not to 1."""
         return self._where(lambda part: part.sized)
 
     def _where(self, chosen: Any) -> np.ndarray:
@@ -184,7 +186,9 @@ class Group(ABC):
         return mask
 
     def sizes(self, g: Any) -> Float[Array, "n"]:
-        """What the entries of a tangent at g are compared with: the length of a part with a unit of length, else 1."""
+        """The sizes to which entries of a tangent at g are compared: the length of a part with a unit of length, else
+        1.
+        """
         most = jnp.ones(self.dimension, g.dtype)
         for part in self.parts:
             if part.sized:
@@ -205,6 +209,15 @@ class Group(ABC):
     def to_linear_first(self, d: Any) -> Any:
         """A tangent, or other numbers for its entries, with the linear part first where the group has two orders."""
         return d
+
+    @property
+    def twist_order(self) -> Any:
+        """The order of the entries of a tangent, of groups that have two; None for others."""
+        return None
+
+    def with_order(self, order: Any) -> Group:
+        """The same group with tangents in another order. Raises ModelError where it has none, and for what is none."""
+        raise ModelError(f"with_order is for poses, got the group {self.name}")
 
     def known_defect(self, g: np.ndarray) -> float:
         """`defect` of numbers, in double precision. Works while other values are traced."""

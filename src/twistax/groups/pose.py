@@ -1,4 +1,4 @@
-"""Building poses from the attitudes people write down, and reading them again."""
+"""Poses from several representations of attitude, and the inverse."""
 
 from __future__ import annotations
 
@@ -8,10 +8,10 @@ from typing import Any
 
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ShapeError
 from twistax.groups import euler_angles, quaternions, se3, so3
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, element, floats, known, of_shape
 from twistax.groups.euler_angles import ROLL_PITCH_YAW
 from twistax.units import metres, radians, same_unit
@@ -82,12 +82,12 @@ def _check_finite(what: str, array: Array) -> None:
 
 
 def quaternion(R: Input) -> Float[Array, "4"]:
-    """As `twistax.lie.quaternion`, of numbers."""
+    """`twistax.lie.quaternion` for numbers."""
     return quaternions.from_rotation(_rotation_of("quaternion", R))
 
 
 def euler(R: Input, sequence: str = ROLL_PITCH_YAW) -> Float[Array, "3"]:
-    """As `twistax.lie.euler`, of numbers."""
+    """`twistax.lie.euler` for numbers."""
     return euler_angles.angles(_rotation_of("euler", R), sequence)
 
 

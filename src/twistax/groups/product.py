@@ -10,9 +10,9 @@ from typing import Any
 
 import jax.numpy as jnp
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ModelError, ShapeError
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, of_shape
 from twistax.groups.euclidean import Euclidean
 from twistax.groups.group import Group
@@ -40,7 +40,7 @@ class Product(Group):
         self._factors = tuple(factors.items())
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, Product) and self._factors == other._factors
+        return isinstance(other, Product) and self._factors == tuple(other.factors.items())
 
     def __hash__(self) -> int:
         return hash(self._factors)
@@ -100,7 +100,7 @@ class Product(Group):
             )
 
     def _each(self, function: str, *elements: Any) -> dict[str, Any]:
-        """The function of every factor applied to its parts of the elements."""
+        """A function of every factor, applied to its parts of the elements."""
         for g in elements:
             self._check_names(function, g)
         return {name: getattr(group, function)(*(g[name] for g in elements)) for name, group in self._factors}

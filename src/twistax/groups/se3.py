@@ -11,10 +11,10 @@ Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012)
 from __future__ import annotations
 
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from twistax.errors import ShapeError
 from twistax.groups import so3
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import (
     Components,
     Input,

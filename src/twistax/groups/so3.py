@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import jax
 import jax.numpy as jnp
-from jaxtyping import Array, Float
 
 from twistax.errors import ShapeError
 from twistax.groups import quaternions
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import (
     Input,
     cross,

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import cached_property
 from types import ModuleType
 from typing import Any, ClassVar
 
@@ -11,10 +12,10 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 from jax.typing import DTypeLike
-from jaxtyping import Array, Float
 
 from twistax.errors import InputError, ModelError, ShapeError
 from twistax.groups import quaternions, se3, so3
+from twistax.groups.annotations import Array, Float
 from twistax.groups.arrays import Input, defect, dot, element, element_defect, floats, matrix, of_shape, unpack
 from twistax.groups.group import ElementPart, Group
 
@@ -148,7 +149,7 @@ class SpecialOrthogonal(_MatrixGroup):
     dimension: ClassVar[int] = 3
     _maps: ClassVar[ModuleType] = so3
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         return (ElementPart("attitude", np.s_[:, :], (0, 1, 2), "rad"),)
 
@@ -187,7 +188,7 @@ class SpecialEuclidean(_MatrixGroup):
     def examples(cls) -> tuple[Group, ...]:
         return cls(), cls(ANGULAR_FIRST)
 
-    @property
+    @cached_property
     def parts(self) -> tuple[ElementPart, ...]:
         first, last = (0, 1, 2), (3, 4, 5)
         linear, angular = (first, last) if self.order.linear_leads else (last, first)
@@ -200,6 +201,10 @@ class SpecialEuclidean(_MatrixGroup):
         g, rate = of_shape("SE3.body_velocity", {"g": self.shape, "rate": self.shape}, g, rate)
         back = g[:3, :3].T
         return self.order.join(so3.act(back, rate[:3, 3]), so3.vee(so3.compose(back, rate[:3, :3])))
+
+    @property
+    def twist_order(self) -> Order:
+        return self.order
 
     def with_order(self, order: Order) -> SpecialEuclidean:
         """The same group with tangents in another order. Raises ModelError."""

@@ -3,8 +3,8 @@
 from .controls import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from .events.conditions import AtStart, Event
 from .integrate import integrate
-from .loop.loop import ended_well
 from .loop.outcome import Result
+from .loop.rollout import ended_well
 from .method import Method, VectorField
 from .methods.commutator_free import CommutatorFree
 from .methods.implicit_rkmk import ImplicitRKMK

@@ -37,7 +37,7 @@ class AmbientSystem:
 
     def to_ambient(self, x: Mapping[str, Any]) -> Arrays:
         """The numbers of a state. Raises InputError as a call of the dynamics does."""
-        states = self.dynamics._functions.prepare(0.0, x, reads=()).x
+        states = self.dynamics.functions.prepare(0.0, x, reads=()).x
         return {name: numbers.write(states[name]) for name, numbers in self._numbers.items()}
 
     def from_ambient(self, y: Mapping[str, Any]) -> Arrays:
@@ -102,7 +102,7 @@ class Arguments:
         """
         start, length = (self.t, jnp.zeros_like(self.t)) if t is None or h is None else (t, h)
         now = self.signals.during(dynamics, start, length)(self.t)
-        return dynamics._functions.vector_field(self.t, self.x, now, self.params)
+        return dynamics.functions.vector_field(self.t, self.x, now, self.params)
 
 
 def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) -> Arguments:
@@ -111,7 +111,7 @@ def read_arguments(dynamics: Dynamics, t: Any, x: Mapping[str, Any], args: Any) 
         raise InputError(f"args must be (u, params), both as tx.integrate takes them, or None; got {args!r}")
     u, params = (None, None) if args is None else args
     controls = controls_of(u)
-    inputs = dynamics._functions.prepare(t, x, controls.sample(t), params)
+    inputs = dynamics.functions.prepare(t, x, controls.sample(t), params)
     if isinstance(controls, OfTime):
         controls = controls.opened(inputs.t)
     return Arguments(inputs.t, dict(inputs.x), controls.prepared(inputs.u, inputs.dtype), dict(inputs.params))

@@ -273,7 +273,7 @@ class ByName:
 class OfTime:
     """Controls as a function of time. A pytree of the traced values that the function closes over."""
 
-    #: No times that are known: whoever writes the function says where it jumps.
+    #: No known times: the user passes the jumps of a function by `jumps=`.
     jumps: Sequence[Any] = ()
 
     def __init__(self, function: Callable[..., Mapping[str, Any]], inputs: Sequence[Any] = ()) -> None:

@@ -21,10 +21,10 @@ from ..progress import watched
 from ..scalar.array_primitive import on_any_mesh
 from ..system.dynamics import Dynamics
 from .loop.failures import failure, numbers
-from .loop.loop import Steps, ended_well
+from .loop.loop import Steps
 from .loop.outcome import Result
 from .loop.progress_callback import callback_of, calling_back
-from .loop.rollout import RolloutResult, rollout
+from .loop.rollout import RolloutResult, ended_well, rollout
 from .loop.unreached import nan_unless
 from .method import Stepper
 from .options import Options, need_flag, plan_of, with_options
@@ -107,8 +107,8 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
         with watched("integrate", options.progress):
             result = rollout(steps, stepper, plan.x)
     else:
-        with calling_back(callback) as meter:
-            result = rollout(dataclasses.replace(steps, meter=meter), stepper, plan.x)
+        with calling_back(callback) as progress_calls:
+            result = rollout(dataclasses.replace(steps, progress_calls=progress_calls), stepper, plan.x)
     if is_traced((options.t0, options.t1, options.save_at)):
         times = (plan.t0, jnp.asarray(options.t1, plan.t0.dtype), plan.ts)
         result = _inside(result, *(jnp.asarray(stepper.clock(t)) for t in times))
@@ -138,7 +138,7 @@ def solution_of(
 ) -> Solution:
     """The `Solution` of a rollout. With known numbers a failure raises, or the part before it is returned."""
     outcome, xs, known = rolled.outcome, rolled.xs, not is_traced(rolled.outcome)
-    watching = steps.watch is not None and any(steps.watch.terminal)
+    watching = steps.events is not None and any(steps.events.terminal)
     code, tried, accepted, evaluations = outcome.code, outcome.tried, outcome.accepted, outcome.evaluations
     if known:
         tried, accepted, evaluations = int(tried), int(accepted), int(evaluations)

@@ -42,7 +42,7 @@ class VectorField(NamedTuple):
 
     def __call__(self, t: jax.Array, x: Arrays) -> Arrays:
         """The rates at a time within the step."""
-        return self.dynamics._functions.vector_field(self.clock(t), x, self.controls(t), self.params)
+        return self.dynamics.functions.vector_field(self.clock(t), x, self.controls(t), self.params)
 
 
 @jax.tree_util.register_dataclass
@@ -249,12 +249,12 @@ class Stepper:
     @property
     def in_arrays(self) -> Stepper:
         """This stepper with rates as arrays, for a step that becomes scalars as a whole."""
-        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.run_by(JAX())))
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.run_by(JAX())))
 
     @property
     def beside_loops(self) -> Stepper:
         """This stepper for functions outside the kernel of a loop."""
-        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics._functions.beside_loops()))
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.beside_loops()))
 
     def clock(self, t: Any) -> Any:
         """A time of the clock of the loop from one in s, or the other way round; lengths of time alike."""
@@ -355,7 +355,7 @@ def flattened(
     with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures
     of arguments longer still: so the function takes their arrays, and has their structure inside.
     """
-    functions = stepper.dynamics._functions
+    functions = stepper.dynamics.functions
     twin = functions.loops.get(Dynamics, lambda: Dynamics(functions.twin()))
     leaves, structure = jax.tree.flatten((dataclasses.replace(stepper, dynamics=twin), *rest))
 

@@ -23,7 +23,7 @@ from ..system.dynamics import Dynamics, need_compiled
 from ..system.inputs import is_finite, need_held, precision
 from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
-from .events.conditions import Watch, watch_of
+from .events.conditions import EventConditions, event_conditions
 from .loop.adaptive_steps import AdaptiveSteps
 from .loop.fixed_steps import FixedSteps
 from .method import Method, Stepper
@@ -152,7 +152,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
         if isinstance(controls, ByName):
             controls.check_span(min(span), max(span))
     signals, x = controls.prepared(inputs.u, dtype), dict(inputs.x)
-    watch, conditions = _watch_of(dynamics, options, inputs, signals)
+    events, conditions = _event_conditions(dynamics, options, inputs, signals)
     times = (options.t0, options.t1, options.dt, options.rtol, options.atol, options.jumps, options.save_at)
     traced = is_traced((signals, inputs.u, inputs.params, x, times, conditions))
     if traced and isinstance(signals, OfTime):
@@ -172,7 +172,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     limits = limits_of(start, end, options.jumps, signals, direction)
     steps: AdaptiveSteps | FixedSteps
     if options.adaptive:
-        steps = _adaptive_steps(dynamics, method, options, Stops.given(limits, start, saves, count), start, watch)
+        steps = _adaptive_steps(dynamics, method, options, Stops.given(limits, start, saves, count), start, events)
     else:
         polynomial = options.between if options.between is Between.POLYNOMIAL else None
         for name, value in (("control", options.control), ("between", polynomial)):
@@ -181,7 +181,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
         steps = fixed_steps(
-            start, end, span, options, saves, limits, count=count, bounded=traced or options.dense, watch=watch
+            start, end, span, options, saves, limits, count=count, bounded=traced or options.dense, events=events
         )
     ends = [options.t1] if options.save_at is None else options.save_at
     ts = (jnp if is_traced(ends) else np).asarray(ends, dtype)
@@ -203,18 +203,18 @@ def _inputs_of(dynamics: Dynamics, x0: Any, options: Options, controls: Signals)
     places = ("t0", "x0", "u(t)" if isinstance(controls, OfTime) else "u", "params")
     dtype = precision(x0, options.params)
     u = _controls_at_start(dynamics, controls, options.t0, dtype)
-    inputs = dynamics._functions.prepare(options.t0, x0, u, options.params, names=places, on_host=True)
+    inputs = dynamics.functions.prepare(options.t0, x0, u, options.params, names=places, on_host=True)
     _check_start(dynamics, inputs, places)
     if dynamics.system.corrections:
         need_start_on_manifold(dynamics, inputs)
     return inputs
 
 
-def _watch_of(
+def _event_conditions(
     dynamics: Dynamics, options: Options, inputs: Inputs, signals: Signals
-) -> tuple[Watch | None, list[Any] | None]:
+) -> tuple[EventConditions | None, list[Any] | None]:
     if options.event is not None:
-        return watch_of(dynamics, options.event, inputs, signals, options.max_crossings)
+        return event_conditions(dynamics, options.event, inputs, signals, options.max_crossings)
     if options.max_crossings is not None:
         raise InputError(
             "max_crossings is for events that do not end the integration, but event is left out.\n"
@@ -237,7 +237,7 @@ def _saves_of(options: Options, span: Any, direction: Any, end: Any, width: int 
 
 
 def _adaptive_steps(
-    dynamics: Dynamics, method: Method, options: Options, stops: Stops, start: Any, watch: Watch | None
+    dynamics: Dynamics, method: Method, options: Options, stops: Stops, start: Any, events: EventConditions | None
 ) -> AdaptiveSteps:
     if options.steps is not None:
         raise InputError("steps is for fixed steps, but rtol or atol is given.\n  fix: leave one of them out")
@@ -250,7 +250,7 @@ def _adaptive_steps(
     first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
     tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
     control = options.control or _CONTROL
-    return AdaptiveSteps(start, first, stops, tolerances, control, options.dense, options.between, watch)
+    return AdaptiveSteps(start, first, stops, tolerances, control, options.dense, options.between, events)
 
 
 def need_flag(name: str, value: Any) -> None:
@@ -266,7 +266,7 @@ def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: An
     plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
     if is_tracing() or not plain:
         return controls.sample(jnp.asarray(t0, dtype))
-    loops, key = dynamics._functions.loops, (_controls_at_start, controls.function, np.dtype(dtype))
+    loops, key = dynamics.functions.loops, (_controls_at_start, controls.function, np.dtype(dtype))
     return loops.get(key, lambda: controls.sample(jnp.asarray(t0, dtype)))
 
 

@@ -20,7 +20,7 @@ from ..system.inputs import cast
 from ..units import same_unit, seconds
 from .charts.coordinates import Blocks, StateCoordinates
 
-#: A step that leaves less than this share of itself to the next limit goes there at once.
+#: A step that would leave less than this share of its length to the next limit is extended to the limit.
 _STRETCH = 0.01
 #: ErrorHistory below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+import functools
 import json
 from collections.abc import Sequence
 from fractions import Fraction
@@ -14,6 +15,7 @@ from numpy.typing import NDArray
 
 from ..checks import reals
 from ..errors import ModelError
+from ..expr.moved import earlier_classes
 
 # fmt: off
 __all__ = [
@@ -23,6 +25,7 @@ __all__ = [
 ]
 # fmt: on
 
+__getattr__ = earlier_classes(__name__)
 #: Coefficients are given in double precision; a sum of them may be off by a few units in the last place.
 _TOLERANCE = 1e-13
 
@@ -146,7 +149,7 @@ class ButcherTableau(Coefficients):
         """Whether the method estimates its own error."""
         return self.b_embedded is not None
 
-    @property
+    @functools.cached_property
     def error_order(self) -> int:
         """The power of the step with which the estimated error of one step falls.
 
@@ -272,7 +275,7 @@ class CollocationTableau(Coefficients):
         """Whether the method of the step -h is its inverse: the nodes are."""
         return bool(np.abs(self.c + self.c[::-1] - 1.0).max() < _TOLERANCE)
 
-    @property
+    @functools.cached_property
     def error_order(self) -> int:
         """The power of the step with which the estimated error of one step falls.
 

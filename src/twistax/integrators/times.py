@@ -63,7 +63,7 @@ def check_saves(save_at: Any, span: tuple[float, float] | None) -> bool:
 
 
 def fixed_steps(
-    start: Any, end: Any, span: Any, options: Any, save_at: Any, limits: Any, *, count: Any, bounded: bool, watch: Any
+    start: Any, end: Any, span: Any, options: Any, save_at: Any, limits: Any, *, count: Any, bounded: bool, events: Any
 ) -> FixedSteps:
     """Equal steps from start to end, their distance by dt rounded to whole ones, at least one, or `steps` of them.
 
@@ -103,7 +103,7 @@ def fixed_steps(
     array = jnp if is_traced(more) else np
     # What jumps add is a number; the bound has room for all of them.
     most = steps + np.size(limits) - 1 if bounded else None
-    return FixedSteps(start, h, array.asarray(steps + more), at, most, options.dense, watch, splits=splits)
+    return FixedSteps(start, h, array.asarray(steps + more), at, most, options.dense, events, splits=splits)
 
 
 def _countable(steps: Any) -> Any:

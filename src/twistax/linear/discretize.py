@@ -23,7 +23,7 @@ from .second_order import second_order
 
 
 class Controls:
-    """Where each control sits in the flat vector u, every control read row by row.
+    """The place of each control in the flat vector u, every control read row by row.
 
     Attributes:
         dimension: length of the vector.
@@ -118,7 +118,7 @@ def discretize(
     """
     need_compiled("discretize", dynamics)
     whole("substeps", substeps, 1, TrajectoryError)
-    inputs = dynamics._functions.prepare(t, x, u, params)
+    inputs = dynamics.functions.prepare(t, x, u, params)
     flat = Controls(dynamics.controls).join(inputs.u, inputs.dtype)
     length = jnp.asarray(number("h", h), inputs.dtype)
     chosen = method if isinstance(method, Method) else method_of(method)
@@ -140,7 +140,7 @@ def value_and_jacobian(function: Callable[[jax.Array], jax.Array], z: jax.Array)
 
 
 def method_of(method: Any) -> RKMK:
-    """The method that was given, RK4 if none was. Raises TrajectoryError unless it gives derivatives of its steps."""
+    """The method, by default RK4. Raises TrajectoryError unless it has derivatives of its steps."""
     if method is not None and not isinstance(method, RKMK):
         raise TrajectoryError(
             f"method must be a tx.RKMK, whose steps have derivatives in closed form, got {method!r}.\n"

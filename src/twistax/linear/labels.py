@@ -48,13 +48,13 @@ def entry(place: str, wanted: object, shapes: Mapping[str, tuple[int, ...]]) -> 
 
 
 def needed(place: str, wanted: Iterable[object], shapes: Mapping[str, tuple[int, ...]]) -> dict[str, tuple[int, ...]]:
-    """Those of the names that are asked for, whole or by entries, in their own order. Raises InputError as `entry`."""
+    """The names that are asked for, whole or by entries, in their order. Raises InputError as `entry`."""
     names = {entry(place, one, shapes)[0] for one in wanted}
     return {name: shape for name, shape in shapes.items() if name in names}
 
 
 def positions(place: str, wanted: Iterable[str], shapes: Mapping[str, tuple[int, ...]]) -> list[int]:
-    """Where what is asked for sits in the vector of all. Raises InputError, also for what is named twice."""
+    """The positions of what is asked for in the vector of all entries. Raises InputError, also for duplicates."""
     if isinstance(wanted, str):
         wanted = [wanted]
     starts, end = {}, 0

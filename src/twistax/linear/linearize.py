@@ -1,4 +1,4 @@
-"""Linearisation in the tangent space, with names, modes, and what control engineers go on with."""
+"""Linearisation in the tangent space, with names, modes and exports for control design."""
 
 from __future__ import annotations
 
@@ -134,7 +134,7 @@ def linearize(
     wanted = [outputs] if isinstance(outputs, str) else list(outputs)
     shapes = needed("linearize: outputs", wanted, output_shapes(dynamics))
     rows = positions("linearize: outputs", wanted, shapes)
-    inputs = dynamics._functions.prepare(t, x, u, params, reads=("rates", "outputs") if wanted else ("rates",))
+    inputs = dynamics.functions.prepare(t, x, u, params, reads=("rates", "outputs") if wanted else ("rates",))
     n, m = dynamics.dimension, Controls(dynamics.controls).dimension
     value, slopes = around(dynamics, tuple(shapes))(inputs.t, dict(inputs.x), dict(inputs.u), dict(inputs.params))
     C = slopes[n:][np.asarray(rows, int)]
@@ -152,7 +152,7 @@ def linearize(
 
 def output_shapes(dynamics: Dynamics) -> dict[str, tuple[int, ...]]:
     """The shapes of all outputs of a system."""
-    return {name: functions[0].shape for name, functions in dynamics._functions.families["outputs"].items()}
+    return {name: functions[0].shape for name, functions in dynamics.functions.families["outputs"].items()}
 
 
 def around(
@@ -173,7 +173,7 @@ def around(
 
     def make() -> Callable[..., tuple[jax.Array, jax.Array]]:
         functions, group, controls = (
-            dynamics._functions.with_outputs(outputs),
+            dynamics.functions.with_outputs(outputs),
             dynamics.group,
             Controls(dynamics.controls),
         )
@@ -205,11 +205,11 @@ def around(
 
         return jax.jit(evaluate)
 
-    return dynamics._functions.loops.get(("around", outputs, with_rates, params), make)
+    return dynamics.functions.loops.get(("around", outputs, with_rates, params), make)
 
 
 def _kept(place: str, present: Sequence[str], wanted: Iterable[str] | None) -> list[int]:
-    """The rows of what is asked for; a row that an earlier `keep` left out is not there."""
+    """The rows of what is asked for; rows that an earlier `keep` left out are missing."""
     if wanted is None:
         return list(range(len(present)))
     shapes: dict[str, tuple[int, ...]] = {}

@@ -30,7 +30,7 @@ def second_order(
         inputs: prepared, with every control.
         weights: None leaves the Hessian out.
     """
-    functions = dynamics._functions
+    functions = dynamics.functions
     places, arrays = functions.flat(inputs)
     arrays = [*arrays, h]
     names = [state.name for state in dynamics.states]
@@ -45,7 +45,7 @@ def second_order(
         return x
 
     def gap(*arrays: jax.Array) -> list[jax.Array]:
-        """The tangent difference from an end that stays, and the end."""
+        """The tangent difference between the end and a constant base point, and the end."""
         x_end = end(*arrays[:count])
         base = dict(zip(names, arrays[count:], strict=True))
         return [dynamics.group.difference(base, x_end), *(x_end[name] for name in names)]

@@ -1,26 +1,20 @@
 """Mechanics in the language: joints, bodies, mechanisms and the environment around them, all of them expressions."""
 
 from . import chain_models, environment, flight, joints, loops
-from .bodies import SpatialInertia, power
-from .closed_loops import closed_dynamics, loop_diagnostics, loop_gap, loop_wrench, loop_wrenches
-from .contact import GivenForces, Ground, given_forces
-from .derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
-from .drives import Drive
-from .dynamics import (
-    aba,
+from .algorithms.closed_loops import closed_dynamics, loop_diagnostics, loop_gap, loop_wrench, loop_wrenches
+from .algorithms.derivatives import forward_dynamics_derivatives, inverse_dynamics_derivatives
+from .algorithms.dynamics import (
     bias_forces,
     coriolis_forces,
-    forward_dynamics,
     gravity_forces,
     inverse_dynamics,
     mass_matrix,
     rnea,
 )
-from .jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
-from .joint_wrenches import joint_wrench
-from .mechanism import Chain, Mechanism
-from .models import DaveModel, load, load_daveml
-from .momentum import (
+from .algorithms.forward_dynamics import aba, forward_dynamics
+from .algorithms.jacobians import ALIGNED, BODY, WORLD, frame_jacobian, frame_jacobian_rate, frame_twist
+from .algorithms.joint_wrenches import joint_wrench
+from .algorithms.momentum import (
     center_of_mass,
     centroidal_matrix,
     centroidal_momentum,
@@ -29,6 +23,11 @@ from .momentum import (
     spatial_momentum,
     total_mass,
 )
+from .bodies import SpatialInertia, power
+from .contact import GivenForces, Ground, given_forces
+from .drives import Drive
+from .mechanism import Chain, Mechanism
+from .models import DaveModel, load, load_daveml
 from .tree import Link, Mimic
 
 # fmt: off

@@ -123,8 +123,12 @@ class SpatialInertia:
     ) -> SpatialInertia:
         """A body computed from this one. Constants are folded, so that they are checked and printed as numbers."""
         m, c, tensor = canonicalize_all(parts)
-        body = cls(mass=m, center_of_mass=c, inertia=tensor, physical=physical, mass_leaves=True)
-        body._parts, body._poses = changing_parts, poses
+        described = {"mass": m, "center_of_mass": c, "inertia": tensor}
+        return cls(**described, physical=physical, mass_leaves=True)._changed(_parts=changing_parts, _poses=poses)
+
+    def _changed(self, **attributes: Any) -> SpatialInertia:
+        body = copy.copy(self)
+        body.__dict__.update(attributes)
         return body
 
     def with_rates(self, rates: Mapping[Any, ExprLike]) -> SpatialInertia:
@@ -134,9 +138,7 @@ class SpatialInertia:
             rates: as of the constructor.
         Raises: ModelError for keys that are neither states nor names.
         """
-        body = copy.copy(self)
-        body._parts = tuple(part.knowing(rates_by_name(rates)) for part in self._parts)
-        return body
+        return self._changed(_parts=tuple(part.knowing(rates_by_name(rates)) for part in self._parts))
 
     @property
     def _moving(self) -> tuple[MovingMass, ...]:

@@ -19,9 +19,9 @@ from ..errors import ModelError
 from ..expr import Concat, Constant, Constraint, Control, Dot, Expr, Norm, Sqrt
 from ..expr.fields import ExprLike
 from ..expr.lie import wrench
-from .dynamics import checked
-from .jacobians import ALIGNED, frame_twist
-from .mechanism import Mechanism, Positions
+from .algorithms.dynamics import checked
+from .algorithms.jacobians import ALIGNED, frame_twist
+from .kinematic_tree import KinematicTree, Positions
 
 _ZERO = Constant(np.zeros(3))
 
@@ -43,7 +43,7 @@ class GivenForces:
     at_rest: dict[str, Constraint]
 
 
-def given_forces(mechanism: Mechanism, frames: Collection[str], friction: float) -> GivenForces:
+def given_forces(mechanism: KinematicTree, frames: Collection[str], friction: float) -> GivenForces:
     """Contact forces at frames that touch the ground, as controls, with the friction cones and no-slip constraints.
 
     Args:
@@ -107,7 +107,7 @@ class Ground:
         return Concat(friction, normal)
 
     def wrenches(
-        self, mechanism: Mechanism, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
+        self, mechanism: KinematicTree, frames: Collection[str], q: Positions | None = None, qd: ExprLike | None = None
     ) -> dict[str, Expr]:
         """The wrenches of the ground on the origins of frames, for `wrenches=` of `system` and of the dynamics.
 
@@ -121,7 +121,7 @@ class Ground:
         return wrenches
 
 
-def _at_origin(mechanism: Mechanism, name: str, q: Positions | None, f: Expr) -> Expr:
+def _at_origin(mechanism: KinematicTree, name: str, q: Positions | None, f: Expr) -> Expr:
     """The wrench (6,), in the axes of a frame, of a force (3,) at its origin in the base's axes."""
     return wrench(force=mechanism.pose(name, q)[:3, :3].T @ f, torque=_ZERO)
 

@@ -39,11 +39,9 @@ def labels_of(mechanism: Mechanism, driven: Sequence[int]) -> Labels:
 
 def _of_joint(segment: Segment) -> list[tuple[str, str]]:
     joint = segment.link.joint
-    H = joint.motion_subspace
-    if isinstance(H, Constant):
-        H = H.value
-    if not isinstance(H, np.ndarray):
+    if not isinstance(joint.motion_subspace, Constant):
         return [(joint.name, "SI")]
+    H = np.asarray(joint.motion_subspace.value)
     turns = [bool(np.any(column[3:])) for column in H.T]
     if joint.dofs == 1:
         return [(joint.name, "rad" if turns[0] else "m")]

@@ -17,11 +17,11 @@ from ..system.lower import lower
 from ..view import Body, Ellipsoid, Shape
 
 if TYPE_CHECKING:
-    from .mechanism import Mechanism
+    from .kinematic_tree import KinematicTree
     from .tree import Link
 
 
-def links_in_view(mechanism: Mechanism, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
+def links_in_view(mechanism: KinematicTree, xs: Mapping[str, Any], params: Mapping[str, Any]) -> list[Body]:
     """Every frame of a mechanism as a body, the base's too. A link without shapes is the ellipsoid of its inertia.
 
     Args:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
@@ -13,15 +12,16 @@ from ..expr.fields import ExprLike
 from ..expr.operations.soft import Asked
 from ..expr.transformations.rate import rates_by_name
 from ..system import System
-from .closed_loops import ClosedLoops
-from .dynamics import Wrenches, forward_dynamics
+from .algorithms.closed_loops import ClosedLoops
+from .algorithms.dynamics import Wrenches
+from .algorithms.forward_dynamics import forward_dynamics
+from .algorithms.system_slopes import slopes_of_accelerations
+from .kinematic_tree import KinematicTree
 from .labels import labels_of
-from .mechanism import Mechanism
-from .system_slopes import slopes_of_accelerations
 
 
 def system_of(
-    mechanism: Mechanism,
+    mechanism: KinematicTree,
     controls: Collection[str] | None,
     forces: ExprLike | None,
     wrenches: Wrenches | None,
@@ -33,7 +33,6 @@ def system_of(
     if not mechanism.dofs:
         raise ModelError("system expects a mechanism with a joint that moves, got none")
     further = rates_by_name(rates or {})
-    mechanism = _with_rates(mechanism, further) if further else mechanism
     controls = mechanism.driven if controls is None else controls
     driven = mechanism.freedoms(controls)
     tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
@@ -77,16 +76,7 @@ def system_of(
     )
 
 
-def _with_rates(mechanism: Mechanism, rates: Mapping[str, Expr]) -> Mechanism:
-    """A copy whose bodies have the rates of the states that they depend on."""
-    links = [
-        link if link.body is None else dataclasses.replace(link, body=link.body.with_rates(rates))
-        for link in mechanism.links
-    ]
-    return mechanism.replace(links=links)
-
-
-def _kinematics(mechanism: Mechanism, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
+def _kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
     """The rates of all positions at velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")

@@ -1,4 +1,4 @@
-"""Where the chunks of a sweep are kept: in memory, or in files that a sweep takes up again."""
+"""The chunks of a sweep, in memory or in files from which a sweep can resume."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Chunks:
             self._compare(folder, count, compute)
 
     def _compare(self, folder: Path, count: int, compute: Callable[[int], Columns]) -> None:
-        """One chunk that is there is computed again: the function may be another one."""
+        """Compute one existing chunk again and compare it, because the function may have changed."""
         first = next((k for k in range(count) if k in self), None)
         if first is None:
             return
@@ -115,7 +115,7 @@ def _check_setup(folder: Path, setup: dict[str, Any]) -> None:
 
 
 def _write(path: Path, write: Callable[[Any], Any]) -> None:
-    """A file that is complete as soon as it has its name."""
+    """Write a file that is complete as soon as it has its name."""
     draft = path.with_name(f".{path.name}.{os.getpid()}")
     with draft.open("wb") as file:
         write(file)

@@ -245,7 +245,6 @@ class _Plan:
         return self._member(self._arguments(np.array([number]), one=True))
 
     def compute(self, k: int) -> Columns:
-        """The results of a chunk."""
         numbers = k * self.size + np.arange(self._batch)
         last = min(self.count, (k + 1) * self.size) - 1
         results, codes = self._compiled(self._arguments(np.minimum(numbers, last)))
@@ -253,7 +252,6 @@ class _Plan:
         return [np.asarray(column)[is_member] for column in (*jax.tree.leaves(results), codes)]
 
     def shapes_of(self, k: int) -> list[tuple[int, ...]]:
-        """Those of the columns of a chunk."""
         rows = min(self.size, self.count - k * self.size)
         return [(rows, *shape) for shape, _ in [*self.shapes, ((), "")]]
 

@@ -35,7 +35,7 @@ Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
 _LARGEST_STEP = 10_000
 #: Numbers that a step closes over become scalars one by one: reading a longer table takes minutes.
 _MOST_CONSTANTS = 1000
-#: XLA recurses into operations that wait for each other; at three times as many its stack overflows.
+#: XLA recurses along chains of operations; at three times this length its stack overflows.
 _LONGEST_CHAIN = 30_000
 #: Matrices are mostly zeros where scalars take at most such a part of the operations of arrays. Where those are more
 #: than so many times the most scalars it is not tried.

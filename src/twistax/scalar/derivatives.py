@@ -231,7 +231,7 @@ def _pull(g: ScalarGraph, live: Sequence[int], cotangents: Cotangents, depending
             terms = [operation.cotangents(g, arguments, i, term) for term in cotangents.of(i)]
             pairs = [pair for by_argument in terms for pair in zip(arguments, by_argument, strict=True)]
         elif call is not None and id(call) not in done:
-            # All results of a call stand before whatever reads them: their cotangents are complete.
+            # Every node that reads a result of the call comes later in the order: the cotangents are complete.
             done.add(id(call))
             pairs = _pulled_call(g, call, cotangents, depending)
         for a, c in pairs:

@@ -295,7 +295,7 @@ def call_program(program: Differentiable, *arguments: Any, batch: Batch = _ONE) 
     return program.primitive(inside).bind(*varying_alike(arguments), program=program, batch=batch, inside=inside)
 
 
-# ---- what JAX asks of them -------------------------------------------------------------------------------------------
+# ---- rules of JAX for them -------------------------------------------------------------------------------------------
 
 
 def _by_xla(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:

@@ -66,7 +66,10 @@ class Filling(NamedTuple):
         Args:
             row: reads nothing that is traced but its arguments.
         """
-        table, number = _filled(row)(reach, self, record)
+        return self.filled(*_filled(row)(reach, self, record))
+
+    def filled(self, table: jax.Array, number: jax.Array) -> Filling:
+        """With other rows, up to a number."""
         return self._replace(table=table, number=number)
 
 
@@ -293,7 +296,7 @@ def repeat(
         arguments = [jnp.int32(len(rows.marks)), first, stop, rows.number, *fixed, *state, rows.marks, rows.table]
     results = _repeat_p.bind(*varying_alike(arguments), program=step, batch=Batch(), inside=False)
     final, (k, *filled) = results[: len(state)], results[len(state) :]
-    return final, k, None if rows is None else rows._replace(number=filled[0], table=filled[1])
+    return final, k, None if rows is None else rows.filled(filled[1], filled[0])
 
 
 def loop(looped: Looped, count: int, arguments: Sequence[Any]) -> list[jax.Array]:

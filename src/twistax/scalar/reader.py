@@ -258,7 +258,7 @@ def scalarize(
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
     precision = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
-    # Of the operations on scalars the angle of a point tells zeros apart.
+    # Of the operations on scalars only the angle of a point distinguishes signed zeros.
     signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
     graph = ScalarGraph(precision, checked, largest, limits, signed_zeros)
     inputs = tuple(

@@ -175,8 +175,8 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
 
     def by_platform(*leaves: jax.Array) -> list[jax.Array]:
         """Where it runs is known once it is lowered."""
-        found: list[jax.Array] = jax.lax.platform_dependent(*leaves, cpu=outlined, default=run)
-        return found
+        results: list[jax.Array] = jax.lax.platform_dependent(*leaves, cpu=outlined, default=run)
+        return results
 
     # Part of a larger program always. Where JAX evaluates a jaxpr that holds the inner function, it lowers it while
     # the attribute is set, every operation gets it, and XLA ends the process at loops inside.

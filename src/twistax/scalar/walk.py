@@ -31,7 +31,7 @@ def walk(roots: Iterable[N], below: Callable[[N], Sequence[N]], name: Callable[[
 
 
 _LOCK = threading.Lock()
-#: How many threads, and calls around one another, want no search for garbage; whether there was one before the first.
+#: The number of threads and nested calls that have paused the garbage collector; whether it ran before the first.
 _state = {"within": 0, "was_on": False}
 
 

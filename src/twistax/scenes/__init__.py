@@ -3,7 +3,6 @@
 Importing builds nothing: a scene's system is made and compiled when it is first read.
 """
 
-from .actuator_lag import ACTUATOR_LAG
 from .check_cases import TUMBLING_BRICK
 from .free_bodies import EULER_TOP, FAST_SPIN, SYMMETRIC_BODY
 from .heavy_top import HEAVY_TOP, LONG_HEAVY_TOP
@@ -12,8 +11,7 @@ from .offset_tumble import OFFSET_TUMBLE
 from .rocket import ROCKET
 from .scene import Scene
 from .spring_bodies import SPRING_BODIES
-from .stiff_attitude import STIFF_ATTITUDE
-from .stiff_joint import STIFF_JOINT
+from .stiff import actuator_lag, stiff_attitude, stiff_joint
 
 #: The scenes with a known answer, by name.
 SCENES: dict[str, Scene] = {
@@ -28,9 +26,9 @@ SCENES: dict[str, Scene] = {
         LOW_ORBIT,
         SPRING_BODIES,
         TUMBLING_BRICK,
-        STIFF_ATTITUDE,
-        ACTUATOR_LAG,
-        STIFF_JOINT,
+        stiff_attitude.STIFF_ATTITUDE,
+        actuator_lag.ACTUATOR_LAG,
+        stiff_joint.STIFF_JOINT,
         LONG_HEAVY_TOP,
         SPINNING_SATELLITE,
     )

@@ -52,7 +52,7 @@ class RateDamping:
 
 @dataclasses.dataclass(frozen=True)
 class Published:
-    """Where one published simulation ends, at 30 s."""
+    """The end of a published simulation, at 30 s."""
 
     simulation: str  # its number in the report
     rate: Vector  # of the body with respect to inertial axes, rad/s
@@ -106,7 +106,7 @@ def system(planet: flight.Planet = EARTH, damped: bool = True) -> tx.System:
 
 
 def _published(number: int) -> tuple[Published, ...]:
-    """What is published of a case, feet and degrees brought to m and rad."""
+    """The published ends of a case, converted from feet and degrees to m and rad."""
     entries = json.loads(Path(__file__).with_name("check_cases.json").read_text())[str(number)]
     return tuple(
         Published(

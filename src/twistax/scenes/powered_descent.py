@@ -23,7 +23,7 @@ Vector = tuple[float, float, float]
 
 @dataclasses.dataclass(frozen=True)
 class Vehicle:
-    """The stage and what it must not exceed."""
+    """The stage and its limits."""
 
     mass: float = 30_000.0  # at the start, kg
     dry_mass: float = 22_000.0  # without propellant, kg
@@ -41,7 +41,7 @@ class Vehicle:
 
 @dataclasses.dataclass(frozen=True)
 class Start:
-    """Where the descent begins."""
+    """The start of the descent."""
 
     height: float = 900.0  # above the pad, m
     offset: tuple[float, float] = (400.0, 150.0)  # horizontal, from the pad, (x, y), m
@@ -74,7 +74,7 @@ class Limit:
 
     @property
     def slack(self) -> float:
-        """How far, in `unit`, a flight may exceed it between nodes and still count: 1 %, or 0.5 m on the cone."""
+        """The tolerance, in `unit`, by which a flight may exceed the limit between nodes: 1 %, or 0.5 m on the cone."""
         return float(0.01 * abs(self.bound) * self.factor or 0.5)
 
     @property
@@ -87,7 +87,7 @@ class Limit:
         return f"{self.bound * self.factor:,.5g}"
 
     def margin(self, values: Any) -> Array:
-        """How far values stay inside, in `unit`; negative where they exceed the limit."""
+        """The distance of values to the limit, in `unit`; negative if they exceed it."""
         return np.asarray(self.sign * (self.bound - np.asarray(values)) * self.factor)
 
 

@@ -1,4 +1,4 @@
-"""The trajectories that come with NASA/TM-2015-218675, read in SI, and how far two are apart.
+"""The trajectories that come with NASA/TM-2015-218675, read in SI, and the difference of two.
 
 The files are not part of this package: whoever has them names their folder. They lie there as
 <folder of the case>/sim_<number>.csv or sim_<number>_si.csv. Columns are named quantity_unit or
@@ -70,7 +70,7 @@ class Track:
     density: Array
 
     def apart(self, other: Track) -> dict[str, Array]:
-        """Differences over time: distance, m; angle of the relative rotation, rad; size of the rate's difference."""
+        """Differences over time: distance, m; angle of the relative rotation, rad; size of the difference of rates."""
         chord = np.linalg.norm(self.attitude - other.attitude, axis=(1, 2)) / np.sqrt(8.0)
         return {
             "position": np.linalg.norm(self.position - other.position, axis=1),
@@ -142,7 +142,7 @@ class PublishedTable:
         return np.stack([distance * np.cos(angle), distance * np.sin(angle), z], axis=1)
 
     def track(self) -> Track:
-        """What of it is compared; NaN where a simulation does not give it."""
+        """The trajectory to compare; NaN where a simulation has no data."""
         blank = np.full((len(TIMES), 3), np.nan)
         angles = self.columns("eulerAngle", "Roll Pitch Yaw") if "eulerAngle" in self else blank
         rates = "bodyAngularRateWrtEi"

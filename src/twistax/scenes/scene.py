@@ -1,4 +1,4 @@
-"""One physical case with a known answer, and how far a solution is from that answer; rotations and poses in NumPy."""
+"""A physical case with a known solution, and the error of a state; rotations and poses in NumPy."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ class Scene:
         return tx.integrate(self.dynamics, self.start, **settings)
 
     def error(self, x: State, t: float | None = None) -> float:
-        """How far a state is from the truth, as one number: the largest of its parts.
+        """The error of a state as one number: the largest of its parts.
 
         A rotation counts with the angle to the true one in rad, or, where it has left the group, with its distance
         from it if that is more. Any other part counts with its Euclidean distance over max(1, size of the truth):

@@ -1,4 +1,4 @@
-"""How well a planned descent is met when its controls are replayed: misses at the pad and limits along the way."""
+"""The quality of a landing whose controls are replayed: errors at the pad, and margins of the limits."""
 
 from __future__ import annotations
 
@@ -75,7 +75,7 @@ def _outputs(dynamics: Any) -> Callable[..., Any]:
 
 @dataclasses.dataclass(frozen=True)
 class Miss:
-    """How far the end of a descent is from standing still on the pad, upright; the heading is free."""
+    """The error at the end of a descent: from rest on the pad, upright; the heading is free."""
 
     position: float  # m, in any direction
     velocity: float  # m/s, in any direction
@@ -91,7 +91,7 @@ class Miss:
         )
 
     def within(self, other: Miss) -> bool:
-        """Whether no part is larger than the other's; NaN is never within."""
+        """Whether no part exceeds that of another; NaN always exceeds."""
         mine, bars = dataclasses.astuple(self), dataclasses.astuple(other)
         return all(value <= bar for value, bar in zip(mine, bars))
 
@@ -102,7 +102,7 @@ ALLOWED = Miss(position=0.5, velocity=0.1, angle=0.5)
 
 @dataclasses.dataclass(frozen=True)
 class Reach:
-    """How near a descent comes to a limit."""
+    """The smallest margin of a descent to a limit."""
 
     limit: Limit
     value: float  # nearest to it, in its unit
@@ -111,12 +111,12 @@ class Reach:
 
     @property
     def holds(self) -> bool:
-        """Whether the limit holds, but for its slack. NaN does not."""
+        """Whether the limit holds within its tolerance. False for NaN."""
         return self.margin >= -self.limit.slack
 
 
 def reaches(descent: Descent, limits: Sequence[Limit]) -> list[Reach]:
-    """How near a descent comes to every limit."""
+    """The smallest margin of a descent to every limit."""
     reached = []
     for limit in limits:
         values = descent.outputs[limit.output]

@@ -14,9 +14,7 @@ from __future__ import annotations
 import ctypes
 import dataclasses
 import enum
-import functools
-import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -25,10 +23,11 @@ from numpy import ndarray as Array
 from ..errors import TrajectoryError
 from .library import library
 from .options import Options
+from .stages import Stages
 
 
 class CoreStatus(enum.Enum):
-    """How a solve ended; the values are those of `twx_status` in core.h."""
+    """The status of a solve; the values are those of `twx_status` in core.h."""
 
     SOLVED = 0
     MAX_ITERATIONS = 1
@@ -37,109 +36,12 @@ class CoreStatus(enum.Enum):
     NON_FINITE = 4
     UNBOUNDED_CURVATURE = 5
     STOPPED = 6
-    _BAD_PROBLEM = 7
     UNBOUNDED = 8
     ACCEPTABLE = 9
 
 
-@dataclasses.dataclass(frozen=True)
-class Stages:
-    """Sizes of a problem, for each of its N + 1 stages.
-
-    Attributes:
-        states: dimensions of the states' tangent spaces.
-        controls: counts of controls; the last stage has none.
-        inequalities, equalities: counts of rows h and e.
-        parameters: count of parameters p, which all stages share.
-        point_states: entries of a state's point, where states lie on a manifold.
-    """
-
-    states: Sequence[int]
-    controls: Sequence[int]
-    inequalities: Sequence[int]
-    equalities: Sequence[int]
-    parameters: int = 0
-    point_states: Sequence[int] | None = None
-
-    def __post_init__(self) -> None:
-        counts = (self.states, self.controls, self.inequalities, self.equalities, self.point_states or self.states)
-        if len(set(map(len, counts))) != 1 or len(self.states) < 2:
-            raise TrajectoryError(f"Stages expects lists of one length, 2 or more, got {[len(c) for c in counts]}")
-        if min(map(min, counts)) < 0 or self.parameters < 0:
-            raise TrajectoryError("Stages expects counts of 0 or more")
-        if self.controls[-1] != 0:
-            raise TrajectoryError(f"Stages: the last stage has no controls, got {self.controls[-1]}")
-
-    @functools.cached_property
-    def variables(self) -> int:
-        """Entries of v."""
-        return sum(self.states) + sum(self.controls) + self.parameters
-
-    @functools.cached_property
-    def points(self) -> int:
-        """Entries of z, which has points in place of states."""
-        return sum(self.point_states or self.states) + sum(self.controls) + self.parameters
-
-    @functools.cached_property
-    def first(self) -> Array:
-        """Where each stage begins in v."""
-        widths = np.array(self.states) + np.array(self.controls)
-        return np.asarray(np.cumsum(widths) - widths)
-
-    @functools.cached_property
-    def first_point(self) -> Array:
-        """Where each stage begins in z."""
-        widths = np.array(self.point_states or self.states) + np.array(self.controls)
-        return np.asarray(np.cumsum(widths) - widths)
-
-    @functools.cached_property
-    def columns(self) -> list[int]:
-        """Columns of each stage's derivatives: x_k, u_k, p."""
-        return [x + u + self.parameters for x, u in zip(self.states, self.controls)]
-
-    @functools.cached_property
-    def after(self) -> list[int]:
-        """States of the stage after each one."""
-        return [*self.states[1:], 0]
-
-    @functools.cached_property
-    def first_defect(self) -> Array:
-        """Where the defects of each stage begin."""
-        return np.asarray(np.cumsum(self.after) - self.after)
-
-    @functools.cached_property
-    def first_slope(self) -> Array:
-        """Where the derivatives of the defects of each stage begin."""
-        sizes = np.array(self.after) * np.array(self.columns)
-        return np.asarray(np.cumsum(sizes) - sizes)
-
-    @functools.cached_property
-    def runs(self) -> list[slice]:
-        """Consecutive stages whose counts are all the same: their blocks have one shape."""
-        points = self.point_states or self.states
-        counts = np.array([self.states, self.controls, self.inequalities, self.equalities, self.after, points])
-        begins = np.flatnonzero((np.diff(counts) != 0).any(axis=0)) + 1
-        ends = [0, *begins.tolist(), len(self.states)]
-        return [slice(a, b) for a, b in itertools.pairwise(ends)]
-
-    @functools.cached_property
-    def row_counts(self) -> tuple[int, int, int]:
-        """Defects, inequalities and equalities of all stages."""
-        return sum(self.after), sum(self.inequalities), sum(self.equalities)
-
-    @functools.cached_property
-    def slope_sizes(self) -> list[int]:
-        """Entries of the derivatives of all defects, inequalities and equalities."""
-        return [self.block_sizes(rows) for rows in (self.after, self.inequalities, self.equalities)]
-
-    @functools.cached_property
-    def hessian_size(self) -> int:
-        """Entries of the second derivatives of all stages."""
-        return self.block_sizes(self.columns)
-
-    def block_sizes(self, rows: Sequence[int]) -> int:
-        """Entries of a block (rows, columns) of each stage, one after the other."""
-        return sum(r * n for r, n in zip(rows, self.columns))
+#: That of a problem whose bounds or units cannot be.
+_BAD_PROBLEM = 7
 
 
 @dataclasses.dataclass(frozen=True)
@@ -162,20 +64,20 @@ class StageFunctions:
     owner: Any = None
 
     def check(self) -> None:
-        """Raise what a function raised in the last call."""
+        """Raise the error of a function in the last call."""
         check = getattr(self.owner, "check", None)
         if check is not None:
             check()
 
     @property
     def addresses(self) -> dict[str, int]:
-        """By the names that `twx_problem` has for them."""
+        """The addresses by the names in `twx_problem`."""
         names = ("user", "values", "jacobians", "hessians", "retract", "transport", "stop")
         return {name: getattr(self, name) for name in names}
 
 
 class Units(NamedTuple):
-    """Units in which the core counts: of v, of the rows h and e, and of the cost; 1 where None."""
+    """Units of v, of the rows h and e, and of the cost, in which the core computes; 1 if None."""
 
     size: Array | None = None
     row_size: Array | None = None
@@ -260,7 +162,7 @@ class _Solution(ctypes.Structure):
 
 
 class Described(NamedTuple):
-    """A problem as the core reads it, and the arrays that its addresses are of."""
+    """A problem in the form of the core, with the arrays that own its memory."""
 
     structure: ProblemStructure
     memory: list[Array]
@@ -279,8 +181,8 @@ def as_problem(
     Raises:
         TrajectoryError: arrays of other shapes.
     """
-    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step, **units._asdict()}
-    cost_size = by_name.pop("cost")
+    by_name = {"lower": lower, "upper": upper, "largest_step": largest_step}
+    by_name |= {"size": units.size, "row_size": units.row_size, "equality_size": units.equality_size}
     variables, rows, equalities = stages.variables, sum(stages.inequalities), sum(stages.equalities)
     lengths = dict.fromkeys(("lower", "upper", "largest_step", "size"), variables)
     lengths |= {"row_size": rows, "equality_size": equalities}
@@ -290,7 +192,7 @@ def as_problem(
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
-    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=cost_size)
+    structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=units.cost)
     for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
         setattr(structure, name, address or None)
     return Described(structure, list(arrays.values()))
@@ -345,21 +247,21 @@ def solve(
     multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
-    status = CoreStatus(core.solve(*references[:2], *pointers))
+    status = core.solve(*references[:2], *pointers)
     stop.check()
     functions.check()
-    if status is CoreStatus._BAD_PROBLEM:
+    if status == _BAD_PROBLEM:
         raise TrajectoryError(
             "solve: bounds expect lower <= upper, and units positive numbers; "
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
     numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return CoreSolution(status=status, **arrays, statistics=numbers, log=log[: statistics.iterations])
+    return CoreSolution(status=CoreStatus(status), **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
 class _StopFunction:
-    """The function that the core asks whether to stop. Python sees signals while it runs.
+    """The callback by which the core asks whether to stop. It also lets Python handle signals.
 
     Attributes:
         addresses: by the name that `twx_problem` has for it.
@@ -386,7 +288,7 @@ class _StopFunction:
         self.addresses = {"stop": ctypes.cast(self._function, ctypes.c_void_p).value or 0}
 
     def check(self) -> None:
-        """Raise what it raised."""
+        """Raise the error of the callback."""
         if self._error is not None:
             raise self._error
 

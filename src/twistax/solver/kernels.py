@@ -34,7 +34,7 @@ from ..system.jacobian import Differentiated, RateJacobian
 
 
 class Argument(enum.IntEnum):
-    """What a kernel reads, as `twx_argument` in transcription.h has it."""
+    """The arguments of a kernel, as `twx_argument` in transcription.h has them."""
 
     Z = 0
     SHARE = 1
@@ -95,14 +95,14 @@ class BatchKernel:
         return result
 
     def check(self) -> None:
-        """Raise what a function that JAX runs has raised."""
+        """Raise the error of a function that JAX runs."""
         if isinstance(self.owner, Callback) and self.owner.error is not None:
             error, self.owner.error = self.owner.error, None
             raise error
 
 
 class _Unbound:
-    """A kernel that lacks its numbers.
+    """A kernel without its numbers.
 
     Args:
         before: what it reads of numbers, computed of them; None: the numbers themselves.
@@ -144,12 +144,11 @@ class _Unbound:
     def of_function(
         cls, function: Callable[..., Any], shapes: list[tuple[int, ...]], arguments: list[Argument]
     ) -> _Unbound:
-        """A function that JAX runs, called back by the core: for what has no native form."""
+        """A function that JAX runs, called back by the core, for functions without native form."""
         callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
     def bound(self, numbers: Array) -> BatchKernel:
-        """The kernel with these numbers."""
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]

@@ -1,4 +1,6 @@
-"""The core as functions in memory. Its text becomes machine code once for a processor; the kernel cache keeps that."""
+"""The functions of the core in memory, compiled from its text once for each processor; the kernel cache stores the
+result.
+"""
 
 from __future__ import annotations
 
@@ -33,7 +35,7 @@ _TRANSCRIBED = ("values", "jacobians", "hessians", "retract")
 
 
 class Library:
-    """The core's functions, callable by ctypes. They release Python's lock, so that threads solve side by side.
+    """The core's functions for ctypes. They release Python's lock, so that threads solve in parallel.
 
     Attributes:
         workspace_size: doubles that a problem needs.
@@ -63,7 +65,7 @@ class Library:
 
     @functools.cached_property
     def targets(self) -> tuple[str, str]:
-        # XLA keeps a target as long as the process lives, and takes a name once.
+        # XLA keeps a target until the process ends, and registers a name once.
         targets = []
         for name in _HANDLERS:
             target = f"twistax_{name}_{fingerprint()[:16]}"

@@ -1,4 +1,4 @@
-"""Many problems of one form at once: solves, and moves of solutions, as NumPy calls or as calls of XLA programs."""
+"""Many problems of one form at once: solves, and derivatives of solutions, as NumPy calls or in XLA programs."""
 
 from __future__ import annotations
 
@@ -13,10 +13,11 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import TrajectoryError
-from .core import CoreStatus, ProblemStructure, Stages, Units, as_problem
+from .core import CoreStatus, ProblemStructure, Units, as_problem
 from .library import library
 from .options import Options
 from .processors import processors
+from .stages import Stages
 from .transcription import Transcription, TranscriptionStructure
 
 #: What a result has after its arrays, in the order of members.h.
@@ -31,7 +32,7 @@ _CALLED: list[Any] = []
 
 @atexit.register
 def _end_programs() -> None:
-    """End programs that still run where the process ends, of batches that nobody waits for."""
+    """Stop programs that still run at exit, for batches whose results nobody reads."""
     for form in _CALLED:
         form.structure.stop = 1
 
@@ -63,7 +64,7 @@ class _Structure(ctypes.Structure):
 
 
 class _Form:
-    """What all members share.
+    """The data that all members share.
 
     Args:
         transcription: functions and sizes.

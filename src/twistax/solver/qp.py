@@ -31,7 +31,10 @@ class QPStatus(enum.Enum):
     UNBOUNDED = 3
     STALLED = 4
     NOT_CONVEX = 5
-    _BAD_PROBLEM = 6
+
+
+#: That of a problem whose data cannot be.
+_BAD_PROBLEM = 6
 
 
 @dataclasses.dataclass(frozen=True)
@@ -167,11 +170,11 @@ def solve_qp(
     core, reference = library(), ctypes.byref(problem)
     workspace, statistics = np.empty(core.qp_workspace_size(reference)), _Statistics()
     by_reference = (reference, ctypes.byref(chosen), ctypes.byref(arrays))
-    status = QPStatus(core.qp_solve(*by_reference, workspace.ctypes.data, ctypes.byref(statistics)))
-    if status is QPStatus._BAD_PROBLEM:
+    status = core.qp_solve(*by_reference, workspace.ctypes.data, ctypes.byref(statistics))
+    if status == _BAD_PROBLEM:
         _refuse(data)
     fields: dict[str, Any] = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
-    return QPSolution(status=status, **(fields | first))
+    return QPSolution(status=QPStatus(status), **(fields | first))
 
 
 def _first(n: int, equalities: int, inequalities: int, warm: QPSolution | None) -> dict[str, Array]:

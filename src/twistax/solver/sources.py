@@ -1,4 +1,4 @@
-"""The C sources of the core as one file: what is compiled, and what an exported controller carries with it."""
+"""The C sources of the core as one file, for compilation and for exported controllers."""
 
 from __future__ import annotations
 

@@ -38,7 +38,7 @@ _ATTRIBUTES = re.compile(
 
 
 def compiled_text() -> str:
-    """The text made anew.
+    """A newly compiled text.
 
     Raises:
         FileNotFoundError, subprocess.CalledProcessError: `ziglang` is not installed, or refuses the sources.
@@ -58,7 +58,7 @@ def compiled_text() -> str:
 
 
 def kept_text() -> str:
-    """The text that the package has."""
+    """The text in the package."""
     return lzma.decompress(_TEXT.read_bytes()).decode()
 
 

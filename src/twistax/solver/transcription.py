@@ -1,4 +1,4 @@
-"""Transcribed phases as `transcription.h` has them: their numbers, their kernels, and where their rows stand."""
+"""Transcribed phases in the form of `transcription.h`: their numbers, kernels and rows."""
 
 from __future__ import annotations
 
@@ -11,9 +11,10 @@ from typing import Any
 import numpy as np
 from numpy import ndarray as Array
 
-from .core import StageFunctions, Stages
+from .core import StageFunctions
 from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels, SmoothStructure
 from .library import library
+from .stages import Stages
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
 _NEWTON, _CLOSE = 60, 1e-9
@@ -68,7 +69,7 @@ class PhaseKernels:
 
 @dataclasses.dataclass(frozen=True)
 class JoinKernels:
-    """What leads from a phase to the next.
+    """The functions between a phase and the next.
 
     Attributes:
         gap: log(start^-1 jump(end)) of (eta, p), the last node and the next one; zero in entries that are free.
@@ -110,11 +111,11 @@ class CorePhase:
 
     @property
     def controls(self) -> list[int]:
-        """Of every stage; those of the last one are of the join."""
+        """The number of controls of every stage; those of the last stage belong to the join."""
         return [self.m] * self.intervals + [0 if self.join is None else len(self.join.free)]
 
     def rows_by_stage(self, kind: int) -> list[Array]:
-        """Which rows of each stage are of a kind: of the path, then of conditions."""
+        """The rows of each stage that are of a kind: path rows, then conditions."""
         rows = [[path] for path in (self.path == kind).reshape(self.intervals, -1)] + [[np.zeros(0, bool)]]
         for (stage, _), of_node in zip(self.kernels.nodes, self.conditions):
             rows[stage].append(of_node == kind)
@@ -244,7 +245,7 @@ class Transcription:
         self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self.structure), owner=self)
 
     def set_data(self, data: Array) -> None:
-        """Other numbers for the kernels."""
+        """Set other numbers for the kernels."""
         self._data[:] = data
         for structure in self._structures:  # integrated states are out of date
             ctypes.c_double.from_address(structure.work).value = 0.0
@@ -279,7 +280,7 @@ class Transcription:
 
     @property
     def called_back(self) -> list[str]:
-        """What has no native form, so that JAX runs it."""
+        """The functions without native form, which JAX runs."""
         called = dict[str, None]()
         for phase in self.phases:
             groups = {
@@ -293,7 +294,7 @@ class Transcription:
         return list(called)
 
     def check(self) -> None:
-        """Raise what a function that JAX runs has raised."""
+        """Raise the error of a function that JAX runs."""
         for kernel in self._run_by_jax:
             kernel.check()
 
@@ -322,7 +323,7 @@ class Transcription:
         return places | {name: rows.astype(np.int32) for name, rows in zip(("inequalities", "equalities"), counts)}
 
     def _described(self, number: int, of_path: Any, of_nodes: Any) -> _Phase:
-        """A phase as the core reads it.
+        """A phase in the form of the core.
 
         Args:
             of_path, of_nodes: numbers of its rows among inequalities and among equalities, each (path, nodes).

@@ -30,8 +30,7 @@ class Dynamics:
     """The functions of a system, jitted and differentiable, all with the signature (t, x, u, params).
 
     x, u and params are dicts by leaf name. u and params may be left out; a missing parameter takes its own value.
-    The result has the precision of x. Made by `compile`. The layers above this one work with `_functions`, the same
-    functions on prepared arguments.
+    The result has the precision of x. Made by `compile`.
 
     Attributes:
         system: the system as written.
@@ -40,10 +39,11 @@ class Dynamics:
         dimension: length of a tangent vector.
         backend: what runs its functions.
         baked: the values of parameters folded into the code, by name.
+        functions: the same functions on prepared arguments, for integrators and other loops around them.
     """
 
     def __init__(self, functions: Functions) -> None:
-        self._functions = functions
+        self.functions = functions
         self.system = functions.system
         self.states, self.controls, self.parameters = functions.states, functions.controls, functions.parameters
         self.group = functions.group
@@ -52,7 +52,7 @@ class Dynamics:
         self.baked = functions.baked
 
     def __reduce__(self) -> Any:
-        return Dynamics, (self._functions,)
+        return Dynamics, (self.functions,)
 
     def __repr__(self) -> str:
         kinds = {"states": self.states, "controls": self.controls, "parameters": self.parameters}
@@ -67,15 +67,15 @@ class Dynamics:
         Raises:
             InputError: an unknown key, a wrong shape, or a value that is read and not given.
         """
-        return self._functions.call("rates", t, x, u, params)
+        return self.functions.call("rates", t, x, u, params)
 
     def outputs(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
         """The outputs by name. Raises as a call of the dynamics does."""
-        return self._functions.call("outputs", t, x, u, params)
+        return self.functions.call("outputs", t, x, u, params)
 
     def constraints(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
         """`{"inequality": (n,) <= 0, "equality": (m,) = 0}` in the order of declaration. Raises as a call does."""
-        return self._functions.call("constraints", t, x, u, params)
+        return self.functions.call("constraints", t, x, u, params)
 
     def jacobian(
         self,
@@ -98,7 +98,7 @@ class Dynamics:
             InputError: as a call of the dynamics; an unknown entry in wrt.
         """
         names = tuple(wrt) if isinstance(wrt, (tuple, list)) else (wrt,)
-        return self._functions.jacobian(self._functions.prepare(t, x, u, params), names)
+        return self.functions.jacobian(self.functions.prepare(t, x, u, params), names)
 
     def hessian(
         self,
@@ -134,7 +134,7 @@ class Dynamics:
         Groups, and Symmetric Spaces (1978), ch. II.
         """
         names = (wrt,) if isinstance(wrt, str) else tuple(wrt)
-        return hessian(self._functions, t, x, u, params, weights, names)
+        return hessian(self.functions, t, x, u, params, weights, names)
 
     def hessian_pattern(
         self, weights: str | Iterable[str], *, wrt: str | Sequence[str] = ("x", "u")
@@ -147,7 +147,7 @@ class Dynamics:
             InputError: as `hessian`.
             ModelError: it takes too many scalars, or calls what only JAX can differentiate.
         """
-        return hessian_pattern(self._functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
+        return hessian_pattern(self.functions, weights, (wrt,) if isinstance(wrt, str) else tuple(wrt))
 
     def project(self, t: Any, x: Values, u: Values | None = None, params: Values | None = None) -> Arrays:
         """The state near x that the system's corrections leave where it is: on its manifold, with closed loops.
@@ -160,19 +160,17 @@ class Dynamics:
         """
         if not self.system.corrections:
             raise ModelError("project expects a system with corrections, such as that of a mechanism with loops")
-        return project(self._functions, t, x, u, params)
+        return project(self.functions, t, x, u, params)
 
     def retract(self, x: Values, d: Any) -> Arrays:
         """$x (+) d = x Exp(d)$, state by state; d is a tangent vector (n,) in the order of declaration."""
-        inputs = self._functions.prepare(0.0, x, reads=())
+        inputs = self.functions.prepare(0.0, x, reads=())
         return self.group.retract(inputs.x, jnp.asarray(real_array("retract: d", d), inputs.dtype))
 
     def difference(self, x: Values, y: Values) -> jax.Array:
         """The tangent vector d with retract(x, d) = y, shape (n,): $Log(x^-1 y)$."""
-        inputs = self._functions.prepare(0.0, x, reads=())
-        other = {
-            name: value.astype(inputs.dtype) for name, value in self._functions.prepare(0.0, y, reads=()).x.items()
-        }
+        inputs = self.functions.prepare(0.0, x, reads=())
+        other = {name: value.astype(inputs.dtype) for name, value in self.functions.prepare(0.0, y, reads=()).x.items()}
         return self.group.difference(inputs.x, other)
 
     @overload
@@ -190,7 +188,7 @@ class Dynamics:
             InputError: no rate and no output of that name, or no such entry.
             ModelError: the rates, or what was asked for, take too many scalars to count.
         """
-        return explain(self._functions) if of is None else explain_one(self._functions, of)
+        return explain(self.functions) if of is None else explain_one(self.functions, of)
 
     # ---- in other forms --------------------------------------------------------------------------------------------
 
@@ -229,7 +227,7 @@ class Dynamics:
         from .export.c99 import write_c
 
         return write_c(
-            self._functions,
+            self.functions,
             directory,
             name=name,
             dtype=dtype,
@@ -262,7 +260,7 @@ class Dynamics:
         """
         from .export.casadi_function import to_casadi
 
-        return to_casadi(self._functions, families, name, checked)
+        return to_casadi(self.functions, families, name, checked)
 
     def save(self, path: str | Path) -> None:
         """Write the system to a file, from which `tx.load` gives it back, compiled as it was.
@@ -275,7 +273,7 @@ class Dynamics:
         """
         from .export.saved import save
 
-        save(self._functions, path)
+        save(self.functions, path)
 
 
 def compile(

@@ -1,4 +1,4 @@
-"""What a compiled system computes and what was left out."""
+"""Explanations: what a compiled system computes, and what was left out."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ _LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
 
 @dataclasses.dataclass(frozen=True)
 class Explanation:
-    """What was left out of a compiled system, with counts before and after. Print it.
+    """The counts of a compiled system before and after simplification, and what was left out. Print it.
 
     Attributes:
         leaves: kind -> names, in order.
@@ -84,7 +84,7 @@ class Explanation:
     def __str__(self) -> str:
         before, after = (sum(counts.values()) for counts in self.operations)
         lines = [f"{kind}: {', '.join(names) or 'none'}" for kind, names in self.leaves.items()]
-        # A tree that shares its parts may stand for more nodes than there are atoms.
+        # A tree with shared parts may have more nodes, written out, than there are atoms.
         written = str(self.nodes[0]) if self.nodes[0] < 10**9 else f"{Decimal(self.nodes[0]):.1e}"
         lines.append(f"nodes of the rates: {written} as written, {self.nodes[1]} distinct after simplification")
         lines.append(
@@ -130,7 +130,7 @@ class Dependence:
 
 
 def explain(functions: Functions) -> Explanation:
-    """What `Dynamics.explain()` tells. JAX's default precision stands for that of the arguments."""
+    """Implements `Dynamics.explain()`. Arguments are in JAX's default precision."""
     inputs = functions.zeros()
     places, arrays = functions.flat(inputs)
     try:
@@ -166,7 +166,7 @@ def explain(functions: Functions) -> Explanation:
 
 
 def explain_one(functions: Functions, of: str) -> Dependence:
-    """What `Dynamics.explain(of)` tells: of one rate or output, or an entry of it.
+    """Implements `Dynamics.explain(of)` for one rate or output, or an entry of it.
 
     Raises:
         InputError: no rate and no output of that name, or no such entry.
@@ -220,7 +220,7 @@ def _entries(name: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def _written_nodes(roots: Sequence[Expr]) -> int:
-    """Nodes of the trees as one would write them out: shared parts counted each time."""
+    """The number of nodes of the written trees: shared parts count each time."""
     sizes: dict[int, int] = {}
     for node in postorder(*roots):
         sizes[id(node)] = 1 + sum(sizes[id(child)] for child in node.children())
@@ -228,7 +228,7 @@ def _written_nodes(roots: Sequence[Expr]) -> int:
 
 
 def _jaxpr(roots: Sequence[Expr], dtype: Any) -> Any:
-    """What the roots amount to in arrays, of all leaves that they read."""
+    """The jaxpr of the roots in arrays, as a function of all leaves that they read."""
     leaves = {leaf.key(): leaf for leaf in leaves_of(*roots) if not isinstance(leaf, Constant)}
     inputs = Inputs(jnp.zeros((), dtype), {}, {}, {}, dtype)
 

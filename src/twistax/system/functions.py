@@ -1,4 +1,4 @@
-"""The functions of a system on prepared arguments, each made when it is first asked for, and kept."""
+"""The functions of a system on prepared arguments, each made when it is first needed, and cached."""
 
 from __future__ import annotations
 
@@ -13,20 +13,16 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import listed
-from ..errors import InputError, ModelError
+from ..errors import InputError
 from ..expr import (
-    Constant,
     Control,
     Equality,
     Expr,
     Inputs,
     Parameter,
     State,
-    canonicalize_all,
     evaluate_all,
     leaves_of,
-    substitute,
 )
 from ..jax_inside import is_traced
 from ..progress import watched
@@ -35,7 +31,8 @@ from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
 from ..scalar.walk import uncollected
-from .inputs import Values, prepare
+from .expressions import canonical, chosen_outputs, constants_of
+from .inputs import CallArguments, Values
 from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
 from .system import System, entry_names
 
@@ -46,7 +43,7 @@ _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
 class Kept:
-    """What was made by key, and by the settings of JAX that its numbers depend on.
+    """A cache by key, and by the settings of JAX on which numbers depend.
 
     Beyond `most` entries that which was used longest ago is dropped.
     """
@@ -57,7 +54,7 @@ class Kept:
         self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
-        """What was made for the key, or is now."""
+        """The cached value of a key; made by `make` if there is none."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
         kept = self._found.get(key, self)
         if kept is self:
@@ -80,7 +77,7 @@ class Kept:
 class Functions:
     """The functions of a system on prepared arguments: traceable, unchecked.
 
-    `Dynamics` shows them to users; `prepare` makes the arguments. The layers above reach them as `dynamics._functions`.
+    For integrators, solvers and filters, which check arguments once: `prepare` makes these.
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
@@ -88,37 +85,38 @@ class Functions:
         constraints: the simplified residuals of "inequality" and "equality", by name.
         steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
         hessians: likewise the programs of Hessians.
+        jitted: `evaluate`, in the form for calls.
         loops: likewise functions of integrators, jitted, that take a `twin` of this.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
-        constants = _constants(system.parameters, bake)
+        constants = constants_of(system.parameters, bake)
         self.system, self.backend = system, backend
         self.baked = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
         self.states, self.controls, self.group = system.states, system.controls, system.group
         self.parameters = tuple(p for p in system.parameters if p.name not in bake)
-        residuals = _canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
+        residuals = canonical({name: c.residual() for name, c in system.constraints.items()}, constants)
         equalities = {name for name, constraint in system.constraints.items() if isinstance(constraint, Equality)}
         self.constraints: dict[str, dict[str, Expr]] = {
             kind: {name: r for name, r in residuals.items() if (name in equalities) == (kind == "equality")}
             for kind in ("inequality", "equality")
         }
-        chosen = _narrow(system.outputs, outputs)
+        chosen = chosen_outputs(system.outputs, outputs)
         self.families: dict[str, dict[str, list[Expr]]] = {
-            "rates": {name: [expr] for name, expr in _canonical(system.rates, constants).items()},
-            "outputs": {name: [expr] for name, expr in _canonical(chosen, constants).items()},
+            "rates": {name: [expr] for name, expr in canonical(system.rates, constants).items()},
+            "outputs": {name: [expr] for name, expr in canonical(chosen, constants).items()},
             "constraints": {kind: list(residual.values()) for kind, residual in self.constraints.items()},
-            "corrections": {name: [expr] for name, expr in _canonical(system.corrections, constants).items()},
+            "corrections": {name: [expr] for name, expr in canonical(system.corrections, constants).items()},
         }
-        self._constants = constants
+        self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made, self._beside = Kept(64), False
-        self._jit()
+        self.jitted, self._called = _for_calls(self), set[str]()
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
 
     def run_by(self, backend: Backend) -> Functions:
-        """The same, run by another backend."""
+        """The same functions with another backend."""
         return self._changed(backend=backend)
 
     def beside_loops(self) -> Functions:
@@ -126,7 +124,7 @@ class Functions:
         return self._changed(_beside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
-        """A twin with some of the outputs alone."""
+        """A copy with some of the outputs."""
         known, wanted = self.families["outputs"], set(names)
         outputs = {name: exprs for name, exprs in known.items() if name in wanted}
         twin = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
@@ -140,15 +138,11 @@ class Functions:
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
         twin.__dict__.update(self.__dict__, **changes)
-        twin._jit()
+        twin.jitted, twin._called = _for_calls(twin), set[str]()
         return twin
 
     def __reduce__(self) -> Any:
         return Functions, (self.system, list(self.families["outputs"]), self.baked, self.backend)
-
-    def _jit(self) -> None:
-        self._jitted = jax.jit(functools.partial(self.evaluate, in_loop=False), static_argnums=0)
-        self._called: set[str] = set()
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 
@@ -173,8 +167,7 @@ class Functions:
             InputError: as a call of the dynamics.
         """
         required = {state.name for state in self.states}.union(*(self.reads[family] for family in reads))
-        leaves = (*self.states, *self.controls, *self.parameters)
-        return prepare(leaves, required, t, x, u, params, names=names, on_host=on_host)
+        return self._arguments.prepare(required, t, x, u, params, names=names, on_host=on_host)
 
     def zeros(self) -> Inputs:
         """Zeros for all leaves that anything reads, in JAX's default precision."""
@@ -191,7 +184,7 @@ class Functions:
         """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
         known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
         flat = {f"{k} {part}": expr for k, (_, pair) in enumerate(known) for part, expr in enumerate(pair)}
-        simple, slopes = _canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
+        simple, slopes = canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
         for k, (name, _) in enumerate(known):
             slopes.setdefault(name, []).append((simple[f"{k} 0"], simple[f"{k} 1"]))
         return slopes
@@ -220,7 +213,7 @@ class Functions:
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
         first, self._called = family not in self._called, self._called | {family}
         with watched("compile") if first else contextlib.nullcontext():
-            return self._jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
+            return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""
@@ -368,8 +361,11 @@ class Functions:
         return arrays[0], values["x"], values["u"], values["params"]
 
 
+def _for_calls(functions: Functions) -> Callable[..., Arrays]:
+    return jax.jit(functools.partial(functions.evaluate, in_loop=False), static_argnums=0)
+
+
 def _by_program(kinds: Sequence[str], program: Derived, *arrays: jax.Array) -> Arrays:
-    """The blocks of a Jacobian that is one program."""
     return dict(zip(kinds, call_program(program, *arrays), strict=True))
 
 
@@ -380,41 +376,6 @@ def check_kinds(wrt: tuple[str, ...]) -> None:
             raise InputError(f"wrt names {kind!r}; it takes 'x', 'u' and 'params'")
     if len(set(wrt)) < len(wrt):
         raise InputError(f"wrt expects each of 'x', 'u' and 'params' once, got {wrt}")
-
-
-def _narrow(outputs: Mapping[str, Expr], names: Iterable[str] | None) -> dict[str, Expr]:
-    """The outputs of these names; all if None."""
-    if names is None:
-        return dict(outputs)
-    names = [names] if isinstance(names, str) or not isinstance(names, Iterable) else list(names)
-    for name in names:
-        if name not in outputs:
-            raise ModelError(f"outputs names {name!r}, which is no output; the system has: {listed(outputs, name)}")
-    return {name: outputs[name] for name in names}
-
-
-def _constants(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> dict[str, Constant]:
-    """The baked parameters: key of the leaf -> constant."""
-    known = {p.name: p for p in parameters}
-    constants: dict[str, Constant] = {}
-    for name, value in bake.items():
-        if name not in known:
-            raise ModelError(f"bake names {name!r}, which is no parameter; the system has: {listed(known, name)}")
-        if value is None:
-            raise ModelError(f"bake[{name!r}] is None; give the value to fold in, of shape {known[name].shape}")
-        if is_traced(value):
-            raise ModelError(
-                f"bake[{name!r}] is traced (inside jit, grad or vmap), so its number is not known.\n"
-                f"  fix: do not bake it, and pass params={{{name!r}: ...}}"
-            )
-        constants[known[name].key()] = Constant(known[name].replace(value=value).value)
-    return constants
-
-
-def _canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:
-    """The expressions with constants in place of what is baked, simplified together."""
-    roots = [substitute(expr, constants) for expr in exprs.values()] if constants else list(exprs.values())
-    return dict(zip(exprs, canonicalize_all(roots), strict=True))
 
 
 def _names(*roots: list[Expr]) -> set[str]:

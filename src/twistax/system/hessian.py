@@ -45,7 +45,7 @@ def hessian(
     weights: Values,
     wrt: tuple[str, ...],
 ) -> jax.Array:
-    """What `Dynamics.hessian` gives."""
+    """Implements `Dynamics.hessian`."""
     if not isinstance(weights, Mapping):
         raise InputError(f"weights must be a dict from names to arrays, got {type(weights).__name__}")
     check_kinds(wrt)
@@ -65,7 +65,7 @@ def hessian(
 
 
 def hessian_pattern(functions: Functions, weights: Iterable[str], wrt: tuple[str, ...]) -> NDArray[np.bool_]:
-    """What `Dynamics.hessian_pattern` gives."""
+    """Implements `Dynamics.hessian_pattern`."""
     check_kinds(wrt)
     matrix = _kept(functions, _weighted(functions, weights), functions.zeros(), wrt)
     if matrix is None:
@@ -86,7 +86,7 @@ class _Weighted(NamedTuple):
 
 
 def _weighted(functions: Functions, names: Iterable[str]) -> tuple[_Weighted, ...]:
-    """What the names stand for, in the order of declaration. Raises InputError."""
+    """The functions of these names, in the order of declaration. Raises InputError."""
     families = {name: functions.families[name] for name in ("rates", "outputs")}
     families["constraints"] = {n: [e] for members in functions.constraints.values() for n, e in members.items()}
     known = [
@@ -165,7 +165,7 @@ def _in_arrays(
     arrays: Sequence[jax.Array],
     weights: Sequence[jax.Array],
 ) -> jax.Array:
-    """By JAX: of the weighted sum as a function of all tangents."""
+    """The Hessian by JAX: of the weighted sum as a function of all tangents."""
     sizes, moved = along(functions.group, places, wrt, arrays)
 
     def total(d: jax.Array) -> jax.Array:
@@ -219,7 +219,7 @@ class WeightedHessian:
     @functools.cached_property
     def program(self) -> ScalarProgram:
         """(arguments, weights w_i) -> the matrix."""
-        # Rows with most entries last: measured, kernels wait least for memory so.
+        # Rows with most entries last: measurements show the fewest memory stalls of kernels in this order.
         return one_by_one(self._program, self._in_order)
 
     def beside_values(self, substituted: Mapping[int, int]) -> ScalarProgram:
@@ -238,7 +238,7 @@ class WeightedHessian:
 
 
 class _Sweep:
-    """The forward sweep over one gradient, planned but not taken.
+    """A planned forward sweep over one gradient.
 
     Attributes:
         program: the functions.

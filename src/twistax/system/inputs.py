@@ -1,9 +1,9 @@
-"""The arguments of every lowered function: one signature (t, x, u, params), checked and brought to one precision."""
+"""The arguments (t, x, u, params) of every lowered function, checked and cast to one precision."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -33,7 +33,7 @@ def precision(*groups: Values | None) -> Any:
 
 
 def _shaped(leaf: Any, kind: str) -> str:
-    """How to mend a value of another shape."""
+    """A hint for a value of a wrong shape."""
     made = {"SE3": "tx.pose(position=..., rotation=...) builds a pose", "SO3": "tx.pose(...)[:3, :3] is a rotation"}
     if (group := getattr(getattr(leaf, "group", None), "name", None)) in made:
         return f"{made[group]}; map over batches with jax.vmap"
@@ -94,7 +94,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
 
 
 def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
-    """Raise InputError where a precision cannot hold what is known of an array."""
+    """Raise InputError if known numbers of an array overflow in a precision."""
     wider = array.dtype.itemsize > np.dtype(dtype).itemsize and jnp.issubdtype(array.dtype, jnp.floating)
     if not wider or is_traced(array):
         return
@@ -108,53 +108,73 @@ def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
         )
 
 
-def prepare(
-    leaves: Sequence[Leaf],
-    required: set[str],
-    t: Any,
-    x: Values | None,
-    u: Values | None,
-    params: Values | None,
-    *,
-    names: Sequence[str] = ("t", "x", "u", "params"),
-    on_host: bool = False,
-    spare: bool = False,
-) -> Inputs:
-    """The checked arguments. `leaves` are all that may be given, `required` the names that are read.
+class _Slot(NamedTuple):
+    """A leaf, with what is compared with each value of it."""
 
-    Their precision is that of x; where x has no float array, that of u, params or t, in this order.
+    leaf: Leaf
+    name: str
+    shape: tuple[int, ...]
+    group: Any
+
+
+class CallArguments:
+    """The leaves that values may be given of, sorted by kind once; it checks and casts the values of each call.
 
     Args:
-        names: what messages call the arguments.
-        on_host: leave arrays of NumPy what they are.
-        spare: whether x may have states that are not read; they count for the precision.
-    Raises:
-        InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
+        leaves: states, controls and parameters.
     """
-    dtype = precision(x, u, params, {"t": t})
-    if spare and isinstance(x, Mapping):
-        names_of_leaves = {leaf.name for leaf in leaves}
-        x = {name: value for name, value in x.items() if name in names_of_leaves or not isinstance(name, str)}
-    kinds = {kind: [leaf for leaf in leaves if isinstance(leaf, kind)] for kind in (State, Control, Parameter)}
-    time = real_array(names[0], t)
-    if time.shape != ():
-        raise InputError(f"{names[0]} expects a scalar, got shape {time.shape}")
-    prepared = {
-        kind: read_values(name, of_kind, values, dtype, on_host)
-        for (kind, of_kind), name, values in zip(kinds.items(), names[1:], (x, u, params), strict=True)
-    }
-    for kind, name in ((State, names[1]), (Control, names[2])):
-        for leaf in kinds[kind]:
-            if leaf.name in required and leaf.name not in prepared[kind]:
-                raise InputError(
-                    f"{kind.__name__} {leaf.name!r} is missing in {name}, which has: {listed(prepared[kind])}.\n"
-                    f"  fix: pass {name}={{{leaf.name!r}: ...}} of shape {leaf.shape}"
-                )
-    values = prepared[Parameter]
-    inputs = Inputs(cast(names[0], time, dtype, on_host), prepared[State], prepared[Control], values, dtype)
-    # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
-    for leaf in kinds[Parameter]:
-        if leaf.name in required and leaf.name not in values:
+
+    def __init__(self, leaves: Iterable[Leaf]) -> None:
+        slots = [_Slot(leaf, leaf.name, leaf.shape, getattr(leaf, "group", None)) for leaf in leaves]
+        self._states, self._controls, self._parameters = (
+            [slot for slot in slots if isinstance(slot.leaf, kind)] for kind in (State, Control, Parameter)
+        )
+        self._known = {slot.name for slot in slots}
+
+    def prepare(
+        self,
+        required: Collection[str],
+        t: Any,
+        x: Values | None,
+        u: Values | None,
+        params: Values | None,
+        *,
+        names: Sequence[str] = ("t", "x", "u", "params"),
+        on_host: bool = False,
+        spare: bool = False,
+    ) -> Inputs:
+        """The checked arguments. Their precision is that of x; where x has no float array, of u, params or t.
+
+        Args:
+            required: the names that are read.
+            names: what messages call the arguments.
+            on_host: leave arrays of NumPy what they are.
+            spare: whether x may have states that are not read; they count for the precision.
+        Raises:
+            InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
+        """
+        dtype = precision(x, u, params, {"t": t})
+        if spare and isinstance(x, Mapping):
+            x = {name: value for name, value in x.items() if name in self._known or not isinstance(name, str)}
+        time = real_array(names[0], t)
+        if time.shape != ():
+            raise InputError(f"{names[0]} expects a scalar, got shape {time.shape}")
+        states = read_values(names[1], self._states, x, dtype, on_host)
+        controls = read_values(names[2], self._controls, u, dtype, on_host)
+        parameters = read_values(names[3], self._parameters, params, dtype, on_host)
+        for kind, slots, name, values in (
+            ("State", self._states, names[1], states),
+            ("Control", self._controls, names[2], controls),
+        ):
+            for slot in slots:
+                if slot.name in required and slot.name not in values:
+                    raise InputError(
+                        f"{kind} {slot.name!r} is missing in {name}, which has: {listed(values)}.\n"
+                        f"  fix: pass {name}={{{slot.name!r}: ...}} of shape {slot.shape}"
+                    )
+        inputs = Inputs(cast(names[0], time, dtype, on_host), states, controls, parameters, dtype)
+        # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
+        for leaf in (slot.leaf for slot in self._parameters if slot.name in required and slot.name not in parameters):
             default = leaf.value if on_host and isinstance(leaf, Parameter) else None
-            values[leaf.name] = leaf.read(inputs) if default is None else default.astype(dtype)
-    return inputs
+            parameters[leaf.name] = leaf.read(inputs) if default is None else default.astype(dtype)
+        return inputs

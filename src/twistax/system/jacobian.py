@@ -29,7 +29,7 @@ Places: TypeAlias = Sequence[tuple[str, str]]
 
 
 class Differentiated(NamedTuple):
-    """Functions of flat arguments, and what their derivatives are by."""
+    """Functions of flat arguments, and the arguments by which they are differentiated."""
 
     closed: ClosedJaxpr  # each result a flat vector
     places: Places
@@ -98,7 +98,7 @@ class RateJacobian:
 
 
 def fewer(plain: Callable[[], Differentiated], with_known: RateJacobian) -> RateJacobian:
-    """Of the derivatives on the graph and those that are known the ones that take fewer operations.
+    """The cheaper of the derivatives on the graph and the known ones, by number of operations.
 
     Args:
         plain: gives the rates alone, where their derivatives are tried.
@@ -116,7 +116,7 @@ def fewer(plain: Callable[[], Differentiated], with_known: RateJacobian) -> Rate
 def along(
     group: Product, places: Places, wrt: Sequence[str], arrays: Sequence[jax.Array]
 ) -> tuple[dict[str, int], Callable[[jax.Array], list[jax.Array]]]:
-    """How many tangents arguments have, by kind; and the function that moves arguments by a vector of them."""
+    """The number of tangents of each kind of argument; and the function that moves arguments by a vector of them."""
     numbers_of = {kind: [k for k, (of, _) in enumerate(places) if of == kind] for kind in wrt}
     sizes = {kind: sum(arrays[k].size for k in numbers) for kind, numbers in numbers_of.items()}
     if "x" in numbers_of:
@@ -174,7 +174,9 @@ def _product(g: ScalarGraph, matrix: Nodes, columns: Mapping[tuple[int, int], in
 
 
 def tangents_of(program: ScalarProgram, problem: Differentiated) -> tuple[Seeds, dict[str, int]]:
-    """How the arguments of a program move: input node -> (tangent -> derivative); and how many tangents a kind has."""
+    """The derivatives of a program's arguments by tangents: input node -> (tangent -> derivative); and the number of
+    tangents of each kind.
+    """
     g = program.graph
     widths: dict[str, int] = {}
     seeds: Seeds = {}

@@ -19,7 +19,7 @@ def checked_labels(labels: Labels | None, leaves: Iterable[Leaf]) -> dict[str, t
     if labels is not None and not isinstance(labels, Mapping):
         raise ModelError(f"labels must be a dict from states and controls to pairs, got {type(labels).__name__}")
     known = {leaf.name: leaf for leaf in leaves}
-    checked = {}
+    checked = dict[str, tuple[tuple[str, str], ...]]()
     for key, pairs in (labels or {}).items():
         name = key.name if isinstance(key, Leaf) else key
         if name not in known:
@@ -34,5 +34,5 @@ def checked_labels(labels: Labels | None, leaves: Iterable[Leaf]) -> dict[str, t
             raise ModelError(
                 f"labels[{name!r}] expects a pair of name and unit for each entry, {size} of them, got {short(pairs)}"
             )
-        checked[name] = entries
+        checked[name] = tuple((label, unit) for label, unit in entries)
     return checked

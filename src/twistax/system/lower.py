@@ -13,7 +13,7 @@ from ..expr.fields import freeze
 from ..expr.transformations.vmap import no_elements
 from ..jax_inside import is_traced
 from ..scalar.backends import as_arrays
-from .inputs import Values, prepare
+from .inputs import CallArguments, Values
 from .system import System
 
 Lowered = Callable[..., Any]
@@ -53,11 +53,11 @@ def lower(expr: Any) -> Lowered:
         node.check_shape()
     no_elements(leaves_of(*nodes))
     leaves = _distinct(leaves_of(*nodes))
-    required = {leaf.name for leaf in leaves}
+    required, arguments = {leaf.name for leaf in leaves}, CallArguments(leaves)
     large = len(postorder(*nodes)) > _LARGE
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
-        inputs = prepare(leaves, required, t, x, u, params, spare=True)
+        inputs = arguments.prepare(required, t, x, u, params, spare=True)
 
         def values(*arguments: Any) -> list[jax.Array]:
             t, x, u, params = jax.tree.unflatten(structure, arguments)

@@ -1,4 +1,4 @@
-"""States brought to the manifold of a system, by its corrections."""
+"""Projection of states to the manifold of a system, by its corrections."""
 
 from __future__ import annotations
 
@@ -29,12 +29,12 @@ def increments(functions: Functions, corrections: Arrays) -> jax.Array:
 
 
 def project(functions: Functions, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
-    """What `Dynamics.project` does."""
+    """Implements `Dynamics.project`."""
     inputs = functions.prepare(t, x, u, params, reads=("corrections",))
     now, size = dict(inputs.x), np.inf
     least = _ROUND_OFF * float(jnp.finfo(inputs.dtype).eps)
     for _ in range(_STEPS):
-        corrections = functions._jitted("corrections", inputs.t, now, inputs.u, inputs.params)
+        corrections = functions.jitted("corrections", inputs.t, now, inputs.u, inputs.params)
         step = increments(functions, corrections)
         now = functions.group.retract(now, step)
         before, size = size, float(jnp.abs(step).max())

@@ -178,7 +178,7 @@ class System:
         self.__dict__.update(unpack(*state))
 
     def _known_slopes(self, slopes: Slopes) -> dict[str, tuple[tuple[Expr, Expr], ...]]:
-        """The derivatives that were given, of the shapes they must have, made of leaves of the system."""
+        """The given derivatives, checked: shapes, and leaves of the system."""
         if not isinstance(slopes, Mapping):
             raise ModelError(f"slopes must be a dict from states to pairs, got {type(slopes).__name__}")
         groups, checked = self.group.factors, dict[str, tuple[tuple[Expr, Expr], ...]]()
@@ -190,9 +190,7 @@ class System:
                 raise ModelError(f"slopes names {name!r}, which has no rate; it expects one of {listed(groups, name)}")
             pairs_of_state = list(pairs) if isinstance(pairs, Iterable) else [pairs]
             if not all(isinstance(pair, (tuple, list)) and len(pair) == 2 for pair in pairs_of_state):
-                raise ModelError(
-                    f"{place} expects pairs of what the rate depends on and the derivative, got {short(pairs_of_state)}"
-                )
+                raise ModelError(f"{place} expects pairs (argument, derivative), got {short(pairs_of_state)}")
             checked[name] = tuple((_expression(place, by), _expression(place, slope)) for by, slope in pairs_of_state)
             for by, slope in checked[name]:
                 if not isinstance(by, State) and by.ndim != 1:
@@ -309,7 +307,7 @@ def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
 
 
 def need_finite(place: str, root: Expr) -> None:
-    """Raise ModelError if it is not finite whatever the states are; of a constraint its residual."""
+    """Raise ModelError if an expression (of a constraint its residual) is not finite for any states."""
     root = root.residual() if isinstance(root, Constraint) else root
     if (not_finite := _not_finite(root)) is not None:
         raise ModelError(
@@ -367,7 +365,6 @@ def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked
 
 
 def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tuple[State, ...]:
-    """The states in the order of the keys."""
     known = {leaf.name: leaf for leaf in [*reversed(used), *rates] if isinstance(leaf, State)}
     states: dict[str, State] = {}
     for key in rates:
@@ -392,7 +389,7 @@ def _states(rates: Mapping[State | str, ExprLike], used: Sequence[Leaf]) -> tupl
 
 
 def _differences(one: Leaf, other: Leaf) -> list[str]:
-    """What distinguishes two leaves of one name."""
+    """The differences between two leaves of one name."""
     if type(one) is not type(other):
         return ["kind"]
     if one.shape != other.shape:

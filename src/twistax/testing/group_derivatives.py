@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import jax
 import jax.numpy as jnp
@@ -11,10 +11,8 @@ import numpy as np
 
 from ..groups import Group
 from ..jax_inside import quick_compile
+from .group_samples import Sample, turned
 from .laws import STENCIL, STEP, Check, difference_quotient, flat
-
-if TYPE_CHECKING:
-    from .groups import Sample
 
 _BY_DIFFERENCES = 2e-9
 #: Round-offs of single precision that a quantity may be off, as a share of its size.
@@ -24,13 +22,13 @@ _FAR = 7e6
 
 
 def _in_steps(group: Group, a: Any, b: Any) -> dict[str, Any]:
-    """What a step of an integrator is made of; its second derivatives enter those of an integration."""
+    """The functions in a step of an integrator; their second derivatives enter those of an integration."""
     applied = group.right_jacobian_inv_apply(a, b)
     return {"exp": group.exp(a), "retract": group.retract(group.exp(b), a), "right_jacobian_inv_apply": applied}
 
 
 def _smooth(group: Group, a: Any, b: Any) -> dict[str, Any]:
-    """What is smooth everywhere, of a tangent a and a second one."""
+    """The functions that are smooth everywhere, of a tangent a and a second one."""
     g, h = group.exp(a), group.exp(b)
     return _in_steps(group, a, b) | {
         "compose": group.compose(h, g),
@@ -69,7 +67,7 @@ def check_derivatives(check: Check, group: Group, samples: Sequence[Sample]) -> 
 
 
 def _along_lines(group: Group, across: np.ndarray, a: Any, b: Any, e: Any) -> dict[str, Any]:
-    """Values and slopes of all that is smooth at a + s e, for s = 0 and the steps; at s = 0 what else is asked."""
+    """Values and slopes of all smooth functions at a + s e, for s = 0 and the steps; at s = 0 the others too."""
     everything = lambda d, b: flat(_smooth(group, d, b))  # noqa: E731
 
     def slope(d: Any, b: Any, e: Any) -> Any:
@@ -123,8 +121,6 @@ def _check_one(
 
 def check_single_precision(check: Check, group: Group, seed: int) -> None:
     """The maps in single precision against those in double, near zero and with lengths of an orbit. Raises LawError."""
-    from .groups import turned
-
     rng, n = np.random.default_rng(seed + 1), group.dimension
     draw = lambda: rng.uniform(-1.0, 1.0, n)  # noqa: E731
     drawn = {"zero": 0.0 * draw(), "1e-4": 1e-4 * draw(), "1e-3": 1e-3 * draw(), "1e-2": 1e-2 * draw()}

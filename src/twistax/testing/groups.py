@@ -7,7 +7,6 @@ Jacobians; the series of the Jacobians is in W. Rossmann, Lie Groups (2002), sec
 from __future__ import annotations
 
 import copy
-import dataclasses
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -20,6 +19,7 @@ from ..errors import InputError
 from ..groups import Group
 from ..jax_inside import quick_compile
 from .group_derivatives import check_derivatives, check_single_precision
+from .group_samples import Sample, turned
 from .laws import STENCIL, STEP, Check, difference_quotient
 
 #: How far a quantity of size one may be off in double precision, and a derivative by differences.
@@ -27,24 +27,8 @@ _EXACT, _BY_DIFFERENCES = 2e-13, 2e-9
 _DRIFT, _ROUND_OFF = 1e-3, 1e-8
 
 
-@dataclasses.dataclass(frozen=True)
-class Sample:
-    """Three tangents, and whether the logarithm must give the first again."""
-
-    label: str
-    d: np.ndarray
-    e: np.ndarray
-    f: np.ndarray
-    in_reach: bool
-
-    @property
-    def at(self) -> dict[str, Any]:
-        """What messages say of it."""
-        return {f"d ({self.label})": self.d, "e": self.e}
-
-
 def check_group(group: Group, *, seed: int = 0) -> None:
-    """Check that a group keeps the laws which states, integrators and optimisers rely on, in a few seconds.
+    """Check that a group satisfies the laws on which states, integrators and optimisers rely, in a few seconds.
 
     Checked are values, shapes and precision; $g e = g$, inverses and products; $Log(Exp(d)) = d$, $Exp(Log(g)) = g$;
     $g Exp(d) g^-1 = Exp(Ad_g d)$, $Ad_Exp(d) = exp(ad_d)$; the Jacobians by their series and by $Exp(d + e) =
@@ -99,15 +83,8 @@ def samples(group: Group, seed: int) -> list[Sample]:
     return samples
 
 
-def turned(group: Group, d: np.ndarray, turn: float) -> np.ndarray:
-    """The tangent with the entries that are no lengths made so long together."""
-    natural = ~(group.sized | group.flat)
-    length = np.linalg.norm(d[natural])
-    return np.where(natural, d * (turn / length), d) if length > 0.0 else d
-
-
 def _values(group: Group, drawn: list[Sample]) -> list[dict[str, Any]]:
-    """All that the laws speak of, for each sample."""
+    """All values in the laws, for each sample."""
 
     def one(a: jax.Array, b: jax.Array, c: jax.Array) -> dict[str, Any]:
         g, h, k = group.exp(a), group.exp(b), group.exp(c)

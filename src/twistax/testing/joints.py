@@ -24,7 +24,7 @@ _FAR = 7e6
 
 
 def check_joint(joint: Joint, *, at_zero: Any = None, seed: int = 0) -> None:
-    """Check that a joint keeps the laws which mechanisms rely on: its pose and its motion subspace are of one motion.
+    """Check that a joint satisfies the laws on which mechanisms rely: its pose and its motion subspace belong together.
 
     Checked are shapes; that $T_pc$ is a pose, and the identity where the position is zero; $T_pc' = T_pc hat(H v)$, by
     derivatives and by differences of poses; that H is constant in the child, so that the twist changes by $H v'$ alone;
@@ -80,7 +80,6 @@ class _Motion:
             self.H = np.asarray(lower(joint.motion_subspace)(0.0))
 
     def value(self, name: str, q: Any, v: Any = None) -> Any:
-        """A value at a position and a velocity."""
         joint = self.joint
         if joint.position is None or joint.velocity is None:
             return self._functions[name](0.0)
@@ -93,7 +92,6 @@ class _Motion:
         return "deflection" in self._functions
 
     def placed(self, q: Any) -> np.ndarray:
-        """The pose."""
         return np.asarray(self.value("T", q))
 
     def zero(self) -> Any:
@@ -110,7 +108,7 @@ class _Motion:
         return q + change_of_q if group is None else group.retract(q, change_of_q)
 
     def positions(self, seed: int, far: float = 1.0) -> dict[str, Any]:
-        """Positions by what they are: coordinates, or elements of the group. Slides go as far as is said."""
+        """Positions by kind: coordinates, or elements of the group, with translations up to a limit."""
         rng, k = np.random.default_rng(seed + 1), self.joint.dofs
         turns = np.abs(self.H[3:]).max(axis=0) > 0.0
         drawn = {"zero": np.zeros(k), "1e-6": 1e-6 * rng.normal(size=k), "ordinary": rng.uniform(0.5, 2.0, k)}

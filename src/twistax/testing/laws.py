@@ -1,4 +1,4 @@
-"""How a broken law is told: which one, of what, at which values, by how much, and how to mend it."""
+"""Messages of violated laws: which law, of what, at which values, by how much, and the fix."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ STEP = 1e-3
 
 
 class LawError(TwistaxError, AssertionError):
-    """A part breaks a law. The message names the law, the values, what is expected and how to mend it.
+    """A part violates a law. The message names the law, the values, what is expected and the fix.
 
     Attributes:
         law: the law in a few words.
@@ -34,7 +34,7 @@ class Check:
         self.subject = subject
 
     def fail(self, law: str, what: str, fix: str) -> LawError:
-        """The error for a broken law."""
+        """The error for a violated law."""
         error = LawError(f"{self.subject} breaks the law {law!r}: {what}\n  fix: {fix}")
         error.law = law
         return error

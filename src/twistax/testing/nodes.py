@@ -23,7 +23,7 @@ _SINGLE = 100.0 * float(np.finfo(np.float32).eps)
 
 
 def check_node(node_class: type[Expr]) -> None:
-    """Check that a node class keeps what every node promises, on its `cases` and `kinks`.
+    """Check that a node class satisfies the laws of nodes, on its `cases` and `kinks`.
 
     Checked are that the inferred shape is that of the value, and shapes are refused by no other error than ShapeError;
     float32 stays float32, within 100 round-offs of its size and of what its operands' round-off makes of it; jit =
@@ -76,16 +76,16 @@ class Case:
         return Check(f"{self.node.__name__}, case {self.number}: {self.example.expr!r},")
 
     def built_again(self) -> Expr:
-        """The expression, of nodes that are no others'."""
+        """The expression, built from new nodes."""
         return self.node.example()[self.number].expr
 
     @property
     def values(self) -> dict[str, np.ndarray]:
-        """Of the leaves, in double precision."""
+        """The values of the leaves, in double precision."""
         return {name: np.asarray(value, np.float64) for name, value in self.example.values.items()}
 
     def flat(self) -> tuple[np.ndarray, Callable[[jax.Array], Any]]:
-        """The values as one vector, and the way back."""
+        """The values as one vector, and the inverse function."""
         vector, back = ravel_pytree(self.values)
         return np.asarray(vector, np.float64), back
 
@@ -241,7 +241,7 @@ def immutability(case: Case) -> None:
     """Nothing can be assigned or deleted, and a node has no truth value."""
     expr, check = case.example.expr, case.check
     fix = "leave __setattr__, __delattr__ and __bool__ as Expr has them"
-    for name in [*([field.name for field in expr._fields] or ["name"]), "anything"]:
+    for name in [*([field.name for field in type(expr)._fields] or ["name"]), "anything"]:
         for change in (lambda name=name: setattr(expr, name, 1.0), lambda name=name: delattr(expr, name)):
             message = f"{name!r} can be changed"
             check.holds("nodes never change", _raises(change, ImmutableError), message, fix)

@@ -32,7 +32,7 @@ _LARGEST = 9
 
 
 def check_tableau(tableau: ButcherTableau | CollocationTableau | CommutatorFreeTableau) -> None:
-    """Check that a tableau has the order that it says, for numbers and on a group.
+    """Check that a tableau has its declared order, for numbers and on a group.
 
     Of a Runge-Kutta tableau with $c = A 1$ every rooted tree t of at most `order` nodes must give $sum_i b_i Phi_i(t) =
     1/gamma(t)$, and likewise its embedded solution; of a commutator-free one that which it is on numbers. Orders above

@@ -35,6 +35,10 @@ class Sizes(NamedTuple):
     steers: Array  # (m,) whether controls move states
     reserve: float = np.inf  # how many times as far as needed limited controls move the state that is hardest to move
 
+    def of_one(self) -> Sizes:
+        """The same with 1 for all states and controls."""
+        return self._replace(d=np.ones_like(self.d), u=np.ones_like(self.u))
+
 
 @np.errstate(all="ignore")
 def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) -> Sizes:

@@ -75,7 +75,7 @@ class StartUnits:
             shorter = np.where(free, np.maximum(0.5 * durations, low), durations)
             if (shorter == durations).all():
                 break
-            durations, there = shorter, point._replace(border=shorter)
+            durations, there = shorter, point.with_border(shorter)
             at = Evaluated(staged.transcription, staged.flat(there))
             if at.differentiate():  # long steps of an unstable system may overflow
                 parts = cls._measured(staged, there, at)
@@ -100,7 +100,7 @@ class StartUnits:
         """Use the units of the statement: 1 for everything."""
         ones = [np.ones_like(a) for a in (self.border, self.v, self.rows, self.equalities)]
         self.border, self.v, self.rows, self.equalities = ones
-        self.parts = [sizes._replace(d=np.ones_like(sizes.d), u=np.ones_like(sizes.u)) for sizes in self.parts]
+        self.parts = [sizes.of_one() for sizes in self.parts]
         self.cost = 1.0
 
     @staticmethod
@@ -124,7 +124,6 @@ class StartUnits:
         return parts
 
     def _by_stage(self, staged: Staged) -> list[Array]:
-        """Of the unknowns of each stage."""
         sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
             sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals

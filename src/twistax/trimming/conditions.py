@@ -1,4 +1,4 @@
-"""What a trim asks for, as one vector with its derivatives in the tangent space."""
+"""The conditions of a trim as one vector, with its derivatives in the tangent space."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ..system.dynamics import Dynamics
 
 
 class TrimConditions:
-    """What shall vanish, as one vector.
+    """The residuals of a trim, as one vector.
 
     Args:
         params: the parameters that are free.
@@ -68,7 +68,7 @@ class TrimConditions:
         return target.reshape(-1)
 
     def hold(self, start: Inputs) -> None:
-        """What is fixed without a value keeps the one that it has at the start."""
+        """Keep the present value of what is fixed without a value."""
         if np.isnan(self._targets).any():
             open_ones = np.isnan(self._targets)
             self._targets[open_ones] = 0.0

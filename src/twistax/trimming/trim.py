@@ -38,7 +38,7 @@ _RANK = 1e-9
 
 @dataclasses.dataclass(frozen=True)
 class Trim:
-    """What `trim` found.
+    """The result of `trim`.
 
     Attributes:
         t, x, u, params: the point, as calls of the dynamics take it; params has those that were given or free.
@@ -143,7 +143,7 @@ def trim(
         conditions = TrimConditions(
             dynamics, _names("zero", zero), _mapping("fixed", fixed), _names("steady", steady), parameters
         )
-        inputs = dynamics._functions.prepare(t, x, u, params, reads=conditions.reads)
+        inputs = dynamics.functions.prepare(t, x, u, params, reads=conditions.reads)
         start = _doubled(inputs)
         unknowns = Unknowns(dynamics, start, sought, parameters)
         conditions.hold(start)
@@ -171,7 +171,7 @@ def _mapping(place: str, value: Any) -> dict[str, Any]:
 
 
 def _doubled(inputs: Inputs) -> Inputs:
-    """In double precision. Raises InputError for what is not finite."""
+    """The values in double precision. Raises InputError for what is not finite."""
 
     def doubled(values: Mapping[str, Any]) -> dict[str, jax.Array]:
         for name, value in values.items():
@@ -184,7 +184,7 @@ def _doubled(inputs: Inputs) -> Inputs:
 
 
 def _solve(conditions: TrimConditions, unknowns: Unknowns, start: Inputs) -> Trim:
-    """Least squares in the chart about the start, then about its end, until nothing moves."""
+    """Least squares in the chart about the start, then about its end, until the unknowns converge."""
     now = unknowns.values(start)
     point = unknowns.moved(start, np.clip(now, unknowns.lower, unknowns.upper) - now)
     _need_finite(conditions, *conditions.at(point), "at the start")
@@ -201,7 +201,7 @@ def _solve(conditions: TrimConditions, unknowns: Unknowns, start: Inputs) -> Tri
 
 
 def _round(conditions: TrimConditions, unknowns: Unknowns, about: Inputs, every: np.ndarray) -> tuple[np.ndarray, int]:
-    """The step to the least squares in the chart about a point, by scales, and how many evaluations it took."""
+    """The solution of the least squares in the chart about a point, and the number of evaluations."""
     from scipy.optimize import least_squares
 
     now = unknowns.values(about)
@@ -233,7 +233,9 @@ def _round(conditions: TrimConditions, unknowns: Unknowns, about: Inputs, every:
 
 
 def _to_bounds(conditions: TrimConditions, unknowns: Unknowns, point: Inputs) -> np.ndarray:
-    """The step of what is next to a bound to it, where that leaves less: least squares from inside never get there."""
+    """A step that moves unknowns near a bound onto it, if that reduces the residual: interior iterations never reach
+    it.
+    """
     now, scales = unknowns.values(point), unknowns.scales(point)
     near = _AT_BOUND * scales[unknowns.columns]
     step = np.where(np.abs(unknowns.lower - now) <= near, unknowns.lower - now, 0.0)
@@ -250,7 +252,7 @@ def _to_bounds(conditions: TrimConditions, unknowns: Unknowns, point: Inputs) ->
 def _judged(
     conditions: TrimConditions, unknowns: Unknowns, point: Inputs, turned: np.ndarray, evaluations: int
 ) -> Trim:
-    """What was found, with its measures; `trimmed` is left to the caller."""
+    """The result with its measures."""
     value, slopes = conditions.at(point)
     every = unknowns.scales(point)
     seen, counted = _seen(conditions, unknowns, point, value, every)
@@ -287,7 +289,7 @@ def _judged(
 def _seen(
     conditions: TrimConditions, unknowns: Unknowns, point: Inputs, value: np.ndarray, scales: np.ndarray
 ) -> tuple[np.ndarray, int]:
-    """Slopes of the conditions by every perturbation as differences show them, the flatter side, and evaluations.
+    """Derivatives of the conditions by finite differences, the smaller of both sides, and the number of evaluations.
 
     A side beyond a bound, or where the conditions are not finite, is not counted.
     """
@@ -312,13 +314,13 @@ def _need_finite(conditions: TrimConditions, value: np.ndarray, slopes: np.ndarr
 
 
 def _changes(slopes: np.ndarray, columns: list[int], scales: np.ndarray) -> np.ndarray:
-    """By how much each condition changes where every unknown does by its scale; else, where anything at all does."""
+    """The change of each condition if every unknown changes by its scale; if that is zero, if everything does."""
     by_unknowns = np.abs(slopes[:, columns]) @ scales[columns]
     return np.where(by_unknowns > 0.0, by_unknowns, np.abs(slopes) @ scales)
 
 
 def _undetermined(slopes: np.ndarray) -> np.ndarray:
-    """Which unknowns take part in a direction along which no condition changes, by scaled derivatives."""
+    """The unknowns that take part in a direction along which no condition changes, by scaled derivatives."""
     _, sizes, directions = np.linalg.svd(slopes)
     rank = int((sizes > _RANK * sizes.max(initial=0.0)).sum())
     return np.abs(directions[rank:]).max(axis=0, initial=0.0) > 1e-3

@@ -1,4 +1,4 @@
-"""What a trim seeks: entries of states, controls and parameters, their scales and bounds."""
+"""The unknowns of a trim: entries of states, controls and parameters, with scales and bounds."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ..system.dynamics import Dynamics
 
 
 class Unknowns:
-    """What is free, and how a point moves by it.
+    """The free entries, and how a point moves with them.
 
     Attributes:
         columns: where each unknown sits among the perturbations of all states, controls and parameters.
@@ -89,7 +89,8 @@ class Unknowns:
         return self._flat(point)[self.columns]
 
     def scales(self, point: Inputs, reach: bool = False) -> np.ndarray:
-        """Of all perturbations: of its leaf, else its size, at least 1, or half the distance of its bounds if less.
+        """The scales of all perturbations: that of the leaf, else its size (at least 1), or half the distance of its
+        bounds if less.
 
         Bounds that are far apart must not hide what is left. To reach what is far from a start at zero, though, they
         are all that is known: with `reach` half their distance counts wherever there are two.
@@ -100,7 +101,7 @@ class Unknowns:
 
     @property
     def on_group(self) -> np.ndarray:
-        """Which unknowns are turns or shifts on a group, not numbers of their own."""
+        """Which unknowns are perturbations on a group."""
         return self._curved[self.columns]
 
     def in_chart(self, slopes: np.ndarray, z: np.ndarray) -> np.ndarray:
@@ -114,7 +115,7 @@ class Unknowns:
         return np.concatenate([slopes[:, :n] @ right, slopes[:, n:]], axis=1)[:, self.columns]
 
     def allows(self, point: Inputs, column: int, step: float) -> bool:
-        """Whether a perturbation, of those of all, keeps to the bounds of what is free."""
+        """Whether a perturbation respects the bounds of the unknowns."""
         if column not in self.columns:
             return True
         k = self.columns.index(column)

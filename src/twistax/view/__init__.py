@@ -3,7 +3,8 @@
 Nothing here needs more than NumPy and SciPy but `Scene.save` and `Scene.live`, which load viser, the extra `view`.
 """
 
-from .scene import Arrow, Body, Scene
+from .animation import Arrow, Body
+from .scene import Scene
 from .shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 
 __all__ = ["Arrow", "Body", "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "Scene", "Shape", "Sphere"]

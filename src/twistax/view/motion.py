@@ -1,4 +1,4 @@
-"""From the states of a motion to a scene: which of them are bodies, and which values are arrows."""
+"""From the states of a motion to a scene: its bodies and arrows."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from ..checks import listed, number, reals, short
 from ..errors import InputError
 from ..groups import SE3, SO3
 from ..plots import group_of
-from .scene import Arrow, Body, Scene, Vector
+from .animation import Arrow, Body, Vector
+from .scene import Scene
 from .shapes import Color, Shape
 
 #: States and what belongs to them: by name, (n, ...) values at the times of a motion.
@@ -25,7 +26,7 @@ Values = Mapping[str, Any]
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class Motion:
-    """What is known of a motion.
+    """The values of a motion.
 
     Attributes:
         ts: (n,) times in s.
@@ -51,7 +52,7 @@ class Motion:
 
 
 def joined(parts: Sequence[Values]) -> dict[str, Array]:
-    """Values of motions that follow each other as those of one: what all of them have."""
+    """Values of consecutive motions as those of one, for the names that all have."""
     values = {name: [np.asarray(part[name]) for part in parts if name in part] for name in parts[0]}
     everywhere = [n for n, part in values.items() if len(part) == len(parts) and len({v.shape[1:] for v in part}) == 1]
     return {name: np.concatenate(values[name]) for name in everywhere}
@@ -98,7 +99,7 @@ def _in_notebook() -> bool:
 
 
 def _reached(motion: Motion) -> Motion:
-    """Without times that were not reached, and each once. Raises InputError where fewer than two are left."""
+    """The motion without times that were not reached, each time once. Raises InputError if fewer than two are left."""
     ts = np.asarray(motion.ts, dtype=np.float64)
     good = np.isfinite(ts)
     for value in motion.xs.values():
@@ -137,7 +138,7 @@ def _bodies(motion: Motion, wanted: Any) -> tuple[Body, ...]:
 
 
 def _body(xs: Values, key: Any, shapes: Any) -> Body:
-    """Of a pose, of a rotation about the origin, or of a pair of a rotation and a position."""
+    """The body of a pose, of a rotation about the origin, or of a pair of a rotation and a position."""
     names = key if isinstance(key, tuple) else (key,)
     for name in names:
         if name not in xs:
@@ -170,7 +171,7 @@ def _shapes(place: str, shapes: Any) -> tuple[Shape, ...]:
 
 
 def _drawn(bodies: tuple[Body, ...], trails: Iterable[str] | None, axes: Iterable[str] | None) -> tuple[Body, ...]:
-    """The bodies with the trails and axes that are asked for; those they have where nothing is."""
+    """The bodies with the trails and axes that are asked for, or with their defaults."""
     with_trail, with_axes = _names(bodies, trails), _names(bodies, axes)
     return tuple(
         dataclasses.replace(

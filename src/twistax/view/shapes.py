@@ -1,4 +1,4 @@
-"""Simple solids, as triangles: what bodies look like, and what they shall not touch."""
+"""Simple solids as triangles: shapes of bodies, and obstacles."""
 
 from __future__ import annotations
 

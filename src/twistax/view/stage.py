@@ -12,7 +12,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..errors import ModelError
-from .scene import RATE, Body, Scene
+from .animation import RATE, Animation, Body
 from .shapes import Capsule, Ellipsoid, Shape, Sphere
 
 #: The scene is drawn this large, whatever its size: GPUs have single precision, cameras a nearest distance.
@@ -21,7 +21,7 @@ _TRAIL = (31, 95, 153)
 _CAMERA = np.array([0.4, -0.78, 0.33])
 
 
-def page(scene: Scene) -> str:
+def page(scene: Animation) -> str:
     """The animation as one HTML page."""
     with _server() as server:
         frames = scene.frames()
@@ -33,7 +33,7 @@ def page(scene: Scene) -> str:
         return str(recorded.as_html())
 
 
-def served(scene: Scene, port: int) -> Any:
+def served(scene: Animation, port: int) -> Any:
     """A server of the scene, with a slider; the animation goes on in a thread of its own until the server stops."""
     server = _viser().ViserServer(host="127.0.0.1", port=port)
     frames = scene.frames()
@@ -70,7 +70,7 @@ def _viser() -> Any:
 
 @contextlib.contextmanager
 def _server() -> Iterator[Any]:
-    """A server that nobody looks at: viser writes down what it would send. It says where it is, which is of no use."""
+    """A server without clients: viser records what it would send. Its message with the address is suppressed."""
     viser = _viser()
     with contextlib.redirect_stdout(io.StringIO()):
         server = viser.ViserServer(host="127.0.0.1", verbose=False)
@@ -81,9 +81,9 @@ def _server() -> Iterator[Any]:
 
 
 class _Stage:
-    """The nodes of a scene on a server, and where they are in picture k."""
+    """The nodes of a scene on a server, and their poses in picture k."""
 
-    def __init__(self, server: Any, scene: Scene) -> None:
+    def __init__(self, server: Any, scene: Animation) -> None:
         low, high = scene.extent()
         self.scene, self.nodes = scene, server.scene
         self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.size
@@ -175,7 +175,7 @@ def quaternions(R: Array) -> Array:
 
 
 def _upwards(up: Array) -> Array:
-    """A rotation that takes z to a direction; none for z itself."""
+    """A rotation from z to a direction; None for z itself."""
     z = up / np.linalg.norm(up)
     x = np.cross((0.0, 1.0, 0.0) if abs(z[1]) < 0.9 else (0.0, 0.0, 1.0), z)
     x /= np.linalg.norm(x)

@@ -159,7 +159,7 @@ def test_jacobian_of_scenes(name: str) -> None:
     wrt = ("x", *(["u"] if controls else []), *(["params"] if params else []))
 
     def rates(x: Any, u: Any, p: Any) -> jax.Array:
-        found = dynamics._functions.evaluate("rates", jnp.asarray(0.3), x, u, p)
+        found = dynamics.functions.evaluate("rates", jnp.asarray(0.3), x, u, p)
         return jnp.concatenate([found[s.name].reshape(-1) for s in dynamics.states])
 
     def dense(x: Any) -> dict[str, jax.Array]:
@@ -182,7 +182,7 @@ def test_jacobian_of_scenes(name: str) -> None:
     found = jax.jit(lambda x: dynamics.jacobian(0.3, x, controls, params, wrt=wrt))(at)
     expected = jax.jit(dense, compiler_options={"xla_backend_optimization_level": 0})(at)
     assert set(found) == set(wrt)
-    functions = dynamics._functions
+    functions = dynamics.functions
     program, _ = functions.rate_jacobian(functions.prepare(0.3, at, controls, params), tuple(wrt))
     for kind, block in found.items():
         other = np.asarray(expected[kind])

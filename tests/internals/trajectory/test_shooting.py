@@ -105,7 +105,7 @@ def test_rows_are_asked_where_they_matter() -> None:
     assert asked["gains"] == ["at node 3"]
     # The start decides this one, and the end another.
     assert "at node 0" not in asked["level"]
-    assert set(shooting.names[shooting.decided]) == {"level", "w[2] <= 2"}
+    assert set(shooting.names[shooting.determined]) == {"level", "w[2] <= 2"}
 
 
 @pytest.mark.parametrize("first", [0, 1])

@@ -42,7 +42,7 @@ def expected() -> dict[str, dict[str, jax.Array]]:
     dynamics, (t, x, u, params) = body(), point(5)
 
     def moved(x: Any, u: Any) -> jax.Array:
-        rates = dynamics._functions.as_written("rates", jnp.asarray(t), x, u, params)
+        rates = dynamics.functions.as_written("rates", jnp.asarray(t), x, u, params)
         return jnp.concatenate([rates["g"], rates["V"]])
 
     def by_x(d: jax.Array) -> jax.Array:
@@ -53,7 +53,7 @@ def expected() -> dict[str, dict[str, jax.Array]]:
 
     def everything(x: Any, u: Any, params: Any) -> Any:
         families = ("rates", "outputs", "constraints")
-        found = {family: dynamics._functions.as_written(family, jnp.asarray(t), x, u, params) for family in families}
+        found = {family: dynamics.functions.as_written(family, jnp.asarray(t), x, u, params) for family in families}
         return found | {"jacobian": {"x": jax.jacfwd(by_x)(jnp.zeros(12)), "u": jax.jacfwd(by_u)(jnp.zeros(7))}}
 
     x, u, params = jax.tree.map(jnp.asarray, (x, u, params))

@@ -36,7 +36,7 @@ def test_values_names_and_shapes(casadi: Any) -> None:
     arrays = [{name: jnp.asarray(v) for name, v in values.items()} for values in (x, u, params)]
     expected: dict[str, Any] = {}
     for family in ("rates", "outputs", "constraints"):
-        expected |= dynamics._functions.as_written(family, jnp.asarray(t), *arrays)
+        expected |= dynamics.functions.as_written(family, jnp.asarray(t), *arrays)
     for name, value in found.items():
         own = np.asarray(expected[name.removeprefix("rate_")])
         own = own if own.ndim == 2 else own.reshape(-1, 1)

@@ -57,7 +57,7 @@ def test_a_system_comes_back(tmp_path: Path) -> None:
     assert new.states[1].order is tx.ANGULAR_FIRST
     assert list(loaded.baked) == ["J"]
     assert [p.name for p in loaded.parameters] == ["k"]
-    assert list(loaded._functions.families["outputs"]) == ["height", "table"]
+    assert list(loaded.functions.families["outputs"]) == ["height", "table"]
     assert loaded.backend == tx.JAX()
     assert loaded.group == dynamics.group
 

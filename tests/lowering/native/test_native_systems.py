@@ -73,8 +73,8 @@ def test_loops_keep_what_xla_makes() -> None:
     """A kernel cannot be part of the small functions that loops are compiled as."""
     flights = [tx.integrate(d, START, t1=0.5, method=tx.RKMK(tx.tableaus.RK4), steps=5, u=U) for d in (NATIVE, ARRAYS)]
     _near(flights[0].xs, flights[1].xs)
-    inputs = NATIVE._functions.prepare(0.0, START, U)
-    loop = jax.jit(NATIVE._functions.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).as_text()
+    inputs = NATIVE.functions.prepare(0.0, START, U)
+    loop = jax.jit(NATIVE.functions.vector_field).lower(inputs.t, inputs.x, inputs.u, inputs.params).as_text()
     assert "twistax_" not in loop
 
 
@@ -147,7 +147,7 @@ def test_options_that_are_none(options: dict[str, int]) -> None:
 def test_the_same_system_by_another_backend() -> None:
     """Calls too, not only what loops call."""
     native, other = (
-        jax.jit(d).lower(0.0, AT).as_text() for d in (KERNEL, tx.Dynamics(KERNEL._functions.run_by(tx.JAX())))
+        jax.jit(d).lower(0.0, AT).as_text() for d in (KERNEL, tx.Dynamics(KERNEL.functions.run_by(tx.JAX())))
     )
     assert "twistax_" in native
     assert "twistax_" not in other

@@ -9,11 +9,7 @@ from .elements import (
     Compose,
     Hat,
     Inverse,
-    LeftJacobian,
-    LeftJacobianInverse,
     Pose,
-    RightJacobian,
-    RightJacobianInverse,
     SE3Exp,
     SE3Log,
     SO3Exp,
@@ -22,6 +18,7 @@ from .elements import (
     rotation,
     translation,
 )
+from .jacobians import LeftJacobian, LeftJacobianInverse, RightJacobian, RightJacobianInverse
 
 #: The parts of a six-vector are nodes that `angular`, `linear`, `twist` and `wrench` make.
 # fmt: off

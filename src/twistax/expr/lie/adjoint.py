@@ -195,7 +195,7 @@ class SO3Adjoint(Expr):
 
 
 class _Action(ColumnsNode):
-    """Base of both actions. One half of the six-vector is only turned, to the other the moment of it is added."""
+    """Base of both actions. One half of the six-vector is rotated, the other also gets its moment."""
 
     transform: Operand
     order = LINEAR_FIRST
@@ -207,7 +207,7 @@ class _Action(ColumnsNode):
 
     @staticmethod
     def roles(linear: Any, angular: Any) -> tuple[Any, Any]:
-        """(half that gets the moment, half that is only turned); the same exchange leads back."""
+        """(the half that gets a moment, the half that is only rotated)."""
         return linear, angular
 
     def validate(self) -> None:
@@ -240,7 +240,7 @@ class _Action(ColumnsNode):
         return turn(moved) + moment(turned), turned
 
     def simplify(self) -> Expr:
-        """What does nothing vanishes; an inverse is not formed; known parts are left out of the formula."""
+        """An identity vanishes; an inverse is not formed; known zero parts are left out of the formula."""
         T, vector = self.children()
         if is_identity(T) or is_constant(vector, 0.0):
             return vector

@@ -1,4 +1,4 @@
-"""Attitudes as people write them: Euler angles, quaternions and rotation vectors, to rotations and poses and back.
+"""Attitudes as Euler angles, quaternions and rotation vectors, converted to and from rotations and poses.
 
 `pose`, `euler` and `quaternion` take numbers, and give arrays, or expressions, and give expressions.
 """
@@ -78,7 +78,7 @@ class EulerAngles(Expr):
     rotation: Operand
     sequence: str = ROLL_PITCH_YAW
     takes, gives = ((3, 3),), (3,)
-    # Off the group the map is an extension nobody differentiates: the cases go through Exp.
+    # Off the group the map is an arbitrary extension, so the cases are elements of it: they go through Exp.
     cases = (
         (lambda cls, w: cls(SO3Exp(w)), {"w": [0.4, -1.1, 0.6]}),
         (lambda cls, w: cls(SO3Exp(w), "XYX"), {"w": [0.4, -1.1, 0.6]}),
@@ -167,7 +167,7 @@ def _symbolic(value: Any) -> bool:
 
 
 def _joined(value: Any) -> Expr:
-    """An expression of one, of numbers, or of a list in which some are."""
+    """An expression from an expression, from numbers, or from a list of both."""
     if not isinstance(value, Expr) and _symbolic(value):
         return Stack(*map(_joined, value))
     return to_expr(value)

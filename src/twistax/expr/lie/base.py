@@ -1,4 +1,4 @@
-"""What the Lie nodes share: the order of their twists, the shapes of both groups; linear and angular parts."""
+"""Common parts of the Lie nodes: the order of twists, shapes of both groups, linear and angular parts."""
 
 from __future__ import annotations
 
@@ -103,7 +103,7 @@ class ColumnsNode(TwistNode):
 
 
 def expect_columns(node: Expr, operand: str, got: Shape, rows: int) -> None:
-    """Raise the plain sentence unless an operand is one vector of so many rows, or k of them side by side."""
+    """Raise ShapeError unless an operand is one vector with this number of rows, or k of them side by side."""
     if len(got) != 2 or got[0] != rows:
         expect(node, operand, got, (rows,), f"one vector ({rows},) or k columns ({rows}, k)")
 
@@ -112,7 +112,7 @@ _GROUPS = {(3,): so3, (6,): se3, (3, 3): so3, (4, 4): se3}
 
 
 def of_group(name: str) -> Callable[..., jax.Array]:
-    """The map of that name of the group to which the first value belongs by its shape."""
+    """The map of that name of the group that has the shape of the first value."""
     return lambda *values: getattr(_GROUPS[values[0].shape], name)(*values)
 
 
@@ -120,7 +120,7 @@ TANGENTS, ELEMENTS = ((3,), (6,)), ((3, 3), (4, 4))
 
 
 def expect_one_of(node: Expr, operand: str, got: Shape, known: tuple[Shape, Shape]) -> None:
-    """Raise the plain sentence if an operand has neither group's shape."""
+    """Raise ShapeError if an operand has the shape of neither group."""
     if got not in known:
         raise ShapeError(f"{type(node).__name__} expects {operand} with shape {known[0]} or {known[1]}, got {got}")
 
@@ -257,11 +257,11 @@ class Reorder(TwistNode):
         return shapes[0]
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        # Swapping the halves is its own inverse, whichever way it goes.
+        # Swapping the halves is its own inverse.
         return ANGULAR_FIRST.from_linear_first(values[0])
 
     def simplify(self) -> Expr:
-        """Twice is nothing."""
+        """Reordering twice is the identity."""
         return self.value.value if isinstance(self.value, Reorder) else self
 
     def twist_orders(self) -> tuple[list[Order | None], Order | None]:

@@ -1,10 +1,7 @@
-"""Rotations and poses: exponential and logarithm with their Jacobians, products, inverses, action on points.
-
-Where a node serves SO(3) and SE(3), the shape of the operand says which.
+"""Rotations and poses; the shape says which: exponential, logarithm, products, inverses, action on points.
 
 Source: R. Murray, Z. Li, S. Sastry, A Mathematical Introduction to Robotic Manipulation (1994), chapter 2;
-J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018), appendices;
-G. Chirikjian, Stochastic Models, Information Theory, and Lie Groups, vol. 2 (2012), chapter 10, for the Jacobians.
+J. Sola, J. Deray, D. Atchuthan, A micro Lie theory for state estimation in robotics (2018), appendices.
 """
 
 from __future__ import annotations
@@ -39,6 +36,7 @@ from .base import (
     refuse_other_group,
     unit_vector,
 )
+from .jacobians import LeftJacobian, LeftJacobianInverse, RightJacobian, RightJacobianInverse  # noqa: F401  # pickles
 
 
 class SO3Exp(Expr):
@@ -132,60 +130,6 @@ class SE3Log(TwistNode):
         (lambda cls, a: cls(SE3Exp(a)), {"a": TWIST}),
         (lambda cls, a: cls(SE3Exp(a, ANGULAR_FIRST), ANGULAR_FIRST), {"a": TWIST}),
     )
-
-
-class _Jacobian(TwistNode):
-    """Base of the four Jacobians."""
-
-    tangent: Operand
-    order: Order = LINEAR_FIRST
-    abstract = True
-    cases = (*both_orders(tangent=TWIST), {"tangent": TWIST[3:]}, {"tangent": np.zeros(6)})
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        expect_one_of(self, "tangent", shapes[0], TANGENTS)
-        return shapes[0] * 2
-
-
-class LeftJacobian(_Jacobian):
-    """J_l with $Exp(xi + d) = Exp(J_l(xi) d) Exp(xi)$ to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
-
-    Attributes:
-        tangent: xi, rad and m.
-        order: order of a twist.
-    Raises: ShapeError for tangent of another shape.
-    """
-
-    function = of_group("left_jacobian")
-
-
-class RightJacobian(_Jacobian):
-    """J_r with $Exp(xi + d) = Exp(xi) Exp(J_r(xi) d)$ to first order. Shapes: (n,) -> (n, n), n = 3 or 6.
-
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
-    """
-
-    function = of_group("right_jacobian")
-
-
-class LeftJacobianInverse(_Jacobian):
-    """The inverse of J_l, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
-
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
-    """
-
-    function = of_group("left_jacobian_inv")
-
-
-class RightJacobianInverse(_Jacobian):
-    """The inverse of J_r, for angles below a full turn. Shapes: (n,) -> (n, n), n = 3 or 6.
-
-    With $g = g_n Exp(eta)$ and a body twist Omega: $eta' = J_r(eta)^-1 Omega$.
-
-    Attributes, Raises: as of `LeftJacobian`, ShapeError for a tangent of another shape.
-    """
-
-    function = of_group("right_jacobian_inv")
 
 
 class Compose(Expr):

@@ -1,4 +1,4 @@
-"""Which rows of a matrix are independent: elimination with pivots, as long as rows stand off those before."""
+"""Independent rows of a matrix, by elimination with pivots."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ _TRUSTED, _ROUND_OFF = 16.0, 4.0
 
 
 def independent_rows(S: jax.Array, tolerance: float, blocks: tuple[int, ...], unit: float) -> jax.Array:
-    """(2, m) of the Gram matrix S (m, m) of rows: 1 for rows that are chosen, 0 for others; and their distances."""
+    """(2, m) from the Gram matrix S (m, m) of rows: 1 for selected rows, 0 for others; and their distances."""
     m, eps = S.shape[-1], float(jnp.finfo(S.dtype).eps)
     least = max(tolerance**2, _TRUSTED * m * eps)
     left, longest = S, jnp.maximum(jnp.max(_diagonal(S, m)), unit**2)

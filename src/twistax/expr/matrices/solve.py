@@ -24,7 +24,7 @@ from .linalg import Diag
 #: Above this condition number a constant matrix is not inverted beforehand: a solve leaves the smaller residual.
 WORST_CONDITION = 1e8
 
-#: A larger matrix is eliminated anew for every right-hand side.
+#: Larger matrices are eliminated again for every right-hand side.
 LARGEST_INVERTED = 16
 
 #: Larger systems are LAPACK's: unrolled they would not gain.
@@ -87,7 +87,7 @@ def solve(A: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def solve_again(A: jax.Array, b: jax.Array) -> jax.Array:
-    """The x with A x = b by the inverse of A, for an A that stays while b changes: a loop inverts it only once.
+    """The x with A x = b by the inverse of A, for an A that is the same in all iterations of a loop.
 
     Two steps of refinement bring the residual to that of an elimination: each multiplies what an inverse leaves by eps
     times the condition number. One alone leaves up to 400 times as much at a condition of 1e10. Source: Higham,

@@ -81,7 +81,7 @@ class SolvePositive(LinearSystem):
 
 
 class _OfPositive(Expr):
-    """Of a symmetric positive definite matrix. Shape: (n, n) -> (n, n)."""
+    """Base of functions of a symmetric positive definite matrix. Shape: (n, n) -> (n, n)."""
 
     abstract = True
     of_numbers = True

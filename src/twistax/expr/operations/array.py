@@ -9,16 +9,17 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...errors import ModelError, OperationError, ShapeError
+from ...errors import ModelError, ShapeError
 from ..bases import Variadic
 from ..fields import ExprLike, Operand, Operands
 from ..leaves import Constant
 from ..node import Expr, Numbers, Shape
 from ..printing.text import matrix_latex, wrap, wrap_latex
+from .indices import as_slice, index_text, plain_index, positions, static_index
 
 
 class _Parts(Variadic, init=False):
-    """Base of what puts its operands together, given one by one or in a list."""
+    """Base of nodes that join their operands, given one by one or in a list."""
 
     abstract = True
     listed = True
@@ -283,7 +284,7 @@ class Index(Expr):
     )
 
     def __init__(self, base: ExprLike, index: Any) -> None:
-        parts = tuple(map(_static, index)) if isinstance(index, tuple) else (_static(index),)
+        parts = tuple(map(static_index, index)) if isinstance(index, tuple) else (static_index(index),)
         super().__init__(base, parts[0] if len(parts) == 1 else parts)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
@@ -311,12 +312,12 @@ class Index(Expr):
     def makes_group_element(self, *operands: bool) -> bool:
         if not operands[0] or self.base.shape != (4, 4) or self.shape != (3, 3):
             return False
-        return bool((_positions((4, 4), self.index) == _ROTATION_BLOCK).all())
+        return bool((positions((4, 4), self.index) == _ROTATION_BLOCK).all())
 
     def simplify(self) -> Expr:
         """Everything of x is x; a part of stacked or joined rows is that row; a part of a part is one part."""
         base, index = self.base, self.index
-        if self.shape == base.shape and (_positions(base.shape, index) == _positions(base.shape, ...)).all():
+        if self.shape == base.shape and (positions(base.shape, index) == positions(base.shape, ...)).all():
             return base
         first, rest = (index[0], index[1:]) if isinstance(index, tuple) and index else (index, ())
         # Beside a list a whole number is a list too, for NumPy, which may move axes.
@@ -328,7 +329,7 @@ class Index(Expr):
             return _part_of_concat(self, base, first)
         if isinstance(base, Index) and len(base.base.shape) == 1 and isinstance(base.index, slice):
             return _part_of_slice(self, base, index)
-        plain = _plain(index, base.shape)
+        plain = plain_index(index, base.shape)
         return self if index_text(plain) == index_text(index) else Index(base, plain)
 
     def details(self) -> list[str]:
@@ -341,78 +342,16 @@ class Index(Expr):
         return f"{{{wrap_latex(self.base, operands[0], 100)}}}_{{[{index_text(self.index)}]}}"
 
 
-def _static(index: Any) -> Any:
-    """One part of an index as plain data: ints, slices of ints, `...`, None, or arrays of whole numbers or masks."""
-    if index is None or index is Ellipsis:
-        return index
-    if isinstance(index, slice):
-        return slice(*(None if part is None else _whole(part) for part in (index.start, index.stop, index.step)))
-    if isinstance(index, (list, np.ndarray, jax.Array)) and np.ndim(index) > 0:
-        array = np.array(index)
-        if array.dtype.kind not in "iub":
-            raise OperationError(f"Index expects whole numbers or a mask, got an array of {array.dtype}")
-        array.setflags(write=False)
-        return array
-    return _whole(index)
-
-
-def _whole(index: Any) -> int:
-    if isinstance(index, Expr):
-        raise OperationError(
-            f"an index is fixed when the expression is built; {index!r} is an expression.\n"
-            "  fix: choose entries at run time with tx.Where, or look values up with tx.Linterp"
-        )
-    if isinstance(index, (bool, np.bool_)):
-        raise OperationError(f"Index expects whole numbers, got a truth value: {index}")
-    try:
-        return index.__index__()
-    except (AttributeError, TypeError):
-        raise OperationError(f"Index expects whole numbers, slices, ... or None, got {index!r}") from None
-
-
-def index_text(index: Any) -> str:
-    """The index as one would type it between brackets."""
-    if isinstance(index, tuple):
-        return ", ".join(map(index_text, index)) if index else "()"
-    if isinstance(index, slice):
-        text = ":".join("" if part is None else str(part) for part in (index.start, index.stop))
-        return text if index.step is None else f"{text}:{index.step}"
-    if isinstance(index, np.ndarray):
-        return str(index.tolist())
-    return "..." if index is Ellipsis else str(index)
-
-
-def _plain(index: Any, shape: Shape) -> Any:
-    """One way of writing an index of whole numbers and slices: none negative, starts and stops in full."""
-    parts = index if isinstance(index, tuple) else (index,)
-    if not all(isinstance(part, (int, slice)) for part in parts):
-        return index
-    plain = tuple(_run(range(n)[p]) if isinstance(p, slice) else range(n)[p] for n, p in zip(shape, parts))
-    return plain if isinstance(index, tuple) else plain[0]
-
-
-def _positions(shape: Shape, index: Any) -> Any:
-    """Where the chosen entries stand in the flattened array."""
-    return np.arange(int(np.prod(shape))).reshape(shape)[index]
-
-
 #: Where the rotation stands in a pose.
-_ROTATION_BLOCK = _positions((4, 4), np.s_[:3, :3])
+_ROTATION_BLOCK = positions((4, 4), np.s_[:3, :3])
 
 
 def _part_of_slice(node: Index, base: Index, index: Any) -> Expr:
     """(x[a:b])[c] as one index of x, for a vector x."""
     if not isinstance(index, (int, slice)):
         return node
-    chosen = _positions(base.base.shape, base.index)[index]
-    return Index(base.base, _run(chosen) if isinstance(index, slice) else int(chosen))
-
-
-def _run(chosen: Any) -> slice:
-    """Evenly spaced positions as a slice."""
-    step = int(chosen[1] - chosen[0]) if len(chosen) > 1 else 1
-    stop = int(chosen[-1]) + (1 if step > 0 else -1)
-    return slice(int(chosen[0]), None if stop < 0 else stop, None if step == 1 else step)
+    chosen = positions(base.base.shape, base.index)[index]
+    return Index(base.base, as_slice(chosen) if isinstance(index, slice) else int(chosen))
 
 
 def _part_of_concat(node: Index, base: Concat, index: Any) -> Expr:
@@ -428,6 +367,6 @@ def _part_of_concat(node: Index, base: Concat, index: Any) -> Expr:
         return Index(piece, int(chosen - offset)) if piece.shape else piece
     last = int(np.searchsorted(starts, np.max(chosen), side="right")) - 1
     if first == last and piece.shape:
-        return Index(piece, _run(chosen - offset))
+        return Index(piece, as_slice(chosen - offset))
     is_range = np.array_equal(chosen, np.arange(starts[first], starts[last + 1]))
     return Concat(*base.exprs[first : last + 1]) if is_range and len(chosen) < starts[-1] else node

@@ -1,4 +1,4 @@
-"""Choosing: greatest and least, predicates and what joins them, entries by a condition, branches of which one runs."""
+"""Choices: maximum and minimum, predicates, entries by a condition, and branches."""
 
 from __future__ import annotations
 
@@ -139,7 +139,7 @@ class Reduction(Variadic, init=False):
         return functools.reduce(type(self).combine, [type(self).reduce(value) for value in values])
 
     def simplify(self) -> Expr:
-        """Constants that decide nothing go, one that decides is the result. Nested ones are flattened before."""
+        """Constants without effect vanish, a deciding constant is the result. Nested ones are flattened before."""
         kept: list[Expr] = []
         for predicate in self.predicates:
             if not isinstance(predicate, Constant):
@@ -203,7 +203,7 @@ class Not(Entrywise):
         return True
 
     def simplify(self) -> Expr:
-        """Twice not is nothing."""
+        """Not(Not(x)) is x."""
         return self.condition.condition if isinstance(self.condition, Not) else self
 
     def to_text(self, *operands: str) -> str:
@@ -242,7 +242,7 @@ class Where(Entrywise):
         return operands[1] and operands[2]
 
     def simplify(self) -> Expr:
-        """A constant condition decides; equal sides need no condition; that of Not turns them round."""
+        """A constant condition selects a side; equal sides need no condition; a Not exchanges the sides."""
         condition = self.condition
         if isinstance(condition, Not):
             return Where(condition.condition, self.y, self.x)
@@ -307,7 +307,7 @@ class Cond(Expr):
         return jax.lax.cond(values[0], on_true, on_false)
 
     def simplify(self) -> Expr:
-        """A constant predicate decides; equal branches need no predicate; that of Not turns them round."""
+        """A constant predicate selects a branch; equal branches need no predicate; a Not exchanges the branches."""
         if isinstance(self.predicate, Not):
             return Cond(self.predicate.condition, self.false_branch, self.true_branch)
         if self.true_branch.key() == self.false_branch.key():

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from ...errors import ModelError
 from ..node import Expr
-from .arithmetic import Inequality, Less, Neg
+from .arithmetic import Neg
 from .choice import All, Any, Max, Min, Not
+from .comparisons import Inequality, Less
 
 
 def margin(what: str, condition: Expr) -> Expr:

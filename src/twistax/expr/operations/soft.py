@@ -11,7 +11,7 @@ from ...errors import ModelError, ShapeError
 from ..leaves import Constant
 from ..matrices.linalg import Sum
 from ..node import Expr, to_expr
-from .arithmetic import Constraint, refuse_conditions
+from .comparisons import Constraint, refuse_conditions
 
 
 @dataclasses.dataclass(frozen=True, eq=False, repr=False)
@@ -57,7 +57,7 @@ class Soft:
         return f"Soft({', '.join([repr(self.constraint), *weights])})"
 
     def price(self, size: Expr) -> Expr:
-        """What a violation of this size, of the shape of the constraint, adds to an objective."""
+        """The penalty of a violation of this size, of the shape of the constraint."""
         parts = [] if self.l1 is None else [self.l1 * size]
         parts += [] if self.l2 is None else [self.l2 * size * size]
         total = parts[0] if len(parts) == 1 else parts[0] + parts[1]
@@ -74,7 +74,7 @@ def hard(constraint: Any) -> Any:
 
 
 def parts_of(constraint: Asked) -> list[Expr]:
-    """The expressions in it."""
+    """The expressions of a constraint and of its weights."""
     weights = [constraint.l1, constraint.l2] if isinstance(constraint, Soft) else []
     return [hard(constraint), *(weight for weight in weights if weight is not None)]
 

@@ -26,7 +26,7 @@ _TEXT = ("mathrm", "operatorname", "text", "mathbf")
 
 @dataclasses.dataclass
 class _Part:
-    """What is open: a group, the arguments of a command, a pair of fences or a table.
+    """An open part: a group, the arguments of a command, a pair of fences or a table.
 
     Attributes:
         kind: the command, the environment, or nothing for a group.

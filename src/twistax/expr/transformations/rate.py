@@ -91,19 +91,15 @@ class Rate(Expr):
         body = substitute(
             expr, {leaf.key(): placeholder for (leaf, _), placeholder in zip(pairs, placeholders, strict=True)}
         )
-        node = object.__new__(cls)
         leaves, velocities = tuple(leaf for leaf, _ in pairs), tuple(rate for _, rate in pairs)
-        node._fill(body, placeholders, depth, (*leaves, *velocities))
-        return node
+        return cls._of(body, placeholders, depth, (*leaves, *velocities))
 
     def __init__(self, operand: ExprLike, rates: Mapping[Any, ExprLike] | None = None) -> None:
         """Everything is done by `__new__`: the fields are not the arguments."""
 
-    def _fill(
-        self, body: Expr, placeholders: tuple[_Placeholder, ...], depth: int, leaves_and_rates: tuple[Expr, ...]
-    ) -> None:
-        self.__dict__.update(body=body, placeholders=placeholders, depth=depth, along=leaves_and_rates)
-        self._seal()
+    @classmethod
+    def _of(cls, body: Expr, placeholders: tuple[_Placeholder, ...], depth: int, along: tuple[Expr, ...]) -> Rate:
+        return cls.from_fields({"body": body, "placeholders": placeholders, "depth": depth, "along": along})
 
     def replace(self, **changes: Any) -> Rate:
         raise OperationError(f"a Rate has no fields to replace, got {', '.join(changes)}.\n  fix: build another one")
@@ -161,9 +157,9 @@ class Rate(Expr):
             pairs_of_depths = zip(self.placeholders, placeholders, strict=True)
             deeper: dict[str, Expr] = {old.key(): new for old, new in pairs_of_depths}
             exchange = deeper | {key: substitute(new, deeper) for key, new in exchange.items()}
-        copy = object.__new__(Rate)
-        copy._fill(substitute(self.body, exchange) if exchange else self.body, placeholders, depth, leaves_and_rates)
-        return copy
+        return self._of(
+            substitute(self.body, exchange) if exchange else self.body, placeholders, depth, leaves_and_rates
+        )
 
     def _moving_after(self, leaves_and_rates: Sequence[Expr], pairs: Sequence[tuple[Leaf, Expr]]) -> dict[str, Expr]:
         """The placeholders by leaf after an exchange of children. Raises ModelError where a rate is not known."""
@@ -217,11 +213,7 @@ class Rate(Expr):
     def simplify(self) -> Expr:
         """The body is simplified."""
         body = self.body.canonicalize()
-        if body is self.body:
-            return self
-        copy = object.__new__(Rate)
-        copy._fill(body, self.placeholders, self.depth, self.along)
-        return copy
+        return self if body is self.body else self._of(body, self.placeholders, self.depth, self.along)
 
     def to_text(self, *operands: str) -> str:
         count = len(self.placeholders)
@@ -256,7 +248,6 @@ def _with_rates(expr: Expr) -> list[Leaf]:
 
 
 def _moving(expr: Expr, rates: Mapping[str, Expr]) -> Iterator[tuple[Leaf, Expr]]:
-    """The leaves that move, with their rates."""
     for leaf in changing(expr):
         if isinstance(leaf, Time):
             yield leaf, Constant(1.0)

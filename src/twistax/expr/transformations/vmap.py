@@ -16,7 +16,7 @@ from ..fields import Operands
 from ..graph import evaluate_all, leaves_of, substitute
 from ..leaves import Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
-from ..operations.arithmetic import Constraint
+from ..operations.comparisons import Constraint
 
 #: The placeholders of the Vmaps that are being built around the current one.
 _around: contextvars.ContextVar[tuple[tuple[Placeholder, ...], ...]] = contextvars.ContextVar("around", default=())
@@ -88,7 +88,6 @@ class Vmap(Expr):
     )
 
     def __new__(cls, fn: Callable[..., Any], batch: Any, axis: int = 0) -> Any:
-        node = object.__new__(cls)
         axis = whole("Vmap: axis", axis, 0, ShapeError)
         batches = _batches(batch if isinstance(batch, (list, tuple)) else [batch])
         around = _around.get()
@@ -102,8 +101,7 @@ class Vmap(Expr):
             _around.reset(token)
         no_elements(leaves_of(body, *batches), but=[*placeholders, *itertools.chain(*around)])
         residual = body.residual() if isinstance(body, Constraint) else body
-        node.__dict__.update(batches=batches, axis=axis, body=residual, placeholders=placeholders)
-        node._seal()
+        node = cls.from_fields({"batches": batches, "axis": axis, "body": residual, "placeholders": placeholders})
         return type(body)(node, 0.0) if isinstance(body, Constraint) else node
 
     def __init__(self, fn: Callable[..., Any], batch: Any, axis: int = 0) -> None:
@@ -142,10 +140,8 @@ class Vmap(Expr):
 
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
         """The same with other batches and another body, of the same placeholders."""
-        copy = object.__new__(Vmap)
-        copy.__dict__.update(batches=tuple(batches), axis=self.axis, body=body, placeholders=self.placeholders)
-        copy._seal()
-        return copy
+        fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
+        return Vmap.from_fields(fields)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         elements = _element_shapes(list(shapes[: len(self.batches)]), self.axis)

@@ -19,8 +19,9 @@ from ...scalar.walk import walk
 from ..fields import freeze
 from ..leaves import Constant, Leaf, Parameter
 from ..node import Expr
-from ..operations.arithmetic import Add, Comparison, Power, Sub
+from ..operations.arithmetic import Add, Power, Sub
 from ..operations.choice import Max, Min
+from ..operations.comparisons import Comparison
 from ..tables.interpolation import Bilerp, Cinterp, Interp, Linterp
 from .rate import Rate
 from .vmap import Vmap

@@ -99,7 +99,7 @@ class LieSolver(diffrax.AbstractWrappedSolver):
         self.frame = ChartedSystem(dynamics, default if chart is None else chart)
         _ = self.frame.ambient  # refuses groups without matrices, by name
 
-    # What diffrax asks for, partly of the wrapped solver.
+    # The interface of diffrax, partly that of the wrapped solver.
     term_structure = property(lambda self: LieTerms, doc="What terms must be.")
     interpolation_cls = property(
         lambda self: _Interpolate(self.solver.interpolation_cls, self.frame), doc="Makes the interpolation of a step."

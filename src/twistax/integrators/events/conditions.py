@@ -35,7 +35,7 @@ from ...system.dynamics import Arrays, Dynamics
 from ...system.inputs import need_held
 from ..controls import Signals
 from ..loop.kernels import Packed, opened, shared_kernel
-from ..loop.outcome import Halt, Result, Watched
+from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
 from .crossings import CrossingTable
 
@@ -165,7 +165,7 @@ def _level(number: int) -> str:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Watch:
+class EventConditions:
     """The conditions of an integration. A pytree: functions and directions are structure."""
 
     functions: tuple[Any, ...] = dataclasses.field(metadata={"static": True})  # f(t, x, u, params, *inputs) each
@@ -184,20 +184,22 @@ class Watch:
         ]
         return jnp.stack([jnp.asarray(value, t.dtype) for value in conditions])
 
-    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Packed) -> Watched:
+    def begin(self, advance: Advance, stepper: Stepper, t: jax.Array, h: jax.Array, y: Packed) -> EventState:
         """At the start of an integration whose first step is about h.
 
         The sign that counts is the one just after: where it goes on from an event, that at the start is noise.
         """
         eps = float(jnp.finfo(t.dtype).eps)
         s = jnp.maximum(eps**0.5 * h, 64.0 * eps * jnp.abs(t))
-        values, met, code, which, tags, count = shared_kernel(Watch.before, self, stepper, t, y, s, advance(s))
+        values, met, code, which, tags, count = shared_kernel(
+            EventConditions.before, self, stepper, t, y, s, advance(s)
+        )
         none = Halt.none(t)
         halt = Halt(code, which, jnp.where(code != none.code, 0.0, none.s))
         crossed = None
         if not all(self.terminal):
             crossed = CrossingTable.begun(self.room, t, h, y.flat, tags, count)
-        return Watched(values, met, halt, y.flat, none.code, crossed)
+        return EventState(values, met, halt, y.flat, none.code, crossed)
 
     def before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
         """The state of the events at the start, if the step to `moved` a time s later follows: it may end at a row
@@ -286,9 +288,9 @@ class Watch:
         return (falls & (wanted <= 0)) | (rises & (wanted >= 0))
 
 
-def watch_of(
+def event_conditions(
     dynamics: Dynamics, event: Any, start: Inputs, signals: Signals, max_crossings: Any
-) -> tuple[Watch, list[Any]]:
+) -> tuple[EventConditions, list[Any]]:
     """The conditions that `integrate` was given, and values of functions at the start that are traced.
 
     What was checked once is not checked again. Raises InputError and ModelError.
@@ -296,7 +298,7 @@ def watch_of(
     events: Sequence[Any] = [event] if isinstance(event, Event) else event
     if not isinstance(events, (list, tuple)) or not events or not all(isinstance(e, Event) for e in events):
         raise InputError(f"event expects tx.Event(condition), or a list of them, got {event!r}")
-    loops, functions, inputs, values = dynamics._functions.loops, [], [], []
+    loops, functions, inputs, values = dynamics.functions.loops, [], [], []
 
     def value_of(number: int, function: Any) -> tuple[jax.Array, Any]:
         t, x, params = jax.tree.map(jnp.asarray, (start.t, dict(start.x), dict(start.params)))
@@ -314,7 +316,9 @@ def watch_of(
         condition = event_.condition
         closed: tuple[Any, ...] = ()
         if isinstance(condition, Expr):
-            compiled = loops.get((watch_of, condition.key()), functools.partial(_of_expression, dynamics, condition))
+            compiled = loops.get(
+                (event_conditions, condition.key()), functools.partial(_of_expression, dynamics, condition)
+            )
             condition, levels = compiled[0], tuple(map(np.asarray, compiled[1]))
             for level in levels:
                 need_held("what an event compares with", level, start.dtype)
@@ -328,7 +332,7 @@ def watch_of(
                     condition, closed = converted, tuple(closed_over)
             values.append(value)
         else:
-            key = (watch_of, condition, np.dtype(start.dtype))
+            key = (event_conditions, condition, np.dtype(start.dtype))
             loops.get(key, functools.partial(value_of, number, condition))
         functions.append(condition)
         inputs.append(closed)
@@ -339,7 +343,7 @@ def watch_of(
             "  fix: leave it out, or tx.Event(condition, terminal=False)"
         )
     room = _ROOM if max_crossings is None else whole("max_crossings", max_crossings)
-    return Watch(tuple(functions), senses, terminal, at_start, int(room), tuple(inputs)), values
+    return EventConditions(tuple(functions), senses, terminal, at_start, int(room), tuple(inputs)), values
 
 
 def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:

@@ -15,7 +15,7 @@ from ..method import Stepper
 #: Numbers and tags of a row of a table.
 Row: TypeAlias = tuple[jax.Array, jax.Array]
 
-#: Where the time of a crossing since the start of its step stands in the numbers of a row, and where the state begins.
+#: The place of the time of a crossing since the start of its step in the numbers of a row, and that of the state.
 _SINCE, _STATE = 2, 3
 
 

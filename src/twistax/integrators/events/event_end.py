@@ -13,7 +13,7 @@ from ..charts.coordinates import Blocks
 from ..loop.loop import put
 from ..loop.outcome import Result, Run, Saved, StepPart, Trail
 from ..method import Stepper
-from .conditions import Watch
+from .conditions import EventConditions
 from .crossings import Crossed
 
 
@@ -31,8 +31,8 @@ class Meeting:
     @classmethod
     def of(cls, run: Run) -> Meeting:
         """The meeting of a loop that halted before its step."""
-        assert run.watched is not None
-        code, which, s = run.watched.halt
+        assert run.event_state is not None
+        code, which, s = run.event_state.halt
         met = (run.outcome.code == code) & (code != Result.SUCCESS.value)
         ends = met & (code == Result.EVENT.value)
         return cls(met, jnp.where(met, which, -1), jnp.where(met, s, 0.0), run.outcome.t, ends)
@@ -43,7 +43,7 @@ class Meeting:
         return jnp.where(self.ends, self.which, -1)
 
 
-def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
+def refined(stepper: Stepper, events: EventConditions, y: Blocks, h: jax.Array, meeting: Meeting) -> Meeting:
     """The meeting with a root that is differentiable in all inputs, by the implicit function theorem."""
     which = jnp.maximum(meeting.which, 0)
 
@@ -51,7 +51,7 @@ def refined(stepper: Stepper, watch: Watch, y: Blocks, h: jax.Array, meeting: Me
     differentiable = meeting.met & (jax.lax.stop_gradient(meeting.s) > 0.0)
 
     def value(s: jax.Array) -> jax.Array:
-        values = watch.values(stepper, meeting.t, h, meeting.t + s, stepper.advance(meeting.t, y, s))
+        values = events.values(stepper, meeting.t, h, meeting.t + s, stepper.advance(meeting.t, y, s))
         return jnp.where(differentiable, values[which], s)
 
     root = jax.lax.custom_root(
@@ -98,11 +98,11 @@ def saved_before(saved: Saved, parts: StepPart, ts: jax.Array, run: Run, meeting
     return saved, StepPart(pick(meeting.t, parts.t), h)
 
 
-def refined_rows(stepper: Stepper, watch: Watch, crossed: Crossed) -> Crossed:
+def refined_rows(stepper: Stepper, events: EventConditions, crossed: Crossed) -> Crossed:
     """Crossings whose times are differentiable in all inputs; y is the state at the starts of their steps."""
 
     def one(row: Crossed) -> jax.Array:
         meeting = Meeting(row.which >= 0, row.which, row.s, row.t, row.which >= 0)
-        return refined(stepper, watch, row.y, row.h, meeting).s
+        return refined(stepper, events, row.y, row.h, meeting).s
 
     return dataclasses.replace(crossed, s=jax.lax.map(one, crossed))

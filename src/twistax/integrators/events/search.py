@@ -11,17 +11,17 @@ import numpy as np
 
 from ...scalar.small_call import held, small_call
 from ..loop.kernels import Packed, in_one, opened, shared_kernel
-from ..loop.outcome import Halt, Result, Watched
+from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
-from .conditions import Advance, Watch
+from .conditions import Advance, EventConditions
 from .crossings import CrossingTable, Row, row_of, state_of
 from .root_finding import Bracket, ExtremumSearch, near_zero
 
-#: Places within a step at which a method without a polynomial is looked at, by shorter steps.
+#: Places within a step at which the conditions are evaluated by shorter steps, for methods without a polynomial.
 _FEW = 3
 
 
-class Stride(NamedTuple):
+class AcceptedStep(NamedTuple):
     """An accepted step."""
 
     steps: jax.Array  # the accepted steps before
@@ -64,9 +64,9 @@ class _Samples(NamedTuple):
     flags: jax.Array  # (k m,) whether there may be a crossing
 
     @classmethod
-    def of(cls, watch: Watch, values: jax.Array) -> _Samples:
+    def of(cls, events: EventConditions, values: jax.Array) -> _Samples:
         suspects, tips = near_zero(values)
-        return cls(values, suspects, tips, (watch.hits(values) | suspects).reshape(-1))
+        return cls(values, suspects, tips, (events.hits(values) | suspects).reshape(-1))
 
 
 @jax.tree_util.register_dataclass
@@ -105,38 +105,44 @@ class _Halted(NamedTuple):
 
 
 def find_crossings(
-    watch: Watch, advance: Advance, stepper: Stepper, stride: Stride, known: Watched, taken: Any, ends: Any
-) -> Watched:
+    events: EventConditions,
+    advance: Advance,
+    stepper: Stepper,
+    accepted_step: AcceptedStep,
+    known: EventState,
+    taken: Any,
+    ends: Any,
+) -> EventState:
     """The state of the events after a step.
 
     Args:
         taken: whether the step counts.
         ends: whether it is the first step, and whether it is the last one.
     """
-    t, h, y = stride.t, stride.h, stride.y
-    inside, cost = stride.inside, stepper.method.evaluations_of(stepper.dynamics)
+    t, h, y = accepted_step.t, accepted_step.h, accepted_step.y
+    inside, cost = accepted_step.inside, stepper.method.evaluations_of(stepper.dynamics)
     if inside is None:
 
         def at(share: jax.Array) -> jax.Array:
             moved = advance(share * h)
-            return shared_kernel(Watch.values, watch, stepper, t, h, t + share * h, moved)
+            return shared_kernel(EventConditions.values, events, stepper, t, h, t + share * h, moved)
 
         inside = jax.lax.map(at, jnp.asarray(np.arange(1, _FEW + 1) / (_FEW + 1), h.dtype))
         known = dataclasses.replace(known, evaluations=known.evaluations + _FEW * cost)
-    states = y, stride.end, inside
-    samples, after, first = shared_kernel(_first, watch, stepper, t, h, states, known.values, ends)
+    states = y, accepted_step.end, inside
+    samples, after, first = shared_kernel(_first, events, stepper, t, h, states, known.values, ends)
     before = None if known.crossed is None else known.crossed.used
 
-    def goes_on(now: tuple[_PackedJob, Watched]) -> jax.Array:
+    def goes_on(now: tuple[_PackedJob, EventState]) -> jax.Array:
         return now[0].left
 
-    def one(now: tuple[_PackedJob, Watched]) -> tuple[_PackedJob, Watched]:
+    def one(now: tuple[_PackedJob, EventState]) -> tuple[_PackedJob, EventState]:
         task, known = now
         known = dataclasses.replace(known, evaluations=known.evaluations + cost)
         halted = _Halted(known.halt, known.y)
         # Hundreds of scalars: as part of the loop they take XLA longer than all else.
-        inputs = (samples, task, halted), (stride.steps, y), advance(task.place)
-        following, halted, row, crosses = shared_kernel(_next, watch, stepper, t, h, *inputs)
+        inputs = (samples, task, halted), (accepted_step.steps, y), advance(task.place)
+        following, halted, row, crosses = shared_kernel(_next, events, stepper, t, h, *inputs)
         if known.crossed is not None:
             nothing = known.crossed, row, jnp.asarray(False)
             crossed, left_out, full = jax.lax.cond(
@@ -158,16 +164,16 @@ def halted_code(halt: Halt, code: jax.Array) -> jax.Array:
 
 
 def _first(
-    watch: Watch, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
+    events: EventConditions, stepper: Stepper, t: jax.Array, h: jax.Array, states: Any, old: jax.Array, ends: Any
 ) -> tuple[_Samples, jax.Array, _PackedJob]:
-    """The conditions along a step and at its end, as of `Watch.seen`, and the first search."""
-    values, after = watch.seen(stepper, t, h, states, old, ends)
-    samples = held(_Samples.of(watch, values))
-    return samples, after, _Search(watch, t, h, samples).first()
+    """The conditions along a step and at its end, as of `EventConditions.seen`, and the first search."""
+    values, after = events.seen(stepper, t, h, states, old, ends)
+    samples = held(_Samples.of(events, values))
+    return samples, after, _Search(events, t, h, samples).first()
 
 
 def _next(
-    watch: Watch,
+    events: EventConditions,
     stepper: Stepper,
     t: jax.Array,
     h: jax.Array,
@@ -185,11 +191,11 @@ def _next(
     (samples, task, halted), (steps, y) = search, start
     place = task.place
     moved = Packed(jnp.where(place > 0.0, moved.flat, y.flat), moved.read)
-    values = watch.values(stepper, t, h, t + place, moved)
-    following, root = _Search(watch, t, h, samples).after(opened(task.job), values, halted.halt.s)
-    if any(watch.terminal):
+    values = events.values(stepper, t, h, t + place, moved)
+    following, root = _Search(events, t, h, samples).after(opened(task.job), values, halted.halt.s)
+    if any(events.terminal):
         halted = halted.or_earlier(root.stops, Result.EVENT, root.which, place, moved.flat)
-    row = None if all(watch.terminal) else row_of(steps, t, h, place, moved.flat, root.which, root.rises)
+    row = None if all(events.terminal) else row_of(steps, t, h, place, moved.flat, root.which, root.rises)
     return following, halted, row, root.crosses
 
 
@@ -199,8 +205,8 @@ class _Search:
     It takes a part of the step in each pass of one loop: a compiled step is large.
     """
 
-    def __init__(self, watch: Watch, t: jax.Array, h: jax.Array, samples: _Samples) -> None:
-        self.watch, self.h = watch, h
+    def __init__(self, events: EventConditions, t: jax.Array, h: jax.Array, samples: _Samples) -> None:
+        self.events, self.h = events, h
         self.values, self.suspects, self.tips, self.flags = samples
         self.pairs, self.width = self.tips.shape
         self.spacing = h / self.pairs
@@ -209,10 +215,9 @@ class _Search:
         # divide whole numbers.
         pairs, numbers = np.divmod(np.arange(self.flags.size + 1), self.width)
         self.rows, self.numbers = jnp.asarray(np.minimum(pairs, self.pairs - 1)), jnp.asarray(numbers)
-        self.senses = jnp.asarray(np.asarray(watch.senses, h.dtype))
+        self.senses = jnp.asarray(np.asarray(events.senses, h.dtype))
 
     def first(self) -> _PackedJob:
-        """The first search."""
         index = self._next_item(jnp.zeros((), int) - 1)
         return self._task(self._job(index, *self._pair(index)))
 
@@ -254,7 +259,7 @@ class _Search:
         place, value = held((job.place, values[number]))
         job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
 
-        # A bracket that closed on an end whose sign a polynomial told: the step itself may cross zero just outside.
+        # The bracket closed on an end whose sign came from a polynomial: the step itself may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
         # Beside a part, where it closed on the end next to that, the root is there.
@@ -265,16 +270,16 @@ class _Search:
         visits = closed & ~missed & (job.bracket.root != place)
         done = job.visits | jnp.where(job.looks, job.extremum.done, closed & ~widens & ~visits)
         here = job.visits | (closed & ~missed & ~visits)
-        terminal = jnp.asarray(np.array(self.watch.terminal))[number]
+        terminal = jnp.asarray(np.array(self.events.terminal))[number]
         done, widens, visits, here = held((done, widens, visits, here))
         root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
 
-        # Up to an extremum the condition goes the way that its sign says, then back.
+        # The condition moves in the direction of its sign up to an extremum, then back.
         tip, wanted = job.extremum.middle[0], self.senses[number]
         first, second = job.sign * wanted <= 0.0, job.sign * wanted >= 0.0
         extremum_found = job.looks & job.extremum.past
         half, follows = 0.5 * self.spacing, self._next_item(job.item)
-        # What begins where the integration has ended is not looked at.
+        # Pairs after the end of the integration are skipped.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
         follows = held(jnp.where(over, self.flags.size, follows))
         none = -jnp.ones_like(h)

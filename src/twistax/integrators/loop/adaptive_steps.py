@@ -14,20 +14,20 @@ from ...scalar.loops import Filling
 from ...scalar.small_call import held
 from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
-from ..events.search import Stride, halted_code
+from ..events.search import AcceptedStep, halted_code
 from ..method import Stepper
 from ..methods.interpolant import Between
 from ..step_control import ErrorHistory, StepControl, Tolerances
 from ..times import Stops
 from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
-from .outcome import Halt, LoopOutcome, Result, Run, Saved, StepPart, Watched
-from .progress_callback import Meter
+from .outcome import EventState, Halt, LoopOutcome, Result, Run, Saved, StepPart
+from .progress_callback import ProgressCalls
 from .rows_between import StepPolynomial, StepStart, row_of_start, rows_from, starts_in
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
 _PROGRESS = 256
-#: How many limits a kernel looks at: it compares the time with each.
+#: The most limits of a kernel: it compares the time with each.
 _SEEN = 64
 
 
@@ -61,12 +61,12 @@ class _State:
     path: Any = None
     every: Any = None
     slopes: Any = None  # those of the last step tried, where there are events and the method has any
-    watched: Any = None
+    event_state: Any = None
     rows: Any = None  # those on polynomials; of kernels also the starts of parts of steps
 
     def bare(self, **changes: Any) -> _State:
         """The carry without events and saved rows."""
-        return dataclasses.replace(self, watched=None, rows=None, **changes)
+        return dataclasses.replace(self, event_state=None, rows=None, **changes)
 
 
 @jax.tree_util.register_dataclass
@@ -81,8 +81,8 @@ class AdaptiveSteps(Steps):
     control: StepControl = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
     between: Between = dataclasses.field(metadata={"static": True})
-    watch: Any = None
-    meter: Meter | None = None
+    events: Any = None
+    progress_calls: ProgressCalls | None = None
 
     too_long = (
         "however short the step: the solution grows without bound, or a rate stops being finite just after",
@@ -113,7 +113,7 @@ class AdaptiveSteps(Steps):
         bare = dataclasses.replace(self._bare(stops.limits), between=Between.STEP)
         carry, h = shared_kernel(AdaptiveSteps.carry_and_first_step, bare, stepper, y)
         slopes = None
-        if self.watch is not None:
+        if self.events is not None:
             room = zeros_like(lambda: stepper.attempt(t, y.open(), carry.open(), h, self.tolerances).slopes)
             slopes = None if room is None else Packed.of(room)
         zero, number, end = jnp.zeros((), int), jnp.zeros((), t.dtype), jnp.asarray(stops.limits[-1])
@@ -139,7 +139,7 @@ class AdaptiveSteps(Steps):
             ts = jnp.asarray(stops.ts)
             table = Filling(ts, jnp.broadcast_to(y.flat, (ts.size, y.flat.size)), zero)
             return dataclasses.replace(state, rows=table), end
-        if self.watch is None and self.kernel(stepper, state, end, None) is not None:
+        if self.events is None and self.kernel(stepper, state, end, None) is not None:
             ts, start = jnp.asarray(stops.ts), row_of_start((t, y.flat), number)
             table = Filling(ts, jnp.broadcast_to(start, (ts.size, start.size)), zero)
             return dataclasses.replace(state, rows=table), end
@@ -174,10 +174,10 @@ class AdaptiveSteps(Steps):
         stops, read = self.stops, state.y.read
         short = (state.code == Result.SUCCESS.value) & (state.t < stops.limits[-1])
         code = jnp.where(short, Result.MAX_STEPS.value, state.code)
-        watched, evaluations = state.watched, state.evaluations
-        if watched is not None:
-            evaluations = evaluations + watched.evaluations
-            watched = watched.after_loop(read, state.accepted)
+        event_state, evaluations = state.event_state, state.evaluations
+        if event_state is not None:
+            evaluations = evaluations + event_state.evaluations
+            event_state = event_state.after_loop(read, state.accepted)
         outcome = LoopOutcome(code, state.tried, state.accepted, evaluations, state.t, state.h)
         trail = self.trail(state.path, state.accepted, jax.vmap(read)(state.every)) if self.dense else None
         rows_saved = None
@@ -193,13 +193,13 @@ class AdaptiveSteps(Steps):
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], saved)
                 rows_saved = Saved(index, times, jax.vmap(read)(starts), reached & requested, requested)
-        return Run(state.y, outcome, rows_saved, state.path, trail, watched)
+        return Run(state.y, outcome, rows_saved, state.path, trail, event_state)
 
     def going(self, state: _State, stop: Any, most: Any) -> jax.Array:
         return _before(state, stop) & (state.tried < (self.bound if most is None else most))
 
     def one_step(self, stepper: Stepper, state: _State) -> _State:
-        after, step = self.one_try(stepper, dataclasses.replace(state, watched=None))
+        after, step = self.one_try(stepper, dataclasses.replace(state, event_state=None))
         if state.rows is not None and step is not None:
             row = rows_from(stepper, state.y.read)
             after = dataclasses.replace(after, rows=state.rows.up_to(after.t, row, held(step)))
@@ -245,7 +245,7 @@ class AdaptiveSteps(Steps):
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
         """The same steps without saved times and events, with these limits, so that all share a kernel."""
-        return dataclasses.replace(self, stops=Stops(limits, None, None), watch=None, meter=None, dense=False)
+        return dataclasses.replace(self, stops=Stops(limits, None, None), events=None, progress_calls=None, dense=False)
 
     def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, StepPolynomial | None]:
         """One try of a step, accepted or rejected, and the data of its polynomial, where the method has one."""
@@ -321,15 +321,15 @@ class AdaptiveSteps(Steps):
         moved, _ = tries(state, state.tried, state.tried + 1, None)
         return Packed(jnp.where(moved.accepted > state.accepted, moved.y.flat, jnp.nan), state.y.read)
 
-    def stride(self, before: _State, after: _State) -> tuple[Stride, Any, tuple[Any, Any]]:
-        stride = Stride(before.accepted, before.t, after.t - before.t, before.y, after.y, after.slopes)
+    def accepted_step(self, before: _State, after: _State) -> tuple[AcceptedStep, Any, tuple[Any, Any]]:
+        accepted_step = AcceptedStep(before.accepted, before.t, after.t - before.t, before.y, after.y, after.slopes)
         ends = before.accepted == 0, after.t == self.stops.limits[-1]
-        return stride, after.accepted > before.accepted, ends
+        return accepted_step, after.accepted > before.accepted, ends
 
-    def halted(self, stepper: Stepper, before: _State, after: _State, watched: Watched, h: jax.Array) -> _State:
+    def halted(self, stepper: Stepper, before: _State, after: _State, event_state: EventState, h: jax.Array) -> _State:
         states = [state.bare(path=None, every=None) for state in (before, after)]
-        kept = shared_kernel(_halted, None, stepper, *states, watched.halt, h)
-        return dataclasses.replace(kept, watched=watched, rows=after.rows, path=after.path, every=after.every)
+        kept = shared_kernel(_halted, None, stepper, *states, event_state.halt, h)
+        return dataclasses.replace(kept, event_state=event_state, rows=after.rows, path=after.path, every=after.every)
 
     @property
     def saved_times(self) -> jax.Array:

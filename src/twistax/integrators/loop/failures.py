@@ -42,7 +42,7 @@ def failure(stepper: Stepper, steps: Steps, outcome: LoopOutcome, x: dict[str, A
         what = f"the equations of a step of {stepper.method.name} could not be solved at t = {t:.6g} s"
         cause, fix = (text.format(h=h) for text in steps.not_solved)
     elif result is Result.MAX_CROSSINGS:
-        room = steps.watch.room
+        room = steps.events.room
         what = f"more than {room} crossings of events that do not end the integration, at t = {t:.6g} s"
         cause = "conditions that cross zero often, or chatter about it"
         fix = f"tx.integrate(..., max_crossings=...), which is {room}"

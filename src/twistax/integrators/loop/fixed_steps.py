@@ -14,12 +14,12 @@ from ...errors import InputError
 from ...jax_inside import is_traced
 from ..charts.coordinates import Blocks
 from ..controls import row_at
-from ..events.search import Stride, halted_code
+from ..events.search import AcceptedStep, halted_code
 from ..method import StepAttempt, Stepper
 from .kernels import Packed, kernel_steps
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
-from .outcome import LoopOutcome, Result, Run, Saved, StepPart, Watched
-from .progress_callback import Meter
+from .outcome import EventState, LoopOutcome, Result, Run, Saved, StepPart
+from .progress_callback import ProgressCalls
 
 #: A time this close to the end of a step, in steps, counts as on it: far more than round-off, far less than anyone
 #: means.
@@ -144,7 +144,7 @@ class _State:
     code: Any  # the number of the result so far
     every: Any  # the states so far if kept
     slopes: Any  # those of the last step, where there are events and the method has any
-    watched: Any
+    event_state: Any
 
 
 @jax.tree_util.register_dataclass
@@ -159,8 +159,8 @@ class FixedSteps(Steps):
     #: The number of steps as structure, which derivatives and dense output need; else None.
     most: int | None = dataclasses.field(metadata={"static": True})
     dense: bool = dataclasses.field(metadata={"static": True})
-    watch: Any = None
-    meter: Meter | None = None
+    events: Any = None
+    progress_calls: ProgressCalls | None = None
     splits: Splits | None = None  # at jumps
 
     too_long = (
@@ -198,7 +198,7 @@ class FixedSteps(Steps):
         y, stops = inputs
         every = put(rows(y, self.bound + 1), 0, y) if self.dense else None
         zero, carry, slopes = jnp.zeros((), stops.dtype), stepper.method.before(stepper.dynamics, y), None
-        if self.watch is not None:
+        if self.events is not None:
             t, h = self.grid.step(jnp.zeros((), int))
             slopes = zeros_like(lambda: stepper.follow(t, y, carry, h, sampled=True).slopes)
         state = _State(zero, y, carry, zero, jnp.zeros((), int), every, slopes, None)
@@ -230,7 +230,7 @@ class FixedSteps(Steps):
             code=code,
             every=None if state.every is None else put(state.every, steps, y),
             slopes=state.slopes and attempt.slopes,
-            watched=state.watched,
+            event_state=state.event_state,
         )
 
     def kernel(self, stepper: Stepper, state: _State, stop: Any, most: Any) -> Callable[..., _State] | None:
@@ -269,16 +269,16 @@ class FixedSteps(Steps):
         packed = Packed.of(moved)
         return Packed(jnp.where(count > 0, packed.flat, jnp.nan), packed.read)
 
-    def stride(self, before: _State, after: _State) -> tuple[Stride, Any, tuple[Any, Any]]:
+    def accepted_step(self, before: _State, after: _State) -> tuple[AcceptedStep, Any, tuple[Any, Any]]:
         t, h = self.grid.step(before.steps)
-        stride = Stride(before.steps, t, h, Packed.of(before.y), Packed.of(after.y), after.slopes)
-        return stride, after.steps > before.steps, (before.steps == 0, before.steps + 1 == self.steps)
+        accepted_step = AcceptedStep(before.steps, t, h, Packed.of(before.y), Packed.of(after.y), after.slopes)
+        return accepted_step, after.steps > before.steps, (before.steps == 0, before.steps + 1 == self.steps)
 
-    def halted(self, stepper: Stepper, before: _State, after: _State, watched: Watched, h: jax.Array) -> _State:
-        code = halted_code(watched.halt, after.code)
+    def halted(self, stepper: Stepper, before: _State, after: _State, event_state: EventState, h: jax.Array) -> _State:
+        code = halted_code(event_state.halt, after.code)
         hit = code != after.code
         steps, y = jax.tree.map(lambda a, b: jnp.where(hit, a, b), (before.steps, before.y), (after.steps, after.y))
-        return dataclasses.replace(after, steps=steps, y=y, code=code, watched=watched)
+        return dataclasses.replace(after, steps=steps, y=y, code=code, event_state=event_state)
 
     def row_at(self, state: _State, stop: Any) -> tuple[Blocks, jax.Array]:
         return state.y, state.code == Result.SUCCESS.value
@@ -291,10 +291,10 @@ class FixedSteps(Steps):
         return stop, jnp.maximum(self.steps // 100, 1).astype(stop.dtype), reached
 
     def result(self, state: _State, saved: Any) -> Run:
-        evaluations, watched = state.evaluations, state.watched
-        if watched is not None:
-            evaluations = evaluations + watched.evaluations
-            watched = watched.after_loop(Packed.of(state.y).read, state.steps)
+        evaluations, event_state = state.evaluations, state.event_state
+        if event_state is not None:
+            evaluations = evaluations + event_state.evaluations
+            event_state = event_state.after_loop(Packed.of(state.y).read, state.steps)
         outcome = LoopOutcome(state.code, state.steps, state.steps, evaluations, *self.grid.step(state.steps))
         trail = None if state.every is None else self.trail(None, state.steps, state.every)
         rows_saved = None
@@ -303,7 +303,7 @@ class FixedSteps(Steps):
             requested = jnp.arange(len(reached)) < self.at.count
             times = self.grid.begin(self.at.index)[0]
             rows_saved = Saved(self.at.index, times, starts, reached & requested, requested)
-        return Run(state.y, outcome, rows_saved, None, trail, watched)
+        return Run(state.y, outcome, rows_saved, None, trail, event_state)
 
     def steps_of(self, path: None) -> StepPart:
         t, h = self.grid.step(jnp.arange(self.bound))

@@ -77,7 +77,7 @@ def _made(stepper: Stepper, state: Any, key: Hashable, make: Callable[[], Any]) 
     """The kernel of a key from the cache of the system; None if the states are too wide."""
     if sum(jnp.size(leaf) for leaf in jax.tree.leaves(state)) > _WIDEST:
         return None
-    return stepper.dynamics._functions.steps.get(key, make)
+    return stepper.dynamics.functions.steps.get(key, make)
 
 
 def _types(leaves: list[Any]) -> tuple[jax.ShapeDtypeStruct, ...]:

@@ -15,11 +15,11 @@ from jax.flatten_util import ravel_pytree
 from ...scalar.small_call import small_call
 from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
-from ..events.search import Stride, find_crossings, halted_code
+from ..events.search import AcceptedStep, find_crossings, halted_code
 from ..method import Stepper
 from .kernels import Packed
-from .outcome import Result, Run, Saved, StepPart, Trail, Watched
-from .progress_callback import Meter
+from .outcome import EventState, Run, Saved, StepPart, Trail
+from .progress_callback import ProgressCalls
 
 
 class Visits(NamedTuple):
@@ -39,8 +39,8 @@ class Steps(ABC):
 
     t0: Any  # the start
     dense: bool  # whether the starts of all steps are kept
-    watch: Any  # the `Watch`, the conditions of events
-    meter: Meter | None  # the progress callback
+    events: Any  # the `EventConditions`, or None
+    progress_calls: ProgressCalls | None  # the progress callback
     #: Whether `run` returns the states at saved times, not those before them, up to an event.
     finds_rows: bool = False
     #: Cause and fix, with the length h of the step: of an end that is not finite, where nothing else is known; of the
@@ -59,10 +59,10 @@ class Steps(ABC):
     def all_steps(self, stepper: Stepper, inputs: Any, record: bool) -> tuple[Any, Any]:
         """The final carry of the loop, and what was saved at every stop."""
         state, visits = self.begin(stepper, inputs, record)
-        if self.watch is not None:
+        if self.events is not None:
             advance = functools.partial(self.advance, stepper, state)
-            watched = self.watch.begin(advance, stepper, *self.first_step(state), _packed(state.y))
-            state = dataclasses.replace(state, watched=watched, code=halted_code(watched.halt, state.code))
+            event_state = self.events.begin(advance, stepper, *self.first_step(state), _packed(state.y))
+            state = dataclasses.replace(state, event_state=event_state, code=halted_code(event_state.halt, state.code))
 
         if not isinstance(visits, Visits):
             return self._to(stepper, state, visits), None
@@ -76,31 +76,31 @@ class Steps(ABC):
 
     def _to(self, stepper: Stepper, state: Any, stop: Any) -> Any:
         """Advance to a stop, with calls of the progress callback on the way."""
-        if self.meter is None:
+        if self.progress_calls is None:
             return self._steps_to(stepper, stop, state, None)
         steps_to = functools.partial(self._steps_to, stepper, stop)
-        return self.meter.loop(steps_to, state, *self.parts_of_progress(stepper, stop))
+        return self.progress_calls.loop(steps_to, state, *self.parts_of_progress(stepper, stop))
 
     def _steps_to(self, stepper: Stepper, stop: Any, state: Any, most: Any) -> Any:
         """Advance to a stop, or at most `most` tries; in a kernel if there is one."""
-        watched = state.watched is not None
+        event_state = state.event_state is not None
         kernel = self.kernel(stepper, state, stop, most)
-        if kernel is not None and not watched and self.in_one_kernel:
+        if kernel is not None and not event_state and self.in_one_kernel:
             return kernel(state, one=False)
 
         def one_round(state: Any) -> Any:
             kernel = self.kernel(stepper, state, stop, most)
-            after = self.one_step(stepper, state) if kernel is None else kernel(state, one=watched)
-            return self._with_events(stepper, state, after) if watched else after
+            after = self.one_step(stepper, state) if kernel is None else kernel(state, one=event_state)
+            return self._with_events(stepper, state, after) if event_state else after
 
         return jax.lax.while_loop(lambda state: self.going(state, stop, most), one_round, state)
 
     def _with_events(self, stepper: Stepper, before: Any, after: Any) -> Any:
         """The carry after a step; the one before it if an event within it ends the integration."""
-        stride, taken, ends = self.stride(before, after)
+        accepted_step, taken, ends = self.accepted_step(before, after)
         advance = functools.partial(self.advance, stepper, before)
-        watched = find_crossings(self.watch, advance, stepper, stride, before.watched, taken, ends)
-        return self.halted(stepper, before, after, watched, stride.h)
+        event_state = find_crossings(self.events, advance, stepper, accepted_step, before.event_state, taken, ends)
+        return self.halted(stepper, before, after, event_state, accepted_step.h)
 
     # ---- what a subclass says of its steps ---------------------------------------------------------------------------
 
@@ -143,11 +143,11 @@ class Steps(ABC):
         """The packed state after one more step of another length, by the kernel of the loop where it has one."""
 
     @abstractmethod
-    def stride(self, before: Any, after: Any) -> tuple[Stride, Any, tuple[Any, Any]]:
+    def accepted_step(self, before: Any, after: Any) -> tuple[AcceptedStep, Any, tuple[Any, Any]]:
         """The step between two carries: whether it was accepted, whether it is the first one and the last one."""
 
     @abstractmethod
-    def halted(self, stepper: Stepper, before: Any, after: Any, watched: Watched, h: jax.Array) -> Any:
+    def halted(self, stepper: Stepper, before: Any, after: Any, event_state: EventState, h: jax.Array) -> Any:
         """The state after a step of length h, or before it where a condition halts the loop."""
 
     @abstractmethod
@@ -156,7 +156,7 @@ class Steps(ABC):
 
     @abstractmethod
     def parts_of_progress(self, stepper: Stepper, stop: Any) -> tuple[Any, Any, Callable[[Any], Any]]:
-        """For `Meter.loop`: the last count of steps, steps between two calls, and how far a state is."""
+        """For `ProgressCalls.loop`: the last count of steps, steps between two calls, and how far a state is."""
 
     @abstractmethod
     def result(self, state: Any, saved: Any) -> Run:
@@ -193,11 +193,6 @@ class Steps(ABC):
 
 def _packed(y: Any) -> Packed:
     return y if isinstance(y, Packed) else Packed.of(y)
-
-
-def ended_well(code: Any) -> Any:
-    """Whether codes of a `Result` are no failures."""
-    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
 # ---- tables that the loop fills ------------------------------------------------------------------------------------

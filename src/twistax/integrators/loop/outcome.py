@@ -94,7 +94,7 @@ class Halt(NamedTuple):
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Watched:
+class EventState:
     """The state of the events in the loop over steps."""
 
     values: Any  # (m,) where the next step begins; the last ones that were not NaN
@@ -105,7 +105,7 @@ class Watched:
     #: Within the loop a `CrossingTable`, after it `Crossed`, where there are events that do not end the integration.
     crossed: Any = None
 
-    def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> Watched:
+    def after_loop(self, read: Callable[[jax.Array], Any], steps: jax.Array) -> EventState:
         """The state of the events after the loop, with this number of accepted steps; `read` unpacks a state."""
         table: CrossingTable | None = self.crossed
         crossed = None if table is None else table.rows(read, steps, self.halt.s)
@@ -122,7 +122,7 @@ class Run:
     saved: Any  # None where the end alone is asked for
     path: Any  # what is needed to take the same steps again, where it was asked for
     trail: Any  # where it is kept
-    watched: Any = None  # what is known of the conditions, where there are any
+    event_state: Any = None  # what is known of the conditions, where there are any
 
 
 @jax.tree_util.register_dataclass

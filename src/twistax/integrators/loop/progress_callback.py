@@ -20,7 +20,7 @@ Now = TypeVar("Now")
 #: Called with the time that was reached, and the share of the way to the end.
 ProgressCallback = Callable[[float, float], Any]
 
-#: Who asked, while their integrations run: the programs, which are kept, know the number alone.
+#: The callbacks of running integrations by number: compiled programs, which are cached, hold only the number.
 _CALLBACKS: dict[int, tuple[ProgressCallback, list[Exception]]] = {}
 _NUMBERS = itertools.count()
 
@@ -37,7 +37,7 @@ def _call_back(number: Any, t: Any, share: Any) -> None:
 
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
-class Meter:
+class ProgressCalls:
     """Calls the progress callback in a loop over steps. A pytree: another callback compiles nothing."""
 
     number: Any
@@ -79,13 +79,13 @@ def callback_of(progress: Any) -> ProgressCallback | None:
 
 
 @contextlib.contextmanager
-def calling_back(callback: ProgressCallback) -> Iterator[Meter]:
-    """A meter for the loops inside. An exception of the callback is raised at the end."""
+def calling_back(callback: ProgressCallback) -> Iterator[ProgressCalls]:
+    """Progress calls for the loops inside. An exception of the callback is raised at the end."""
     number, raised, line = next(_NUMBERS), list[Exception](), getattr(callback, "__self__", None)
     _CALLBACKS[number] = callback, raised
     try:
         with line if isinstance(line, Progress) else contextlib.nullcontext():  # its line is cleared at the end
-            yield Meter(np.asarray(number))
+            yield ProgressCalls(np.asarray(number))
             jax.effects_barrier()
     finally:
         del _CALLBACKS[number]

@@ -20,7 +20,7 @@ from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
 from .kernels import Packed, advance_again, has_shared_kernel, opened, shared_kernel
-from .loop import Steps, all_finite, ended_well, first_rows
+from .loop import Steps, all_finite, first_rows
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart
 from .unreached import nan_unless, zero_of
 
@@ -36,7 +36,7 @@ class RolloutResult:
     reached: Any  # (n,) whether they came so far; None without saved times
     outcome: Any  # how they went, a `LoopOutcome`, those of saved times included in the evaluations
     trail: Any  # where it is kept
-    event: Any  # the number of the event that ended it, -1 for none; None where none is watched for
+    event: Any  # the number of the event that ended it, -1 for none; None without events
     at_start: Any = None  # (m,) whether each condition was zero or past it at the start
     crossings: Any = None  # of events that do not end it, where there are any
 
@@ -93,13 +93,18 @@ def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
 
 
+def ended_well(code: Any) -> Any:
+    """Whether numbers of a `Result` are no failures."""
+    return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
+
+
 def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
     # Without a path saved times lie as the loop left them.
     run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
     meeting, moved = None, None
-    if run.watched is not None:
+    if run.event_state is not None:
         meeting = Meeting.of(run)
-        moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.watched.y, opened(run.end))
+        moved = jax.tree.map(functools.partial(jnp.where, meeting.met), run.event_state.y, opened(run.end))
 
     if run.saved is None:
         result = small_call(_to_saved_times, steps, stepper, x, run, meeting, moved)
@@ -119,11 +124,11 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
 
 def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: Any = crossing_rows) -> RolloutResult:
     """With the crossings, and which conditions were met at the start."""
-    if run.watched is None:
+    if run.event_state is None:
         return result
-    crossed = run.watched.crossed
+    crossed = run.event_state.crossed
     crossings = None if crossed is None else rows(stepper, crossed)
-    return dataclasses.replace(result, at_start=run.watched.met, crossings=crossings)
+    return dataclasses.replace(result, at_start=run.event_state.met, crossings=crossings)
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutResult:
@@ -230,7 +235,7 @@ def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
 def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
     steps, stepper, x = jax.lax.stop_gradient(primals)
     run = steps.run(stepper, stepper.stored.enter(x), record=True)
-    known = None if run.watched is None else Meeting.of(run)
+    known = None if run.event_state is None else Meeting.of(run)
     leaves, structure = jax.tree.flatten(primals)
     slopes = jax.tree.leaves(tangents, is_leaf=_is_symbolic)
     moving = [i for i, slope in enumerate(slopes) if not _is_symbolic(slope)]
@@ -243,7 +248,7 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
         return _batched_alike(_again(steps, stepper, x, run, known), primals)
 
     result, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
-    ends_at_event = steps.watch is not None and any(steps.watch.terminal)
+    ends_at_event = steps.events is not None and any(steps.events.terminal)
     return result, _not_of_failures(result, slope, [slopes[i] for i in moving], ends_at_event)
 
 
@@ -282,30 +287,30 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
     # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
     taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
-    crossed = None if run.watched is None else run.watched.crossed
+    crossed = None if run.event_state is None else run.event_state.crossed
     recorded = steps.dense or run.saved is not None or crossed is not None
     end, every = take_steps(step, stepper.stored.enter(x), taken, count, steps.bound, recorded)
     run = dataclasses.replace(run, end=end, trail=steps.trail(run.path, count, every) if steps.dense else None)
     meeting = None
     if known is not None:
         begins = jnp.where(known.met, all_parts.t[jnp.minimum(count, steps.bound - 1)], known.t)
-        meeting = refined(stepper, steps.watch, end, run.outcome.h, dataclasses.replace(known, t=begins))
+        meeting = refined(stepper, steps.events, end, run.outcome.h, dataclasses.replace(known, t=begins))
 
     def advance_all(starts: Blocks, parts: StepPart) -> Blocks:
         if stepper.method.solves and not batched_branches_transpose():
             return jax.lax.map(lambda entry: step(*entry), (starts, parts))
         return jax.vmap(step)(starts, parts)
 
-    if crossed is not None and run.watched is not None:
+    if crossed is not None and run.event_state is not None:
         # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
         there = crossed.which >= 0
         k = jnp.where(there, crossed.steps, 0)
         crossed = dataclasses.replace(
             crossed, t=all_parts.t[k], y=jax.tree.map(lambda a: a[k], every), s=jnp.where(there, crossed.s, 0.0)
         )
-        crossed = refined_rows(stepper, steps.watch, crossed)
+        crossed = refined_rows(stepper, steps.events, crossed)
         crossed = dataclasses.replace(crossed, y=advance_all(crossed.y, StepPart(crossed.t, crossed.s)))
-        run = dataclasses.replace(run, watched=dataclasses.replace(run.watched, crossed=crossed))
+        run = dataclasses.replace(run, event_state=dataclasses.replace(run.event_state, crossed=crossed))
 
     def to_saves(saved: Saved, parts: StepPart) -> Blocks:
         return advance_all(jax.tree.map(lambda a: a[saved.steps], every), parts)

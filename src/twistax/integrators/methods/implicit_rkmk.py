@@ -137,7 +137,7 @@ class ImplicitRKMK(ChartMethod):
         step = self._to_round_off(equations, carry)
         return StepAttempt(equations.moved(step.last.Z), step.last, (), step.evaluations, step.solved)
 
-    #: The rate at the start of a step is looked at in every step anyway.
+    #: The rate at the start of a step is computed in every step anyway.
     resume_evaluations = 0
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
@@ -212,7 +212,7 @@ class ImplicitRKMK(ChartMethod):
     ) -> _SolvedStep:
         """The stages by Newton's method, until the scaled correction is below 1."""
         guess = self._guess(last, equations.h)
-        # A step that may not be taken back gets a second guess.
+        # A step that cannot be rejected gets a second guess.
         again = most == _MANY
         solved = newton(
             lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again, rounding

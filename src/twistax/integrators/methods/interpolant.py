@@ -91,7 +91,7 @@ def _smallest(a: Any, b: Any, at: Any, to: Any) -> NDArray[Any]:
     for seconds where other programs keep the processor busy.
     """
     x = np.linalg.pinv(a, rcond=1e-12) @ b
-    # What x misses at the ends lies in the null space of a, where both can be met.
+    # The correction of x at the ends lies in the null space of a, if both conditions can be met.
     return np.asarray(x + (to - x @ at) @ np.linalg.pinv(at))
 
 

@@ -102,7 +102,7 @@ class Magnus(Method):
         """Raises ModelError, which names the state, if a rate reads a rotation or a pose."""
         turning = {name for name in dynamics.group.factors if name not in _flat_names(dynamics)}
         for state in dynamics.states:
-            read = sorted(dynamics._functions.rate_reads(state.name) & turning)
+            read = sorted(dynamics.functions.rate_reads(state.name) & turning)
             if read:
                 raise ModelError(
                     f"{self.name} needs rates that do not depend on rotations and poses, but the rate of "
@@ -169,7 +169,7 @@ def _flat_names(dynamics: Dynamics) -> list[str]:
 def _fed(dynamics: Dynamics) -> bool:
     """Whether the velocity of a rotation or a pose reads a state without a group."""
     flat = set(_flat_names(dynamics))
-    return any(dynamics._functions.rate_reads(name) & flat for name in dynamics.group.factors if name not in flat)
+    return any(dynamics.functions.rate_reads(name) & flat for name in dynamics.group.factors if name not in flat)
 
 
 def _sum(a: Blocks, b: Blocks) -> Blocks:

@@ -82,7 +82,7 @@ class Projected(Method):
         )
 
     def _brought_back(self, field: VectorField, t: jax.Array, y: Blocks) -> Blocks:
-        local, functions = self.coordinates(field.dynamics), field.dynamics._functions
+        local, functions = self.coordinates(field.dynamics), field.dynamics.functions
         u = field.controls(t)
         still = {name: jnp.zeros(group.tangent_shape, t.dtype) for name, group in functions.group.factors.items()}
         for _ in range(_CORRECTIONS):
@@ -98,10 +98,10 @@ def projected(method: Method) -> Projected:
 
 def need_start_on_manifold(dynamics: Dynamics, inputs: Inputs) -> None:
     """Raise InputError for a known start that is not on the system's manifold."""
-    functions = dynamics._functions
+    functions = dynamics.functions
     if is_traced((inputs.t, inputs.x, inputs.u, inputs.params)):
         return
-    corrections = functions._jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
+    corrections = functions.jitted("corrections", inputs.t, inputs.x, inputs.u, inputs.params)
     off = float(jnp.abs(increments(functions, corrections)).max())
     far = max(_FAR, 1e3 * float(jnp.finfo(inputs.dtype).eps))
     if not off <= far:

@@ -18,9 +18,9 @@ from ...system.inputs import precision
 from ...units import same_unit, seconds
 from ..events.conditions import Event
 from ..integrate import integrated
-from ..loop.loop import ended_well
 from ..loop.outcome import Result
 from ..loop.progress_callback import ProgressCallback, callback_of
+from ..loop.rollout import ended_well
 from ..loop.unreached import nan_unless
 from ..options import FlightOptions, Options, StepOptions, with_options
 from ..results.solution import Solution

@@ -114,5 +114,5 @@ def _values(exprs: dict[str, Expr], before: Dynamics, t: Any, x: Arrays, params:
     if is_traced(arguments):
         return dict(zip(names, make()(*arguments), strict=True))
     key = (linked, tuple(expr.key() for expr in exprs.values()))
-    function = before._functions.loops.get(key, lambda: jax.jit(make()))
+    function = before.functions.loops.get(key, lambda: jax.jit(make()))
     return dict(zip(names, function(*arguments), strict=True))

@@ -196,7 +196,6 @@ class PhasedSolution(AnySolution):
         return {name: self._rows(self.save_at, [arrays[name] for arrays in values]) for name in names}
 
     def _rows(self, save_at: jax.Array, values: list[Any]) -> jax.Array:
-        """The rows of the phases at the saved times."""
         if self.on_grid:
             return self._on_grid(save_at, values)
         times = np.asarray(save_at)[self._inside]

@@ -32,7 +32,7 @@ def controls_along(stepper: Stepper, ts: jax.Array) -> Arrays:
 
 def outputs_along(stepper: Stepper, ts: jax.Array, xs: Arrays) -> Arrays:
     """The outputs at the states of a solution. Raises InputError where one reads what was not given."""
-    functions = stepper.dynamics._functions
+    functions = stepper.dynamics.functions
     read = functions.reads["outputs"]
     controls, params = getattr(stepper.signals, "values", None), dict(stepper.params)
     missing = [c.name for c in functions.controls if controls is not None and c.name in read and c.name not in controls]
@@ -55,7 +55,7 @@ def _controls() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
 
 def _outputs() -> Callable[[Stepper, jax.Array, Arrays], Arrays]:
     def at(stepper: Stepper, t: jax.Array, x: Arrays) -> Arrays:
-        functions = stepper.dynamics._functions
+        functions = stepper.dynamics.functions
         outputs = functions.evaluate("outputs", t, x, _controls_at(stepper, t), stepper.params, in_loop=False)
         missed = jnp.isnan(ravel_pytree(x)[0]).any()  # outputs that read no state would go on
         return outputs | nan_unless(~missed, {name: value for name, value in outputs.items() if value.dtype != bool})

@@ -196,7 +196,7 @@ class Solution(AnySolution):
         stats: counts.
         code: the number of the Result.
         dense: what `evaluate` reads, with dense=True; else None.
-        which: the number of the event that stopped it, -1 for none; None where none was watched for.
+        which: the number of the event that stopped it, -1 for none; None without events.
         stepper: the method, the system and the inputs that led here.
         at_start: (m,) of each event whether its condition was zero or past it at the start; None without events.
         crossings: the `Crossings` of events that do not end the integration; None where there are none.

@@ -80,7 +80,7 @@ class Columns(Layout):
         dynamics = solution.stepper.dynamics
         order = [
             *(leaf.name for leaf in (*dynamics.states, *dynamics.controls)),
-            *dynamics._functions.families["outputs"],
+            *dynamics.functions.families["outputs"],
         ]
         table = [Column("t", "s", np.asarray(solution.ts))]
         for name in order:

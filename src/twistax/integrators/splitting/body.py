@@ -212,7 +212,7 @@ class FreeBody(FreeMotion):
                     f"{self!r}: inertia reads parameter {name!r}, which the system does not have; it has: "
                     f"{', '.join(map(repr, known)) or 'none'}.\n  fix: where it is baked, give its value as an array"
                 )
-            if not any(name in dynamics._functions.rate_reads(state.name) for state in dynamics.states):
+            if not any(name in dynamics.functions.rate_reads(state.name) for state in dynamics.states):
                 raise ModelError(f"{self!r}: inertia reads parameter {name!r}, which no rate reads")
         source = self._source(dynamics)
         n = group.dimension
@@ -256,7 +256,6 @@ class FreeBody(FreeMotion):
         return next(leaf for leaf in dynamics.parameters if leaf.name == self.inertia)
 
     def _body_inertia(self, group: Group, value: Any, default: np.ndarray | None) -> BodyInertia:
-        """The inertia from its value, constant or traced, and its default where there is one."""
         place = f"{self!r}: inertia"
         if group.dimension == 3:
             return rotational(place, value, default)

@@ -175,7 +175,7 @@ def _compared(
     velocities = {name: x[name] for name in names}
 
     def system(velocities: Arrays, params: Arrays) -> Arrays:
-        return dynamics._functions.vector_field(t, x | velocities, u, params)
+        return dynamics.functions.vector_field(t, x | velocities, u, params)
 
     def free(velocities: Arrays, params: Arrays) -> Arrays:
         rates = [motion.rates(dynamics, x | velocities, params) for motion in motions]

@@ -18,7 +18,7 @@ from ...view.shapes import STEEL, Color
 from ..arguments import matrix
 from .xml_file import Element
 
-#: Of MuJoCo's groups of geoms those that its viewer draws unless asked for more.
+#: The last of MuJoCo's groups of geoms that its viewer draws by default.
 _SHOWN = 2
 
 

@@ -125,7 +125,7 @@ class Urdf:
             )
             return Spherical(name), None
         if kind == "planar":
-            from ..inertia_frames import rotation_to
+            from ..algorithms.inertia_frames import rotation_to
 
             normal = unit_vector(f"Planar {name!r}", "axis", axis)
             return Planar(name), None if np.array_equal(normal, [0.0, 0.0, 1.0]) else rotation_to(tuple(normal))
@@ -143,7 +143,6 @@ class Urdf:
         return z @ y @ x + 0.0, origin.numbers("xyz", 3, np.zeros(3))
 
     def _angle(self, angle: float) -> tuple[float, float]:
-        """Cosine and sine of an angle."""
         turns = round(angle / (0.5 * math.pi))
         if abs(angle - turns * 0.5 * math.pi) <= self.quarter_turns:
             return ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0))[turns % 4]

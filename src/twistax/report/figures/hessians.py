@@ -51,7 +51,7 @@ def operations() -> tuple[int, int]:
     dynamics().hessian_pattern("qd")
     no_operations = (ca.OP_INPUT, ca.OP_OUTPUT, ca.OP_CONST)
     count = sum(theirs.instruction_id(k) not in no_operations for k in range(theirs.n_instructions()))
-    return dynamics()._functions.hessians.values()[-1].program.operations, count
+    return dynamics().functions.hessians.values()[-1].program.operations, count
 
 
 _CASE = EvaluatedFunction(

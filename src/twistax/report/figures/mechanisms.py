@@ -16,7 +16,7 @@ import twistax as tx
 
 from ... import mechanics
 from ...mechanics import Drive, Mechanism, chain_models
-from ...mechanics.derivatives import inverse_dynamics_derivatives
+from ...mechanics.algorithms.derivatives import inverse_dynamics_derivatives
 from ...scalar.reader import scalarize
 from ..harness.expected import Absent, at_most, needed
 from ..harness.measurement import Measurement, Section, quick, slow
@@ -163,7 +163,6 @@ def _rnea(links: int) -> float:
 
 
 def _operations(robot: str) -> float:
-    """Operations of the forward dynamics."""
     mechanism = _mechanism(robot)
     q, qd, tau = (tx.State(name, shape=(mechanism.dofs,)) for name in ("q", "qd", "tau"))
     f = tx.lower(mechanics.forward_dynamics(mechanism, q, qd, tau))

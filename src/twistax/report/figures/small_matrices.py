@@ -57,7 +57,6 @@ def free_body() -> dict[str, Timed]:
 
 
 def _over_c(race: Race, name: str) -> float:
-    """Over the fastest of the programs in C."""
     return race.seconds(name) / min(race.seconds(c) for c in race.programs if c.startswith("C"))
 
 

@@ -105,7 +105,6 @@ class _Statement:
         return self.ca.DM(0, 1) if self.U is None else self.U[:, k]
 
     def _control(self, k: int, share: float) -> Any:
-        """At a share of an interval."""
         if not self.problem.linear:
             return self._u(k)
         return (1.0 - share) * self.U[:, k] + share * self.U[:, k + 1]

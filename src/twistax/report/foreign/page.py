@@ -21,7 +21,7 @@ from .statement import Foreign, Phased
 #: Seconds of the processor that a side has for a problem, and in the quick run.
 _SECONDS, _QUICK = 60.0, 15.0
 _BY, _BAR = "twistax over IPOPT", "SOLVED at IPOPT's optimum or better"
-#: The part that sums up the others, and what it asks of ratios: their median, and the worst.
+#: The part that sums up the others, and the bars of ratios: their median, and the worst.
 _ALL = "all"
 _RATIOS = {"steps": (1.0, 1.5), "second solve": (0.08, 0.3), "first answer": (math.inf, math.inf)}
 _HEAD = [

@@ -43,8 +43,8 @@ def _code(formula: str) -> CodeType:
 def _problem(entry: dict[str, Any]) -> Foreign:
     """A problem as its table in `problems.toml` states it."""
     constants = _Names({}, math, {})
-    for name, formula in entry.pop("constants", {}).items():
-        constants[name] = constants.value(formula)
+    for name, text in entry.pop("constants", {}).items():
+        constants[name] = constants.value(text)
     number, let = constants.value, entry.pop("let", {})
 
     def formula(text: str) -> Formula:
@@ -75,13 +75,13 @@ def _problem(entry: dict[str, Any]) -> Foreign:
     if isinstance(nodes, str):
         nodes = [by_share(nodes)(k / entry["intervals"]) for k in range(entry["intervals"] + 1)]
     final_time = entry.pop("final_time")
+    rates = formulas([state["rate"] for state in entry["states"].values()])
+    for group in ("states", "controls", "free"):
+        entry[group] = {name: variable(var) for name, var in entry.get(group, {}).items()}
+    for name in {"running", "cost"} & set(entry):
+        entry[name] = formula(entry[name])
     return Foreign(
-        rates=formulas([state["rate"] for state in entry["states"].values()]),
-        **{
-            group: {name: variable(var) for name, var in entry.pop(group, {}).items()}
-            for group in ("states", "controls", "free")
-        },
-        **{name: formula(entry.pop(name)) for name in ("running", "cost") if name in entry},
+        rates=rates,
         path=path(entry.pop("path")) if "path" in entry else None,
         ends=formulas(entry.pop("ends")) if "ends" in entry else None,
         final_time=tuple(map(number, final_time)) if isinstance(final_time, list) else number(final_time),

@@ -45,7 +45,7 @@ def bodies(count: int, dtype: Any) -> dict[str, Any]:
 def joints(count: int, dtype: Any) -> tuple[Any, Any, Any]:
     """Angles, rates and torques."""
     drawn = np.random.default_rng(2).uniform(-1.0, 1.0, (3, count, 7))
-    q, qd, tau = (5.0**k * each for k, each in zip((0, 0, 1), drawn, strict=True))
+    q, qd, tau = (5.0**k * values for k, values in zip((0, 0, 1), drawn, strict=True))
     return q.astype(dtype), qd.astype(dtype), tau.astype(dtype)
 
 
@@ -95,8 +95,8 @@ def slopes(backend: Any) -> Batch:
     """The derivatives of these by angles and rates."""
 
     def one(q: Any, qd: Any, tau: Any) -> Any:
-        found = _arm(backend).jacobian(0.0, {"qd": qd}, {"q": q}, {"third": tau}, wrt=("u", "x"))
-        return found["u"], found["x"]
+        jacobian = _arm(backend).jacobian(0.0, {"qd": qd}, {"q": q}, {"third": tau}, wrt=("u", "x"))
+        return jacobian["u"], jacobian["x"]
 
     return jax.vmap(one)
 

@@ -56,19 +56,19 @@ def _seconds(function: Callable[..., Any], *arguments: Any, repeats: int = 10) -
     """Of the first call, and the least of those after it."""
     begin = time.perf_counter()
     jax.block_until_ready(function(*arguments))
-    first, found = time.perf_counter() - begin, []
+    first, times = time.perf_counter() - begin, []
     for _ in range(repeats):
         begin = time.perf_counter()
         jax.block_until_ready(function(*arguments))
-        found.append(time.perf_counter() - begin)
-    return first, min(found)
+        times.append(time.perf_counter() - begin)
+    return first, min(times)
 
 
-def _difference(found: Any, expected: Any) -> float:
+def _difference(results: Any, expected: Any) -> float:
     """The largest, relative to the largest entry of each array."""
     worst = 0.0
-    for own, other in zip(jax.tree.leaves(found), jax.tree.leaves(expected), strict=True):
-        a, b = np.asarray(own, float), np.asarray(other, float)
+    for result, other in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
+        a, b = np.asarray(result, float), np.asarray(other, float)
         if a.shape != b.shape or not np.array_equal(np.isfinite(a), np.isfinite(b)):
             return float("inf")
         worst = max(worst, float(np.max(np.abs(a - b)) / max(float(np.max(np.abs(b))), 1e-30)))
@@ -80,8 +80,8 @@ def _difference(found: Any, expected: Any) -> float:
 
 def machine() -> Rows:
     """The card, and whether a kernel runs there at all."""
-    own, name = driver(), jax.devices("cuda")[0].device_kind
-    print(f"card {name}, {own.capability}, CUDA {own.version}, JAX {jax_versions()}, {libdevice()}", flush=True)
+    cuda, name = driver(), jax.devices("cuda")[0].device_kind
+    print(f"card {name}, {cuda.capability}, CUDA {cuda.version}, JAX {jax_versions()}, {libdevice()}", flush=True)
     arguments = _placed(cases.joints(100, np.float32), "cuda")
     text = jax.jit(cases.accelerations(KERNELS)).lower(*arguments).as_text()
     yield Row("calls of kernels in a program", "", float(text.count("@twistax_")), "")
@@ -90,16 +90,16 @@ def machine() -> Rows:
 @contextlib.contextmanager
 def _watched() -> Iterator[list[Any]]:
     """The kernels of devices that are made inside."""
-    found: list[Any] = []
+    kernels: list[Any] = []
     made = cuda_kernel.CudaKernel.__init__
 
     def watched(self: Any, body: Any) -> None:
         made(self, body)
-        found.append(self)
+        kernels.append(self)
 
     cuda_kernel.CudaKernel.__init__ = watched  # type: ignore[method-assign]
     try:
-        yield found
+        yield kernels
     finally:
         cuda_kernel.CudaKernel.__init__ = made  # type: ignore[method-assign]
 
@@ -136,14 +136,14 @@ def values() -> Rows:
 def _values(what: str, batch: Any, inputs: Any, dtype: Any) -> Rows:
     function, arguments = jax.jit(batch(KERNELS)), inputs(1000, dtype)
     expected = function(*_placed(arguments, "cpu"))
-    given = _placed(arguments, "cuda")
+    placed = _placed(arguments, "cuda")
     with _watched() as kernels:
-        _, found, first = _compiled(function, given)
-    assert {own.platform for leaf in jax.tree.leaves(found) for own in leaf.devices()} == {"gpu"}
-    yield Row(f"values, {what}", "kernels against the CPU", _difference(found, expected), "relative")
+        _, results, first = _compiled(function, placed)
+    assert {device.platform for leaf in jax.tree.leaves(results) for device in leaf.devices()} == {"gpu"}
+    yield Row(f"values, {what}", "kernels against the CPU", _difference(results, expected), "relative")
     yield from first.rows(what, f"{len(kernels)} kernels compiled")
-    for each in kernels:
-        code, kind = each.handle.code.device, f"{type(each.body).__name__} of {each.body.program.operations}"
+    for kernel in kernels:
+        code, kind = kernel.handle.code.device, f"{type(kernel.body).__name__} of {kernel.body.program.operations}"
         yield Row(f"registers, {what}", kind, float(code.registers), "")
         yield Row(f"local memory, {what}", kind, float(code.local), "bytes")
 
@@ -172,11 +172,11 @@ class _First(NamedTuple):
 
 def _compiled(function: Any, arguments: Any) -> tuple[Any, Any, _First]:
     """What runs a function that is jitted, the first result, and what that took."""
-    found: list[float] = []
+    seconds: list[float] = []
 
     def heard(event: str, duration_secs: float, **_: Any) -> None:
         if event == KERNEL_EVENT:
-            found.append(duration_secs)
+            seconds.append(duration_secs)
 
     jax.monitoring.register_event_duration_secs_listener(heard)
     laps = [time.perf_counter()]
@@ -189,7 +189,7 @@ def _compiled(function: Any, arguments: Any) -> tuple[Any, Any, _First]:
     compiled = lap(lowered.compile())
     result = lap(jax.block_until_ready(compiled(*arguments)))
     tracing, lowering, compiling, running = np.diff(laps)
-    return compiled, result, _First(tracing, lowering, sum(found), compiling, running)
+    return compiled, result, _First(tracing, lowering, sum(seconds), compiling, running)
 
 
 def _timed(what: str, batch: Any, inputs: Any, by: Any, count: int, dtype: Any, steps: int = 1) -> Rows:
@@ -266,7 +266,7 @@ def blocks() -> Rows:
 
 def on_cpu() -> Rows:
     """Kernels of the CPU and the solver, with a device beside it or without."""
-    by = "with a GPU" if any(own.platform == "gpu" for own in jax.devices()) else "without"
+    by = "with a GPU" if any(device.platform == "gpu" for device in jax.devices()) else "without"
     with jax.default_device(jax.local_devices(backend="cpu")[0]):
         function, arguments = jax.jit(cases.rollout(KERNELS)), (cases.bodies(4096, np.float64),)
         _, best = _seconds(function, *arguments, repeats=5)

@@ -10,7 +10,7 @@ from .expected import Absent, EarlyEnd, Expected, Outcome, judged
 from .rows import DONE, ReportRow, first_line, now
 
 T = TypeVar("T")
-#: What is asked of the numbers of a column, maybe by row; and what gives the number of a row.
+#: The bar of the numbers of a column, maybe by row; and the function that gives the number of a row.
 Column = tuple[Expected | Callable[[T], Expected], Callable[[T], Any]]
 
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"

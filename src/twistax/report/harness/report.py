@@ -76,7 +76,7 @@ class SectionReport(Report):
         measurements = [it for _, it in self._sections[part] if not (self._quick and it.slow)]
         for i, it in enumerate(measurements):
             row = self.store.get(part, it.what, it.by)
-            # What was not run for want of something is tried again.
+            # Rows that could not run because something was missing are tried again.
             if row is None or (row.holds is None and not row.done):
                 progress(f"{it.what}, {it.by}", i / len(measurements))
                 self.store.add([it.run(part)])

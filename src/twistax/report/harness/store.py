@@ -19,7 +19,7 @@ import twistax
 
 from .rows import Key, ReportRow
 
-#: What native kernels need, and what stands for the version of a package that is not installed.
+#: The package of native kernels, and the text in place of the version of a missing package.
 KERNELS, ABSENT = "llvmlite", "absent"
 _VERSIONED = ("twistax", "jax", "jaxlib", "diffrax", "equinox", "numpy", KERNELS)
 

@@ -183,7 +183,7 @@ def agree(difference: float, bar: float) -> None:
 
 def difference(results: Any, reference: Any) -> float:
     """The largest difference of an entry; NaN if there is one."""
-    # NumPy's maximum hands on NaN; Python's loses it.
+    # NumPy's maximum propagates NaN; Python's does not.
     return float(np.max(jax.tree.leaves(jax.tree.map(lambda a, b: jnp.abs(a - b).max(), results, reference))))
 
 

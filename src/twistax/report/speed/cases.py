@@ -14,7 +14,7 @@ from ...mechanics import Chain, SpatialInertia, chain_models, forward_dynamics, 
 from ...mechanics.flight import numbers
 
 Array = NDArray[np.float64]
-#: Of each link: where its joint sits, T (4, 4), and its inertia (6, 6). All joints turn about z.
+#: For each link the pose of its joint, T (4, 4), and its inertia (6, 6). All joints turn about z.
 Links = Sequence[tuple[Array, Array]]
 #: x, u and params of a call of the dynamics.
 Inputs = tuple[dict[str, Any], dict[str, Any], dict[str, Any]]

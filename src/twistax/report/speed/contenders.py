@@ -147,7 +147,6 @@ class JaxTask:
         return self._compiled(jax.vmap, count, evaluations=count)
 
     def _compiled(self, use: Callable[[Function], Any], points: int = 0, **counts: int) -> Timed:
-        """The compiled function of one point, or of a batch."""
         arguments = [jnp.asarray(a if points else a[0]) for a in self._case.points(points or 1)]
         begin = time.perf_counter()
         function = self._around(use(self._make()))
@@ -197,7 +196,7 @@ def _twistax(backend: Backend, case: EvaluatedFunction, quantity: DerivativeKind
 
 def _unrolls(dynamics: tx.Dynamics, case: EvaluatedFunction) -> bool:
     """Whether `dynamics.jacobian` is of use: it unrolls all scalars, which takes a compiler long beyond some."""
-    arguments, inside = [points[0] for points in case.points(1)], dynamics._functions
+    arguments, inside = [points[0] for points in case.points(1)], dynamics.functions
     try:
         slopes, _ = inside.rate_jacobian(inside.prepare(0.0, *case.inputs(*arguments)), case.by)
     except TooLarge:

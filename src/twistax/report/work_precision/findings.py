@@ -32,7 +32,7 @@ def _error(row: ReportRow) -> float:
     return row.numbers.get("error", math.nan)
 
 
-# ---- agreement, asked before any times are compared -----------------------------------------------------------------
+# ---- agreement, checked before any times are compared ---------------------------------------------------------------
 
 
 @dataclasses.dataclass(frozen=True)
@@ -214,7 +214,7 @@ class Findings:
         return ratios, faster
 
 
-# ---- bars: what we want to be true, said beforehand -----------------------------------------------------------------
+# ---- bars: the claims, stated before the measurement -----------------------------------------------------------------
 
 #: Of a scene and a method, how diffrax is run ("-call": in one call), and the ratio allowed.
 _BARS = json.loads(Path(__file__).with_name("bars.json").read_text())

@@ -12,7 +12,7 @@ import jax.numpy as jnp
 import numpy as np
 from jax import lax
 
-from .entry import ALWAYS, NEVER, SMALL, Entry, Operation, convert, default, up_to
+from .entry import ALWAYS, NEVER, SMALL, Entry, Operation, convert, default, in_numpy, up_to
 from .interface import Graph, Nodes, Reader, each, gathered, nodes
 from .operations import LARGEST, OPERATIONS, SMALLEST, inverse_root, on
 from .powers import power
@@ -65,6 +65,10 @@ def _reduced(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     return [a] if (p["exponent_bits"], p["mantissa_bits"]) == (precision.nexp, precision.nmant) else None
 
 
+def _square(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes]:
+    return [each(lambda x: reader.graph.mul(x, x), a)]
+
+
 def _same(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
     return list(arrays)
 
@@ -77,16 +81,24 @@ ELEMENTWISE = [
         when=default("accuracy"),
         inside=SMALL,
     ),
-    Entry("add_any", lambda reader, eqn, a, b: [each(reader.graph.add, a, b)], inside=SMALL),
-    Entry("square", lambda reader, eqn, a: [each(lambda x: reader.graph.mul(x, x), a)], inside=SMALL),
+    Entry("add_any", lambda reader, eqn, a, b: [each(reader.graph.add, a, b)], inside=SMALL, numpy=in_numpy(np.add)),
+    Entry("square", _square, inside=SMALL, numpy=in_numpy(np.square)),
     Entry("integer_pow", _integer_pow, "y", inside=SMALL),
     Entry("quotient", lambda reader, eqn, a, b: [each(reader.graph.div, a, b)], inside=SMALL),
-    Entry("select_n", _select_n, inside=SMALL),
+    Entry("select_n", _select_n, inside=SMALL, numpy=lambda p, which, *cases: np.choose(np.asarray(which, int), cases)),
     Entry("le_to", _ordered("le"), inside=SMALL),
     Entry("lt_to", _ordered("lt"), inside=SMALL),
-    Entry("convert_element_type", _converted, "new_dtype weak_type sharding", any_type=True, inside=SMALL, moves=True),
+    Entry(
+        "convert_element_type",
+        _converted,
+        "new_dtype weak_type sharding",
+        any_type=True,
+        inside=SMALL,
+        moves=True,
+        numpy=lambda p, a: a,  # what reads it takes the type of the equation
+    ),
     Entry("reduce_precision", _reduced, "exponent_bits mantissa_bits", inside=SMALL),
-    Entry("copy", _same, any_type=True, inside=SMALL, moves=True),
+    Entry("copy", _same, any_type=True, inside=SMALL, moves=True, numpy=lambda p, a: a),
     Entry("apart", _same, inside=SMALL, moves=True),
     Entry("optimization_barrier", _same, any_type=True, inside=ALWAYS, moves=True),
     Entry("round", None, "rounding_method", inside=SMALL),
@@ -210,8 +222,9 @@ CONTRACTION = [
         when=_full_precision,
         inside=up_to(64),  # larger ones call a library
         work=_product_work,
+        numpy=lambda p, a, b: np.tensordot(a, b, p["dimension_numbers"][0]),
     ),
-    _reduction("reduce_sum", "add", "axes out_sharding", empty=0.0),
+    _reduction("reduce_sum", "add", "axes out_sharding", empty=0.0, numpy=lambda p, a: np.sum(a, tuple(p["axes"]))),
     _reduction("reduce_prod", "mul"),
     _reduction("reduce_max", "max", _EXTREME, many=LARGEST),
     _reduction("reduce_min", "min", _EXTREME, many=SMALLEST),

@@ -65,6 +65,7 @@ class Entry:
         work: operations on scalars that an equation takes, by name; by default one for each entry of the results.
         runs: the jaxprs that an equation runs; a linear solve holds others for its derivatives.
         repeats: how often the equations in them run.
+        numpy: a function of the parameters and NumPy's arrays with XLA's results, to the last bit; None: there is none.
     """
 
     name: str
@@ -78,6 +79,7 @@ class Entry:
     work: Callable[[Any], Mapping[str, int]] | None = None
     runs: Callable[[Any], list[ClosedJaxpr]] = inner_jaxprs
     repeats: Callable[[Any], int] = lambda eqn: 1
+    numpy: Callable[..., Any] | None = None
 
     def __repr__(self) -> str:
         return self.name
@@ -103,6 +105,11 @@ class Entry:
         if self.work is not None:
             return self.work(eqn)
         return {} if self.moves else {self.name: sum(v.aval.size for v in eqn.outvars)}
+
+
+def in_numpy(function: Callable[..., Any]) -> Callable[..., Any]:
+    """A function of NumPy's arrays alone as `numpy` of an entry."""
+    return lambda params, *arrays: function(*arrays)
 
 
 @functools.cache
@@ -154,6 +161,7 @@ class Operation(Entry):
 
     Attributes:
         number: the operation on NumPy scalars or arrays.
+        exact: whether that has XLA's results to the last bit.
         array: the operation on JAX arrays of one shape.
         arity: how many arguments it takes.
         partials: the derivatives, those at kinks as JAX has them; None where they are zero or not defined.
@@ -168,6 +176,7 @@ class Operation(Entry):
 
     number: Callable[..., Any]
     array: Callable[..., jax.Array]
+    exact: bool = False
     arity: int = 1
     partials: Partials | None = None
     result: np.dtype[Any] | None = None
@@ -180,6 +189,10 @@ class Operation(Entry):
     llvm: Forms = _NOWHERE
     c: Forms = _NOWHERE
     casadi: Forms = _NOWHERE
+
+    def __post_init__(self) -> None:
+        if self.exact:
+            object.__setattr__(self, "numpy", in_numpy(self.number))
 
     def scalars(self, reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
         return [each(self.on(reader.graph), *arrays)]
@@ -276,6 +289,26 @@ def _converted(dtype: np.dtype[Any], x: Any) -> Any:
             np.isnan(x), 0, np.where(within, np.where(within, x, 0).astype(dtype), np.where(x > 0, ends.max, ends.min))
         ).astype(dtype)
     return (x if np.issubdtype(dtype, np.complexfloating) else np.real(x)).astype(dtype)
+
+
+def quotient(a: Any, b: Any) -> Any:
+    """As XLA divides: integers towards zero, by zero to all bits set, the least one by -1 to itself."""
+    if np.asarray(a).dtype.kind not in "iu":
+        return np.divide(a, b)
+    zero, one = b == 0, np.abs(b) == 1
+    safe = np.where(zero | one, np.ones_like(b), b)
+    result = np.floor_divide(a, safe)
+    result = result + ((result * safe != a) & ((a < 0) != (safe < 0))).astype(result.dtype)
+    return np.where(zero, ~np.zeros_like(a), np.where(b == 1, a, np.where(one, np.negative(a), result))).astype(
+        result.dtype
+    )
+
+
+def remainder(a: Any, b: Any) -> Any:
+    """As XLA has it: with the sign of the dividend; by zero the dividend."""
+    if np.asarray(a).dtype.kind not in "iu":
+        return np.fmod(a, b)
+    return np.where(b == 0, a, np.fmod(a, np.where(b == 0, np.ones_like(b), b)))
 
 
 def whole(casadi: Any, a: Any) -> Any:

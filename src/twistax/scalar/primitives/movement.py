@@ -25,7 +25,7 @@ def _moving(name: str, takes: str, function: Callable[..., Any], inside: Any = S
         moved = function(eqn.params, *arrays)
         return [np.asarray(row) for row in moved] if eqn.primitive.multiple_results else [moved]
 
-    return moving(name, read, takes, inside=inside, **more)
+    return moving(name, read, takes, inside=inside, numpy=function, **more)
 
 
 def _broadcast(p: Any, a: Nodes) -> Nodes:

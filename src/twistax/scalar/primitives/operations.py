@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from jax import lax
 
-from .entry import Forms, Operation, Select, Slope, code, convert, default, everywhere, whole
+from .entry import Forms, Operation, Select, Slope, code, convert, default, everywhere, quotient, remainder, whole
 from .interface import Graph
 
 _BOOL = np.dtype(bool)
@@ -24,9 +24,7 @@ def on(g: Graph, name: str, *arguments: int) -> int:
 # ---- how they are written --------------------------------------------------------------------------------------------
 
 
-_instruction, _intrinsic, _chosen = (
-    functools.partial(code, method) for method in ("instruction", "intrinsic", "chosen")
-)
+_instruction, _intrinsic, _chosen = (functools.partial(code, name) for name in ("instruction", "intrinsic", "chosen"))
 
 
 def _python(function: Any) -> Forms:
@@ -38,11 +36,16 @@ def _named(name: str, number: Any, arity: int = 1, *, array: Any = None, **more:
     """Called the same in JAX, the C library and CasADi where nothing else is said."""
     operands = ", ".join(["$a", "$b"][:arity])
     by_name = {
+        "exact": True,
         "llvm": Forms(code("library", name)),
         "c": Forms(f"{name}$f({operands})"),
         "casadi": everywhere(lambda casadi, *a: getattr(casadi, name)(*a)),
     }
     return Operation(name=name, number=number, array=array or getattr(lax, name), arity=arity, **{**by_name, **more})
+
+
+#: Of which NumPy may round the results otherwise than XLA.
+_rough = functools.partial(_named, exact=False)
 
 
 def _ring(sign: str, name: str, number: Any, partials: Any, **more: Any) -> Operation:
@@ -64,7 +67,7 @@ def _ring(sign: str, name: str, number: Any, partials: Any, **more: Any) -> Oper
 def _function(name: str, number: Any, slope: Callable[[Graph, int, int], Slope], **more: Any) -> Operation:
     """A function of one real number; `slope` of (graph, x, y) is the derivative of y by x."""
     # JAX lets some of them be asked for another accuracy.
-    more |= {"takes": "|accuracy", "when": default("accuracy")}
+    more = {"exact": False, "takes": "|accuracy", "when": default("accuracy"), **more}
     return _named(name, number, partials=lambda g, a, y: [slope(g, a[0], y)], **more)
 
 
@@ -117,11 +120,7 @@ def _extreme(name: str, number: Any, than: str, instruction: str, sign: str) -> 
         partials=partials,
         symmetric=True,
         llvm=Forms(code("further", f"fcmp o{than}"), _chosen(f"icmp s{than}"), _instruction(instruction)),
-        c=Forms(
-            f"($a {compare} $b || isnan($a)) ? $a : $b",
-            f"$a {compare} $b ? $a : $b",
-            f"$a {sign} $b",
-        ),
+        c=Forms(f"($a {compare} $b || isnan($a)) ? $a : $b", f"$a {compare} $b ? $a : $b", f"$a {sign} $b"),
         casadi=everywhere(lambda casadi, *a: getattr(casadi, f"f{name}")(*a)),
     )
 
@@ -208,37 +207,16 @@ def _power_node(g: Graph, x: int, n: int) -> int:
 
 def _greater(g: Graph, a: int, b: int) -> int:
     """Zero is greater than no magnitude: what is structurally zero never becomes a pivot."""
-    known = a == g.zero and g.operation(b) is OPERATIONS["abs"]
-    return g.constant(False, _BOOL) if known else on(g, "gt", a, b)
+    never = a == g.zero and g.operation(b) is OPERATIONS["abs"]
+    return g.constant(False, _BOOL) if never else on(g, "gt", a, b)
 
 
 def _pair(name: str, absorbing: bool, g: Graph, a: int, b: int) -> int:
     """and, or: of truth values with what is known left out; of integers bit by bit."""
     for x, y in ((a, b), (b, a)) if g.dtypes[a] == _BOOL else ():
-        known = g.numbers[x]
-        if known is not None:
-            return x if bool(known) is absorbing else y
+        if g.numbers[x] is not None:
+            return x if bool(g.numbers[x]) is absorbing else y
     return a if a == b else on(g, name, a, b)
-
-
-def _quotient(a: Any, b: Any) -> Any:
-    """As XLA divides: integers towards zero, by zero to all bits set, the least one by -1 to itself."""
-    if np.asarray(a).dtype.kind not in "iu":
-        return np.divide(a, b)
-    zero, one = b == 0, np.abs(b) == 1
-    safe = np.where(zero | one, np.ones_like(b), b)
-    result = np.floor_divide(a, safe)
-    result = result + ((result * safe != a) & ((a < 0) != (safe < 0))).astype(result.dtype)
-    return np.where(zero, ~np.zeros_like(a), np.where(b == 1, a, np.where(one, np.negative(a), result))).astype(
-        result.dtype
-    )
-
-
-def _rest(a: Any, b: Any) -> Any:
-    """As XLA has it: with the sign of the dividend; by zero the dividend."""
-    if np.asarray(a).dtype.kind not in "iu":
-        return np.fmod(a, b)
-    return np.where(b == 0, a, np.fmod(a, np.where(b == 0, np.ones_like(b), b)))
 
 
 def _made(function: Any, *first: Any) -> Any:
@@ -254,7 +232,7 @@ _ROWS = [
     _ring("*", "mul", np.multiply, lambda g, a, y: [a[1], a[0]], takes="out_dtype", when=default("out_dtype")),
     _named(
         "div",
-        _quotient,
+        quotient,
         2,
         partials=_quotient_slopes,
         maker=operator.attrgetter("div"),
@@ -295,7 +273,7 @@ _ROWS = [
     _named("ceil", np.ceil, llvm=Forms(_intrinsic("ceil"))),
     _named(
         "rem",
-        _rest,
+        remainder,
         2,
         partials=_remainder,
         llvm=Forms(code("library", "fmod")),
@@ -325,17 +303,11 @@ _ROWS = [
         casadi=everywhere(lambda casadi, low, x, high: casadi.fmin(casadi.fmax(low, x), high)),
     ),
     # ---- elementary functions
-    _named(
-        "pow",
-        np.power,
-        2,
-        partials=_power,
-        is_power=True,
-        maker=_made(_power_node),
-        casadi=_python(operator.pow),
+    _rough("pow", np.power, 2, partials=_power, is_power=True, maker=_made(_power_node), casadi=_python(operator.pow)),
+    _rough("atan2", np.arctan2, 2, partials=_angle),
+    _function(
+        "sqrt", np.sqrt, lambda g, x, y: (g.one, _inverse(g, g.add(y, y))), exact=True, llvm=Forms(_intrinsic("sqrt"))
     ),
-    _named("atan2", np.arctan2, 2, partials=_angle),
-    _function("sqrt", np.sqrt, lambda g, x, y: (g.one, _inverse(g, g.add(y, y))), llvm=Forms(_intrinsic("sqrt"))),
     _function(
         "cbrt",
         np.cbrt,

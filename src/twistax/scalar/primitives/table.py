@@ -97,7 +97,6 @@ def _cond(reader: Reader, eqn: Any, index: Nodes, *operands: Nodes) -> list[Node
 
 
 def _equations(jaxpr: Any) -> int:
-    """Equations, inner ones included."""
     return sum(1 for _ in all_equations(jaxpr))
 
 

@@ -97,7 +97,8 @@ static twx_status reduce_violation(twx_work *w) {
     if (!factorize_restoring(w, &f)) return TWX_UNBOUNDED_CURVATURE;
     twx_solve_system(w, &w->right, &w->step, 0);
     measure_step(w, &f);
-    const double length = f.slope > -SLOPE_LEAST * (f.merit - f.bounds) ? 0 : search_merit(w, &f);
+    const int flat = f.slope > -SLOPE_LEAST * (f.merit - f.bounds);
+    const double length = flat ? 0 : search_merit(w, &f);
     if (length > 0) {
       accept_restoring(w);
       if (twx_differentiate(w)) return TWX_NON_FINITE;
@@ -106,7 +107,8 @@ static twx_status reduce_violation(twx_work *w) {
         return TWX_SOLVED;
     }
     if (length == 0 || f.slope > -1e-2 * f.barrier) {
-      if (f.barrier < BARRIER_LEAST) return TWX_INFEASIBLE;
+      /* Where no step helps though there is a slope, as among points that are not finite, nothing is stationary. */
+      if (f.barrier < BARRIER_LEAST) return flat || f.slope > -1e-2 * f.barrier ? TWX_INFEASIBLE : TWX_STALLED;
       f.barrier *= BARRIER_DECREASE;
     }
   }

@@ -44,7 +44,7 @@ def write_c(
     points: Sequence[Sequence[Any]] | None,
     tolerance: float | None,
 ) -> CFiles:
-    """What `Dynamics.to_c` does; it says what the arguments are."""
+    """Implements `Dynamics.to_c`, which documents the arguments."""
     _check_name(name)
     real = _real(dtype)
     exporter = Exporter(dynamics, real.dtype, checked)
@@ -93,7 +93,7 @@ def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunc
 
 
 def _write(folder: Path, texts: dict[Path, str]) -> None:
-    """Files of an earlier call are replaced; others are left alone, and told."""
+    """Write the files. Files of an earlier call are replaced; other files are refused."""
     try:
         for path in texts:
             if path.exists() and not path.read_text(errors="replace").startswith(MARK):
@@ -130,7 +130,7 @@ def _point(exporter: Exporter, point: Sequence[Any]) -> Point:
 
 
 def _drawn_points(exporter: Exporter, count: int = 3) -> list[Point]:
-    """Arguments drawn at random: Exp of a normal tangent, normal entries, of parameters their own values."""
+    """Random arguments: Exp of a normal tangent, normal entries, defaults of parameters."""
     rng = np.random.default_rng(0)
     groups = {state.name: state.group for state in exporter.dynamics.states}
     defaults = {p.name: p.value for p in exporter.dynamics.parameters}

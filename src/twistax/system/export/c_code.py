@@ -37,12 +37,12 @@ _MEANINGS = {
 
 
 def mark() -> str:
-    """The first words of a file that is written now."""
+    """The first line of generated files."""
     return f"{MARK} {version()}"
 
 
 def filled(template: str, **parts: Any) -> str:
-    """The text of a file of this folder, its parts in place."""
+    """A template of this folder with its parts filled in."""
     return Template(Path(__file__).with_name(template).read_text()).substitute(parts)
 
 
@@ -70,7 +70,7 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
 
 @dataclasses.dataclass(frozen=True)
 class CCode:
-    """What is written."""
+    """The C code of a compiled system."""
 
     name: str  # of the files, and what the names of all functions begin with
     exporter: Exporter
@@ -79,7 +79,7 @@ class CCode:
     real: CType  # of all numbers
 
     def header(self) -> str:
-        """The call convention, and what is declared."""
+        """The text of the header: call convention and declarations."""
         constants = "".join(f"extern {head};\n" for head in self._defaults())
         if constants:
             constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
@@ -96,7 +96,7 @@ class CCode:
         )
 
     def source(self) -> str:
-        """What the functions do."""
+        """The text of the source file."""
         bodies = [
             f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names)}}}\n"
             for function in self.functions
@@ -111,7 +111,6 @@ class CCode:
         return "\n".join(part for part in parts if part)
 
     def _tables(self) -> list[Table]:
-        """What the functions load from."""
         return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
 
     def _head(self, function: ExportedFunction) -> str:
@@ -197,5 +196,5 @@ def numbers(name: str, values: NDArray[Any], real: CType) -> str:
 
 
 def _comment(text: str) -> str:
-    """Text that may stand in a comment, whatever a user named things."""
+    """Text made safe for a comment, whatever names a user chose."""
     return re.sub(r"[^ -~]|[*/\\?]", "_", text)

@@ -15,7 +15,7 @@ from .programs import ExportedFunction, Exporter, Port
 
 
 def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, checked: bool) -> Any:
-    """What `Dynamics.to_casadi` does; it says what the arguments are."""
+    """Implements `Dynamics.to_casadi`, which documents the arguments."""
     try:
         import casadi
     except ImportError as error:
@@ -29,7 +29,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
             raise ModelError(f"to_casadi expects families among {', '.join(dynamics.families)}, got {family!r}")
     names = [_name(port) for port in exporter.arguments]
     functions = [exporter.family(family) for family in named]
-    # Scalar expressions are the faster ones, but know no tables.
+    # Scalar expressions are faster, but have no tables.
     kind: Any = casadi.MX if any(function.program.tables for function in functions) else casadi.SX
     ports = zip(names, exporter.arguments, strict=True)
     symbols: list[Any] = [kind.sym(name, *_matrix(port.shape)) for name, port in ports]
@@ -55,7 +55,7 @@ def to_casadi(dynamics: Functions, families: str | Sequence[str], name: str, che
 
 
 def _name(port: Port) -> str:
-    """As the leaf or the result is called; of a rate, with that word before."""
+    """The name of the leaf or the result; rates get a prefix."""
     return "t" if port.kind == "t" else f"rate_{port.name}" if port.kind == "rate" else port.name
 
 

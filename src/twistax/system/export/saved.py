@@ -67,7 +67,7 @@ _SHAPE, _ORIGIN = "_shape", "_folded_from"
 
 
 def save(dynamics: Functions, path: str | Path) -> None:
-    """What `Dynamics.save` does.
+    """Implements `Dynamics.save`.
 
     Raises:
         ModelError: a field that has no plain form.
@@ -140,7 +140,8 @@ def read(path: str | Path) -> tuple[System, dict[str, Any]]:
 
 
 def _array(data: bytes) -> NDArray[Any]:
-    """The array of a .npy file, read-only as the leaves hold them. Nothing is allocated on the word of its header.
+    """The array of a .npy file, read-only as in leaves. Nothing is allocated before its header is checked against the
+    data.
 
     Raises: ValueError for another version, kind of numbers or length.
     """
@@ -205,7 +206,7 @@ def _system(content: dict[str, Any], arrays: list[NDArray[Any]]) -> tuple[System
 
 
 def _keys(system: System) -> list[str]:
-    """The structure of all that is computed, in order."""
+    """The structure of everything that is computed, in order."""
     known = [expr for pairs in system.slopes.values() for pair in pairs for expr in pair]
     named = [e for kind in _FAMILIES for e in getattr(system, kind).values()]
     return [e.key() for e in (*named, *known)]
@@ -231,7 +232,7 @@ def write_nodes(roots: Iterable[Expr], arrays: list[NDArray[Any]]) -> tuple[list
 
 
 def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]:
-    """The nodes again.
+    """The inverse of `write_nodes`.
 
     Raises:
         ModelError: a class that is not known here, or has other fields than it had.
@@ -241,7 +242,6 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
         cls = _class_of(named)
         if cls is None or not issubclass(cls, Expr):
             raise _unknown_class(named)
-        node = object.__new__(cls)
         values = {name: _value(value, arrays, nodes) for name, value in fields.items()}
         declared = {field.name for field in cls._fields}
         if declared != {name for name in values if name not in (_SHAPE, _ORIGIN)}:
@@ -249,16 +249,13 @@ def read_nodes(written: Sequence[Any], arrays: list[NDArray[Any]]) -> list[Expr]
                 f"{cls.__name__} has the fields {sorted(declared)}, in the file {sorted(values)}.\n"
                 "  fix: load it with the version that saved it"
             )
-        node.__dict__.update(values)
-        node.validate()
-        node._seal()
-        nodes.append(node)
+        nodes.append(cls.from_fields(values, validated=False))
     return nodes
 
 
 def _fields(node: Expr) -> dict[str, Any]:
-    """What makes a node, by name."""
-    fields = {field.name: getattr(node, field.name) for field in node._fields}
+    """The named fields from which a node is made."""
+    fields = {field.name: getattr(node, field.name) for field in type(node)._fields}
     if isinstance(node, Leaf):
         fields[_SHAPE] = node.shape
     if isinstance(node, Constant) and node.folded_from is not None:
@@ -315,7 +312,7 @@ def _written(value: Any, where: str, arrays: list[NDArray[Any]], places: dict[in
 
 
 def _value(written: Any, arrays: Sequence[NDArray[Any]], nodes: Sequence[Expr]) -> Any:
-    """What `_written` wrote.
+    """The inverse of `_written`.
 
     Raises:
         ModelError: a class that is not known here.

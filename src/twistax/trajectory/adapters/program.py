@@ -78,7 +78,7 @@ class NonlinearProgram:
         stages = self._transcription.stages
         self._free = staged.step(*(np.asarray(a, float) for a in staged.transcribed.free)) > 0.0
         self._last, self._shared = len(stages.states) - 1, stages.variables - stages.parameters
-        #: Where each entry of v stands among the unknowns, -1: nowhere; of shared ones the copy of each stage.
+        #: The unknown of each entry of v, -1 for none; of shared entries the copy of each stage.
         self._places = -np.ones(stages.variables, int)
         self._copies = -np.ones((self._last + 1, stages.parameters), int)
         self.size = self.count = 0
@@ -88,7 +88,7 @@ class NonlinearProgram:
         self.equality = np.ones(self.count, bool)
         self.equality[self._row_places[1]] = False
         self.lower_rows = np.where(self.equality, 0.0, -np.inf)
-        #: Where flat states, controls and shared unknowns stand in points; -1 for what turns.
+        #: The places of flat states, controls and shared unknowns in points; -1 for rotations.
         self._point_places = -np.ones(stages.variables, int)
         self._point_places[staged.plain[1]] = staged.plain[0]
         self._curved = np.where(self._point_places < 0, 1.0, 0.0)

@@ -117,7 +117,7 @@ class _Casadi:
         callback: Callback | None,
     ) -> Outcome:
         """Solve from a start; repeat from another point if the solution is not a minimum."""
-        if isinstance(start, WarmStart) or core.measure.is_decided:
+        if isinstance(start, WarmStart) or core.measure.has_determined_rows:
             begun = core.run_once(start, instance, 0)
             if begun.status is not Status.MAX_ITERATIONS:
                 return begun

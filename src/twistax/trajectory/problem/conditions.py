@@ -55,10 +55,10 @@ class Conditions:
         values = evaluate_all(self.residuals, lambda leaf: leaf.read(inputs))
         return jnp.concatenate([value.reshape(-1) for value in values]) if values else jnp.zeros(0, t.dtype)
 
-    def decided(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
+    def determined(self, fixed: Mapping[str, Array], free: Iterable[str], at_known_time: bool) -> Array:
         """(entries,) residuals that are constant if these entries of the states are fixed."""
         fixed_states, loose = {name for name, mask in fixed.items() if mask.all()}, set(free)
-        decided: list[bool] = []
+        determined: list[bool] = []
         for residual in self.residuals:
             leaves = list(leaves_of(residual))
             is_free = any(
@@ -67,8 +67,8 @@ class Conditions:
                 or (isinstance(leaf, Time) and not at_known_time)
                 for leaf in leaves
             )
-            decided += [not is_free] * prod(residual.shape)
-        return np.array(decided, bool)
+            determined += [not is_free] * prod(residual.shape)
+        return np.array(determined, bool)
 
 
 def conditions(dynamics: Dynamics, place: str, constraints: Mapping[str, Constraint]) -> Conditions:

@@ -9,7 +9,7 @@ from ...checks import listed, short
 from ...errors import ModelError, ShapeError
 from ...expr import Expr, leaves_of, to_expr
 from ...system import name_of
-from ..transcription.joined import Join, Joined, told_before
+from ..transcription.joined import Join, Joined, drop_repeated_rows
 from .stated_phase import StatedPhase
 from .statement import check_leaves
 
@@ -65,5 +65,5 @@ def joined(parts: Sequence[StatedPhase], sources: Sequence[Sources], names: Sequ
         joins.append(Join(before.shooting, after.shooting, source, ends.initial, ends.initial_fixed))
         last = {s.name: s for s in before.dynamics.states}
         same = {name for name, expr in source.items() if expr is last.get(name) and ends.initial[name] is None}
-        told_before(before.shooting, after.shooting, same)
+        drop_repeated_rows(before.shooting, after.shooting, same)
     return Joined([part.shooting for part in parts], joins, names)

@@ -325,18 +325,16 @@ class Problem:
             tolerance: how far, in scaled form, the first-order conditions may be from holding.
             solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
                 interior point of this package if left out.
-            between: how far limits may be exceeded along a dense rollout, in their scales, such as 1e-6. They are
-                tightened where it exceeds them, and the problem is solved again, warm. Left out they hold where they
-                are asked.
+            between: how far a dense rollout may violate path constraints, in their scales, such as 1e-6. Where it
+                violates them they are tightened, and the problem is solved again with a warm start.
             mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
                 interval, integrated closely again from its planned start, ends within this of its planned end, in
-                scales of the states, and the objective is off by this share at most: see `result.accuracy`. An infinite
-                one takes any mesh, as a controller that solves again at every step may want it.
+                scales of the states, and the relative error of the objective is at most this: see `result.accuracy`.
+                An infinite one accepts any mesh.
             refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
-                within this of its planned end, in scales of the states, and the objective changes by no more than this,
-                relative, from a mesh to the next, such as 1e-6. The result stands on the last mesh, `result.problem`;
-                `result.meshes` has all of them. Finer meshes compile nothing. The status is COARSE, too, where a
-                thousand nodes are not enough.
+                within this of its planned end, in scales of the states, and the relative change of the objective from
+                mesh to mesh is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`;
+                `result.meshes` has all of them. The status is COARSE where a thousand nodes are not enough.
             strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
                 method alone. Solvers of others have some of their own.
 

@@ -74,7 +74,6 @@ def started(
 
 
 def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
-    """The value of an argument for each phase."""
     if problem.alone:
         return [value]
     if value is not None and not isinstance(value, Mapping):

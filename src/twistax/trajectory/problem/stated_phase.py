@@ -82,7 +82,6 @@ class StatedPhase:
         self._read_parameters()
 
     def _bridge(self, objective: Objective, rows: Mapping[int, Any], within: InPhase) -> None:
-        """Apply the bridges in turn."""
         phase, dynamics = self.phase, self.phase.dynamics
         statement = Statement(dynamics, objective, rows, continuous_controls(phase.controls, dynamics.controls))
         self.node_slacks = NodeSlacks(statement, f"{within.name}: " if within.name else "")
@@ -90,7 +89,8 @@ class StatedPhase:
         self.continuous = ContinuousControls(self.functionals.statement, self.mesh, within.first)
         self.path_bounds = PathBounds(self.continuous.statement, dynamics.system.soft, self.continuous.put)
         self.bridges: list[Bridge] = [self.node_slacks, self.functionals, self.continuous, self.path_bounds]
-        self.dynamics, self.objective, self.rows, _ = self.path_bounds.statement
+        simplest = self.path_bounds.statement
+        self.dynamics, self.objective, self.rows = simplest.dynamics, simplest.objective, simplest.rows
         last = self.nodes - 1
         #: The conditions at nodes by number, the first of them last and before those of the last node.
         stated_at = {k: place_of(k, last) for k in sorted(self.rows, key=lambda k: (k == last, k == 0, k))}
@@ -109,7 +109,7 @@ class StatedPhase:
         known = {leaf.name: leaf for leaf in self.dynamics.parameters}
         added = {e.name: e for e in leaves if isinstance(e, Parameter) and e.name not in known}
         self.parameters = known | added
-        reads = self.dynamics._functions.reads
+        reads = self.dynamics.functions.reads
         of_system = reads["rates"] | reads["constraints"]
         seen = of_system | {leaf.name for leaf in leaves}
         self.readable = [*(leaf for leaf in known.values() if leaf.name in seen), *added.values()]

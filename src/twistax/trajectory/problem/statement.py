@@ -141,7 +141,7 @@ class PathRows:
         """(rows,) those that depend on a node alone, not on controls."""
         return np.array([reads in (Reads.STATE, Reads.ENDS, Reads.NOTHING) for reads in self.reads], bool)
 
-    def decided(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
+    def determined(self, fixed: Mapping[str, Array], at_known_time: bool) -> Array:
         """(rows,) those that are constant at an end where these entries of the states are fixed."""
         fixed_states = {name for name, mask in fixed.items() if mask.all()}
         alone = (Reads.STATE, Reads.ENDS, Reads.NOTHING)
@@ -155,7 +155,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
 
     Boxes of states that are linear over each interval hold between its ends.
     """
-    functions = dynamics._functions
+    functions = dynamics.functions
     residuals: list[Expr] = []
     rows: list[_Row] = []
     cones = {name for name, _ in norms.rows}

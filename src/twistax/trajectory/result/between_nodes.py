@@ -76,7 +76,7 @@ def hold_between_nodes(
         point = jax.tree.map(np.asarray, outcome.point)
         start = WarmStart(problem, point, outcome.dynamics, outcome.rows, outcome.scales, params)
         spread = [part.shooting.spread_over_points(margin) for (part, _), margin in zip(parts, margins)]
-        again = run(start, instance._replace(margins=shooting.whole_rows(spread)))
+        again = run(start, instance.with_margins(shooting.rows_of_all(spread)))
         iterations += again.iterations
         if again.status is not Status.SOLVED:
             break

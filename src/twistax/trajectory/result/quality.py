@@ -127,7 +127,7 @@ class Quality:
         if not self.solved or any(part.hessian is not None for part in problem.parts):
             return []
         with in_double():
-            instance = problem.started().instance._replace(params=warm.params)
+            instance = problem.started().instance.with_params(warm.params)
             staged = problem.core(_LOOKED_AT, warm.point, instance).staged
             return undetermined(staged, warm, instance, [part.continuous.derivatives for part in problem.parts])
 
@@ -159,7 +159,6 @@ class Quality:
 
 
 def _explained(result: Any, undetermined: list[Undetermined]) -> str:
-    """The lines of `explain`."""
     size = {name: float(np.abs(result.multipliers[name]).max()) for name in result.active}
     errors = ", ".join(f"{name} {value:.1e}" for name, value in dataclasses.asdict(result.optimality).items())
     lines = [
@@ -380,10 +379,9 @@ def _singular(problem: Any, outcome: Outcome, params: dict[str, Array]) -> str:
 
 
 def _first_not_finite(shooting: Transcribed, outcome: Outcome) -> str:
-    """The first row or defect that is not finite."""
     values = outcome.values
     rows, defects = np.asarray(values.rows), np.asarray(values.defects)
-    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.decided)):
+    for row in np.flatnonzero(~np.isfinite(rows) & (shooting.exists | shooting.determined)):
         return f"{shooting.names[row]!r} {shooting.places[row]} is {rows[row]:g}"
     for stage, column in np.argwhere(~np.isfinite(defects)):
         return f"{shooting.defect(int(stage), int(column))} is {defects[stage, column]:g}"

@@ -23,7 +23,7 @@ from ..strategy.warm import WarmStart
 from ..transcription.mesh import Mesh, Remeshed
 from ..transcription.points import Point
 from ..transcription.row_layout import RowLayout
-from ..transcription.shooting import Segment
+from ..transcription.shooting import PhaseSegment
 from .trajectory import Trajectory, trajectory_at
 
 if TYPE_CHECKING:
@@ -98,7 +98,6 @@ def _unrefined(result: Any, meshes: Sequence[Meshed], tolerance: float, change: 
 
 
 def _trajectories(result: Any) -> list[Trajectory]:
-    """The trajectory of each phase of a result."""
     problem, point = result.problem, result.warm.point
     pairs = zip(problem.parts, problem.shooting.segments, strict=True)
     return [Trajectory(**trajectory_at(part, segment.of(point), result.params)) for part, segment in pairs]
@@ -182,13 +181,13 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
         rows.append(moved.of(old.rows_of(before, np.asarray(warm.rows)), 0.5))
         sizes.append(moved.of(old.rows_of(before, np.asarray(scales.rows))))
     parent = np.repeat(np.arange(old.intervals), 1 + split)
-    row_scales = new.whole_rows(sizes)
+    row_scales = new.rows_of_all(sizes)
     alone = old.segments[0].alone
     return WarmStart(
         problem,
         Point(xs[0] if alone else tuple(xs), np.asarray(warm.point.us)[parent], np.asarray(warm.point.border)),
         _costates(warm.dynamics, split),
-        new.whole_rows(rows),
+        new.rows_of_all(rows),
         scales._replace(
             d=np.asarray(scales.d)[np.append(0, parent + 1)],
             u=np.asarray(scales.u)[parent],
@@ -208,7 +207,7 @@ def _costates(dynamics: Array, split: Array) -> Array:
 class _Moved:
     """Maps numbers of the rows of a phase to its next mesh."""
 
-    def __init__(self, old: Segment, new: Segment, split: Array) -> None:
+    def __init__(self, old: PhaseSegment, new: PhaseSegment, split: Array) -> None:
         self._old, self._split = old.shooting, split
         self._parent = np.repeat(np.arange(self._old.intervals), 1 + split)
         layouts = self._old.layout, new.shooting.layout

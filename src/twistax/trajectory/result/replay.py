@@ -234,7 +234,7 @@ def _shown_along(result: Any, ts: Array, xs: dict[str, Array], steps: int) -> Ar
     if not problem.path.shown:
         return np.zeros((1, 0))
     window = steps * np.arange(problem.nodes - 1)[:, None] + np.arange(steps + 1)
-    # Each interval is looked at with its own control, both ends included.
+    # Each interval is evaluated with its own control, both ends included.
     points = {name: values[window.ravel()] for name, values in xs.items()}
     controls = {name: np.repeat(values, steps + 1, axis=0) for name, values in lifted(result).us.items()}
     return np.asarray(problem.shown_rows(ts[window.ravel()], points, controls, result.params))

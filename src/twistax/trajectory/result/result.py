@@ -14,7 +14,7 @@ from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ...jax_inside import in_double
 from ..strategy.outcome import Outcome
 from ..transcription.points import Values
-from ..transcription.shooting import Segment
+from ..transcription.shooting import PhaseSegment
 from .pictures import animated, drawn
 from .quality import Attempts, Quality, params_of
 from .refine import Meshed
@@ -161,7 +161,7 @@ def best_result(problem: Any, tried: Attempts) -> TrajectoryResult:
     )
 
 
-def _of_phase(shooting: Any, best: Outcome, segment: Segment) -> Outcome:
+def _of_phase(shooting: Any, best: Outcome, segment: PhaseSegment) -> Outcome:
     """The part of an outcome that belongs to a phase."""
     n, stages = segment.shooting.n, segment.stages
     defects, rows = np.asarray(best.values.defects)[stages, :n], np.asarray(best.values.rows)

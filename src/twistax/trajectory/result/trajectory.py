@@ -60,7 +60,7 @@ class Trajectory:
         """`Integral(...)` -> from the beginning until each node."""
         reduced, integrals = self.problem.functionals, dict[str, Array]()
         for name in reduced.integrals:
-            # What bounds of norms stand for is told by a rollout with the norms themselves.
+            # Bounds of norms only bound them: a rollout with the norms themselves has the values.
             rollout = self.dense.integrals[name] if name in reduced.loose else self.added[name]
             integrals[name] = rollout[:: (len(rollout) - 1) // (len(self.ts) - 1)]
         return integrals

@@ -119,12 +119,12 @@ class OptimalityConditions:
         self.sizes = Move(stages.variables, sum(stages.after), rows, equalities, 1)
         free = self.shooting.free
         self.fixed = np.append(self.staged.step(*free) == 0.0, np.ones(len(self._places), bool))
-        #: Where inequalities and equalities stand among all rows.
+        #: The places of inequalities and equalities among all rows.
         self._rows = [a.astype(int) for a in core.staged.split_rows(np.arange(len(self.shooting.exists)))[:2]]
-        decided = self.shooting.decided & ~self.shooting.pinned
+        determined = self.shooting.determined & ~self.shooting.redundant
         #: Rows that ends alone decide and the core has not, and their sizes.
-        self._decided = np.flatnonzero(decided).astype(np.int32)
-        self._sizes_of_decided = core.measure.row_sizes(units)[self._decided]
+        self._determined = np.flatnonzero(determined).astype(np.int32)
+        self._sizes_of_decided = core.measure.row_sizes(units)[self._determined]
         #: The least product of a slack and its multiplier.
         self._least = _LEAST_PRODUCT * core.tolerance * units.cost
         with_numbers = Units(np.append(units.v, np.ones(len(self._places))), units.rows, units.equalities, units.cost)
@@ -171,13 +171,13 @@ class OptimalityConditions:
 
     def violation(self, data: Any, z: Any) -> Any:
         """The largest violation of rows that ends alone decide, in their sizes: the core has not these rows."""
-        if not len(self._decided):
+        if not len(self._determined):
             return jnp.zeros(())
         numbers = self._numbers
         instance = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
         point = self.point(jnp.append(z, jnp.zeros(len(self._places), z.dtype)))
-        rows = self._jax_values(point, instance).rows[self._decided]
-        violated = jnp.where(self.shooting.equality[self._decided], jnp.abs(rows), rows)
+        rows = self._jax_values(point, instance).rows[self._determined]
+        violated = jnp.where(self.shooting.equality[self._determined], jnp.abs(rows), rows)
         return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
     def point(self, z: Any) -> Point:
@@ -235,7 +235,7 @@ class OptimalityConditions:
         matvec: Callable[[Any], Any] = functools.partial(self._conditions, optimum)
         curved = self._part.phase.kernels.retract is not None
         if side.dtype != np.float64:
-            # The conditions are worth nothing in single precision. Of the equations JAX needs the solutions alone.
+            # The conditions are too inexact in single precision. JAX needs only the solutions of the equations.
             if curved:
                 raise TrajectoryError(f"solution: derivatives of rotations and poses {_DOUBLE}")
             matvec = lambda flat: _no_slope(optimum.z[0]) * flat  # noqa: E731

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import time
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
 
-from .outcome import Callback
 from .status import Status
 
 
@@ -26,7 +26,9 @@ class Budget:
         ended: why the solve should end before its iterations do; None while it may go on.
     """
 
-    def __init__(self, max_iterations: int, max_seconds: float | None = None, callback: Callback | None = None) -> None:
+    def __init__(
+        self, max_iterations: int, max_seconds: float | None = None, callback: Callable[..., Any] | None = None
+    ) -> None:
         self._most, self._callback = max_iterations, callback
         self._due = np.inf if max_seconds is None else time.monotonic() + max_seconds
         self.used = 0
@@ -52,8 +54,9 @@ class Budget:
         """Whether a run must stop before this iteration, at the unknowns z."""
         stop = None
         if self._callback is not None:
-            step = None if z is None or iteration == 0 or np.shape(self._last) != z.shape else z - self._last
-            size = None if step is None else float(np.abs(step / (1.0 + np.abs(z))).max(initial=0.0))
+            size = None
+            if z is not None and iteration > 0 and np.shape(self._last) == z.shape:
+                size = float(np.abs((z - self._last) / (1.0 + np.abs(z))).max(initial=0.0))
             self._last = None if z is None else z.copy()
             stop = self._callback(self.used + iteration, cost, violation, size)
         if isinstance(stop, (bool, np.bool_)) and stop:

@@ -28,7 +28,7 @@ from .warm import WarmStart
 #: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
 #: counts as a sum, so it is smaller where there are more inequalities than so many.
 _CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
-#: A warm start asks for so many times that: it begins near, and is one of many.
+#: The factor of that for a warm start, which begins near, and is one of many solves.
 _NEAR = 10.0
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
 #: its limit before states and controls have followed it.

@@ -69,7 +69,7 @@ class CloseIntegration:
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
-    def decided_rows(self, z: Array, instance: Given) -> Array:
+    def determined_rows(self, z: Array, instance: Given) -> Array:
         """(rows,) values of the node rows that ends or other rows determine; other entries are meaningless."""
         transcription, rows = self._transcription, []
         transcription.set_data(self._staged.numbers.vector(instance))
@@ -78,7 +78,7 @@ class CloseIntegration:
             at_starts = np.zeros(part.phase.path.shape)
             at_starts[:, 0] = h[path[:, 0]]
             rows.append(part.all_rows(at_starts, [h[places] for places in nodes]))
-        return self._staged.transcribed.whole_rows(rows)
+        return self._staged.transcribed.rows_of_all(rows)
 
     def _phase(self, number: int, seen: Evaluated, middles: dict[str, Array]) -> Closely:
         part, transcription = self._staged.parts[number], self._transcription
@@ -109,7 +109,7 @@ class CloseIntegration:
         """
         staged, transcription = self._staged, self._staged.transcription
         free, rng = staged.transcribed.free, np.random.default_rng(0)
-        which = staged.step(staged.transcribed.stirred, free.u, free.border) != 0.0
+        which = staged.step(staged.transcribed.perturbable, free.u, free.border) != 0.0
         before = Evaluated(transcription, z)
         rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
         for _ in range(_MOVES):

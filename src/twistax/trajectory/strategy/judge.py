@@ -48,7 +48,7 @@ class Judge:
         self._close, self._staged, self._shooting = close, staged, staged.transcribed
         shooting = self._shooting
         cones = [shooting.named(part, name) for part in shooting.segments for name in part.shooting.path.cones]
-        #: Rows |a|^2 <= b^2 that stand for |a| <= b: their multipliers go like 1 / b as b goes to zero.
+        #: Rows |a|^2 <= b^2 in place of |a| <= b: their multipliers grow like 1 / b as b goes to zero.
         self._cones = np.isin(np.asarray(shooting.names, str), cones)
 
     def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:

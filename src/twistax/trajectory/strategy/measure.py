@@ -42,24 +42,24 @@ class Measure:
         self._staged, self._transcribed, self._close, self._tolerance = staged, staged.transcribed, close, tolerance
 
     @property
-    def is_decided(self) -> bool:
+    def has_determined_rows(self) -> bool:
         """Whether the ends alone determine a row."""
-        return bool((self._transcribed.decided & ~self._transcribed.pinned).any())
+        return bool((self._transcribed.determined & ~self._transcribed.redundant).any())
 
     def violated_at_once(self, point: Point, instance: Given, units: StartUnits) -> float:
         """The largest scaled violation of rows that the ends alone determine, so that no trajectory changes them."""
-        if not self.is_decided:
+        if not self.has_determined_rows:
             return 0.0
         problem = self._transcribed
-        rows = self._close.decided_rows(self._staged.flat(point), instance)
+        rows = self._close.determined_rows(self._staged.flat(point), instance)
         violated = np.where(problem.equality, np.abs(rows), np.maximum(rows, 0.0)) / self.row_sizes(units)
-        return float(np.where(problem.decided & ~problem.pinned, violated, 0.0).max(initial=0.0))
+        return float(np.where(problem.determined & ~problem.redundant, violated, 0.0).max(initial=0.0))
 
     def row_sizes(self, units: StartUnits) -> Array:
         """Sizes of all rows; a row that is not in the core has the size of another row of its name."""
         problem = self._transcribed
         sizes = self._staged.all_rows(units.rows, units.equalities, units.v, units.v)
-        for name in np.unique(problem.names[(sizes <= 0.0) & problem.decided].astype(str)):
+        for name in np.unique(problem.names[(sizes <= 0.0) & problem.determined].astype(str)):
             has_name = problem.names == name
             sizes[has_name & (sizes <= 0.0)] = sizes[has_name].max()
         return np.where(sizes > 0.0, sizes, 1.0)
@@ -87,15 +87,15 @@ class Measure:
         lower, upper = staged.limits(point, instance)
         rows = staged.all_rows(at.h, at.e, lower - result.v, result.v - upper)
         w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
-        if problem.decided.any():
-            rows = np.where(problem.decided, self._close.decided_rows(result.z, instance), rows)
+        if problem.determined.any():
+            rows = np.where(problem.determined, self._close.determined_rows(result.z, instance), rows)
         sizes = self.row_sizes(units)
         inequality = problem.exists & ~problem.equality
         slack = np.where(inequality, np.maximum(-rows, 0.0), 1.0)
         scales = self.scales(units)._replace(rows=sizes)
         defects, dynamics = staged.padded(at.c), staged.padded(result.lam)
         violated = np.where(problem.equality, np.abs(rows), np.maximum(rows, 0.0)) / sizes
-        violated = np.where(problem.exists | problem.decided, violated, 0.0)
+        violated = np.where(problem.exists | problem.determined, violated, 0.0)
         gap = (np.abs(w) * np.where(inequality, slack, np.abs(rows)))[problem.exists].sum()
         gap += np.abs(dynamics * defects).sum()
         errors = Errors(

@@ -23,7 +23,7 @@ def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.
     """
     staged, free, units = solver.staged, solver.transcribed.free, solver.units(point, instance, is_guess=True)
     z, scales = staged.flat(point), solver.measure.scales(units)
-    d = np.where(solver.transcribed.stirred, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
+    d = np.where(solver.transcribed.perturbable, _MOVES[0] * rng.normal(size=free.d.shape) * scales.d, 0.0)
     u = np.where(free.u, _MOVES[1] * rng.normal(size=free.u.shape) * scales.u, 0.0)
     here, (low, high) = np.asarray(point.border), np.asarray(instance.limits).T
     spread = np.minimum((high - low) / 6.0, _MOVES[0] * units.border)
@@ -48,7 +48,7 @@ def beside(
     """The point after a random step; of the controls alone if that is asked for and there are controls."""
     rng, problem = np.random.default_rng(seed), solver.transcribed
     u = np.where(problem.free.u, size * rng.normal(size=problem.free.u.shape) * scales.u, 0.0)
-    d = np.where(problem.stirred, size * rng.normal(size=problem.free.d.shape) * scales.d, 0.0)
+    d = np.where(problem.perturbable, size * rng.normal(size=problem.free.d.shape) * scales.d, 0.0)
     if controls_alone and problem.free.u.any():
         d = np.zeros_like(d)
     return solver.moved(point, Step(d, u, np.zeros(problem.border.size)))

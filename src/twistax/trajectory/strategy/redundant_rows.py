@@ -38,7 +38,7 @@ def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluate
         points.append(moved(staged.transcription, z, step))
     changed = [jax.tree.map(lambda a, i=i: _stirred(np.random.default_rng(i), a), instance.params) for i in range(2)]
     for params in (instance.params, *changed):
-        staged.set_given(instance._replace(params=params))
+        staged.set_given(instance.with_params(params))
         for point in points:
             at = Evaluated(staged.transcription, point)
             if at.differentiate():
@@ -102,10 +102,10 @@ def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence
         fixed: (k, n) tangents that do not move.
         samples: slopes of the rows, (rows, unknowns).
     """
-    pinned = inequality.copy()
-    if not (equality.any() or len(fixed)) or not pinned.any() or not samples:
-        return np.zeros_like(pinned)
-    seen = np.zeros_like(pinned)
+    redundant = inequality.copy()
+    if not (equality.any() or len(fixed)) or not redundant.any() or not samples:
+        return np.zeros_like(redundant)
+    seen = np.zeros_like(redundant)
     fixed = np.pad(fixed, ((0, 0), (0, samples[0].shape[1] - fixed.shape[1])))
     for slopes in samples:
         # A random sample may lie where a row has no slopes; another sample decides.
@@ -114,6 +114,6 @@ def _spanned(equality: Array, inequality: Array, fixed: Array, samples: Sequence
         base, columns = np.concatenate([fixed, rows[equality]]).T, rows.T
         left = columns - base @ np.linalg.lstsq(base, columns, rcond=None)[0]
         size = np.linalg.norm(columns, axis=0)
-        pinned &= ~there | ((size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size))
+        redundant &= ~there | ((size > 0.0) & (np.linalg.norm(left, axis=0) <= 1e-9 * size))
         seen |= there
-    return pinned & seen
+    return redundant & seen

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import enum
+from typing import Any
 
 
 class Status(enum.Enum):
@@ -30,6 +31,10 @@ class Status(enum.Enum):
 
     def __str__(self) -> str:
         return f"{self.name}: {self.value}"
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """By name, in pickles and copies: sentences change."""
+        return getattr, (type(self), self.name)
 
 
 #: Statuses of points where the first-order conditions hold on the mesh, some in numbers alone.

@@ -57,6 +57,10 @@ class Strategy(enum.Enum):
         "where explicit steps are unstable and no optimum comes out, the problem is solved by implicit ones"
     )
 
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        """By name, in pickles and copies: sentences change."""
+        return getattr, (type(self), self.name)
+
 
 def solved(
     solver: CoreSolver,
@@ -136,7 +140,7 @@ class _Search:
         durations = units.fitted_durations(self._solver.staged, start, instance.limits)
         if (durations == np.asarray(start.border)).all():
             return result
-        other = self._near(start._replace(border=durations), instance)
+        other = self._near(start.with_border(durations), instance)
         return other if other.status in AT_OPTIMUM else result
 
 

@@ -62,7 +62,7 @@ class WarmStart:
         rest = point.us[-1] * np.concatenate([np.zeros(0), *(a.ravel() for a in still.values())])
         us = np.concatenate([point.us[steps:], np.repeat(rest[None], min(steps, len(point.us)), axis=0)])
         with in_double():
-            instance = self.problem.started(begin=point).instance._replace(params=self.params)
+            instance = self.problem.started(begin=point).instance.with_params(self.params)
             staged = self.problem.core(1e-6, point, instance).staged
             last, data = staged.parts[0], staged.numbers.vector(instance)
             rollout = CoreRollout(last, problem.transcription, staged.border.size, data)

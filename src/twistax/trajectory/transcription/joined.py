@@ -25,7 +25,7 @@ from ...expr import Expr, Inputs, evaluate_all
 from ...system.dynamics import Arrays
 from ..problem.statement import PathRows
 from .points import Step
-from .shooting import Segment, Shooting, Transcribed
+from .shooting import PhaseSegment, Shooting, Transcribed
 
 
 class Join:
@@ -105,16 +105,16 @@ class Joined(Transcribed):
         self._inner = [phase.intervals * phase.rows_per_interval for phase in shootings]
         self._ends = [len(phase.exists) - inner for phase, inner in zip(shootings, self._inner)]
         self.rows_per_interval = max([phase.rows_per_interval for phase in shootings] + self._ends[:-1])
-        self.segments, first = list[Segment](), 0
+        self.segments, first = list[PhaseSegment](), 0
         for number, phase in enumerate(shootings):
             nodes, stages = slice(first, first + phase.nodes), slice(first, first + phase.intervals)
-            self.segments.append(Segment(number, phase, nodes, stages))
+            self.segments.append(PhaseSegment(number, phase, nodes, stages))
             first += phase.nodes
         d, u = np.zeros((self.nodes, self.n), bool), np.zeros((self.intervals, self.m), bool)
-        self.stirred = np.zeros_like(d)
+        self.perturbable = np.zeros_like(d)
         for part in self.segments:
             phase = part.shooting
-            self.stirred[part.nodes, : phase.n] = phase.stirred
+            self.perturbable[part.nodes, : phase.n] = phase.perturbable
             d[part.nodes, : phase.n], u[part.stages, : phase.m] = phase.free.d, phase.free.u
         for part, join in zip(self.segments, joins):
             join.stage = part.stages.stop
@@ -122,25 +122,24 @@ class Joined(Transcribed):
         self.free = Step(d, u, self.border.free)
         self._gather_rows()
 
-    segments: list[Segment]
+    segments: list[PhaseSegment]
 
     def _gather_rows(self) -> None:
-        """Rows of the phases among all rows."""
         places = self.phase_places
         self.names = self._rows(lambda p: [self.named(p, name) for name in p.shooting.names], "")
         self.places = self._rows(lambda p: [place + places[p.number] for place in p.shooting.places], "")
-        for field in ("equality", "exists", "decided", "pinned", "at_single_node"):
+        for field in ("equality", "exists", "determined", "redundant", "at_single_node"):
             setattr(self, field, self._rows(lambda p: getattr(p.shooting, field), False))  # noqa: B023
 
     @property
     def phase_places(self) -> list[str]:
         return [f" of {phase!r}" for phase in self._phases]
 
-    def named(self, part: Segment, name: str) -> str:
+    def named(self, part: PhaseSegment, name: str) -> str:
         shared = not name or name in self.border.row_names
         return name if shared else f"{self._phases[part.number]}: {name}"
 
-    def _rows(self, of: Callable[[Segment], Any], fill: Any) -> Array:
+    def _rows(self, of: Callable[[PhaseSegment], Any], fill: Any) -> Array:
         kind = object if fill == "" else type(fill)
         inner, end = np.full((self.intervals, self.rows_per_interval), fill, kind), np.zeros(0)
         for part, split in zip(self.segments, self._inner):
@@ -150,14 +149,14 @@ class Joined(Transcribed):
                 inner[part.stages.stop, : len(end)] = end
         return np.concatenate([inner.ravel(), end])
 
-    def rows_of(self, part: Segment, rows: Any) -> Any:
+    def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
         inner, end = np.split(np.asarray(rows), [self.intervals * self.rows_per_interval])
         inner = inner.reshape(self.intervals, -1)
         if part is not self.segments[-1]:
             end = inner[part.stages.stop, : self._ends[part.number]]
         return np.concatenate([inner[part.stages, : part.shooting.rows_per_interval].reshape(-1), end])
 
-    def whole_rows(self, parts: Sequence[Array]) -> Array:
+    def rows_of_all(self, parts: Sequence[Array]) -> Array:
         return self._rows(lambda part: parts[part.number], 0.0)
 
     def defect(self, stage: int, column: int) -> str:
@@ -169,18 +168,18 @@ class Joined(Transcribed):
         return f"'join before {self._phases[after]}: {self.segments[after].shooting.states[column]}'"
 
     def drop(self, rows: Sequence[Array]) -> None:
-        for part, pinned in zip(self.segments, rows):
-            part.shooting.drop([pinned])
+        for part, redundant in zip(self.segments, rows):
+            part.shooting.drop([redundant])
         self._gather_rows()
 
 
-def told_before(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
+def drop_repeated_rows(before: Shooting, after: Shooting, unchanged: set[str]) -> None:
     """Take rows out of the start of a phase that exist, of the same states, at the end of the one before."""
     at_end = {key for key, is_there in zip(_keys(before.path), before.path.at_nodes()) if is_there}
     for place, row in after.start_rows():
         same = after.path.states[row] <= unchanged and _keys(after.path)[row] in at_end
         if same and after.path.at_nodes()[row]:
-            after.exists[place] = after.decided[place] = False
+            after.exists[place] = after.determined[place] = False
 
 
 def _keys(path: PathRows) -> list[Any]:

@@ -201,22 +201,19 @@ class PhaseFunctions:
 
     # ---- what is traced ---------------------------------------------------------------------------------------------
 
-    def _made_of(self, **exprs: tuple[Expr, ...]) -> Shooting:
-        return self._shooting.made_of(self._shooting.local.expressions._replace(**exprs))
-
     def _base(self, known: Known) -> dict[str, jax.Array]:
         return self.point.split(known[Argument.BASE])
 
     def _rate(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
-        phase = self._made_of(rates=parts[0])
+        phase = self._shooting.made_of(rates=parts[0])
         return phase.rate_at(known[Argument.Z], known[Argument.SHARE][0], self._base(known), params)
 
     def _rows(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
-        phase = self._made_of(**dict(zip(("rows", "limits", "running"), parts, strict=True)))
+        phase = self._shooting.made_of(**dict(zip(("rows", "limits", "running"), parts, strict=True)))
         return phase.point_at(known[Argument.Z], known[Argument.SHARE][0], self._base(known), params)
 
     def _end(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
-        phase = self._made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
+        phase = self._shooting.made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
         z, data, numbers = known[Argument.Z], known[Argument.DATA], self._numbers
         instance = Given(params, numbers.final(data, phase.phase), numbers.limits(data))
         return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), instance)

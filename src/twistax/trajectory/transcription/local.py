@@ -55,7 +55,7 @@ class Local:
     ) -> None:
         self._dynamics, self._path, self._final = dynamics, path, final
         one = lambda expr: () if expr is None else (expr,)  # noqa: E731
-        families = dynamics._functions.families
+        families = dynamics.functions.families
         self.expressions = Expressions(
             tuple(families["rates"][state.name][0] for state in dynamics.states),
             path.residuals,
@@ -68,10 +68,10 @@ class Local:
         self.sign = objective.sign
         self.group, self.controls = dynamics.group, Controls((*dynamics.controls, *norms.controls))
 
-    def made_of(self, expressions: Expressions) -> Local:
-        """The same of other expressions, of the same shapes."""
+    def made_of(self, **expressions: tuple[Expr, ...]) -> Local:
+        """The same with other expressions, of the same shapes, by their names in `Expressions`."""
         other = copy.copy(self)
-        other.expressions = expressions
+        other.expressions = self.expressions._replace(**expressions)
         return other
 
     def inputs(self, t: jax.Array, eta: jax.Array, u: jax.Array, base: Arrays, params: Arrays) -> Inputs:
@@ -85,7 +85,7 @@ class Local:
         Source: Iserles, Munthe-Kaas, Norsett, Zanna, Lie-group methods (2000), equation (2.46), for the other side.
         """
         exprs = {s.name: [e] for s, e in zip(self._dynamics.states, self.expressions.rates, strict=True)}
-        rates = self._dynamics._functions.values(exprs, False, at.t, dict(at.x), dict(at.u), dict(at.params))
+        rates = self._dynamics.functions.values(exprs, False, at.t, dict(at.x), dict(at.u), dict(at.params))
         parts = []
         for name, factor in self.group.factors.items():
             rate = rates[name].reshape(-1)

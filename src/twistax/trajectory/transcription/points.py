@@ -12,6 +12,10 @@ class Point(NamedTuple):
     us: Any  # (intervals, m)
     border: Any  # (g,) durations and free parameters
 
+    def with_border(self, border: Any) -> Point:
+        """The same states and controls with other durations and free parameters."""
+        return self._replace(border=border)
+
 
 class Given(NamedTuple):
     """The data of a solve: parameters, ends of phases and limits."""
@@ -20,6 +24,14 @@ class Given(NamedTuple):
     final: Any  # states at the end; entries that are free stand for nothing; of phases `PhaseEnds`
     limits: Any  # (g, 2) of the border
     margins: Any = 0.0  # (rows,) by which rows are tightened
+
+    def with_params(self, params: Any) -> Given:
+        """The same with other values of parameters."""
+        return self._replace(params=params)
+
+    def with_margins(self, margins: Any) -> Given:
+        """The same with rows tightened by other margins."""
+        return self._replace(margins=margins)
 
 
 class PhaseEnds(NamedTuple):

@@ -19,7 +19,7 @@ class RowLayout:
     """The rows of all intervals, each followed by those of the conditions at its first node, then the rows of the end.
 
     Attributes:
-        names, places, equality, exists, decided, at_single_node: (rows,), see `Transcribed`.
+        names, places, equality, exists, determined, at_single_node: (rows,), see `Transcribed`.
         path_indices: places among the path rows of all points of an interval, in order, that some interval has.
         per_interval: rows of an interval.
         path_rows: path rows at a point, 1 where the path has no rows.
@@ -32,7 +32,7 @@ class RowLayout:
     places: Array
     equality: Array
     exists: Array
-    decided: Array
+    determined: Array
     at_single_node: Array
     path_indices: Array
     per_interval: int
@@ -82,9 +82,9 @@ def row_layout(
     known_start, known_end = not free_times[:phase].any(), not free_times[: phase + 1].any()
     points, rows = substeps + 1, len(path.names)
     exists = path.asked(intervals, substeps)
-    decided = np.zeros_like(exists)
-    decided[0, 0] = path.decided(ends.initial_fixed, known_start)
-    exists, decided = (a.reshape(intervals, -1) for a in (exists, decided & exists))
+    determined = np.zeros_like(exists)
+    determined[0, 0] = path.determined(ends.initial_fixed, known_start)
+    exists, determined = (a.reshape(intervals, -1) for a in (exists, determined & exists))
     kept = np.flatnonzero(exists.any(axis=0))
     place = np.array([[_place(k, p, points) for p in range(points)] for k in range(intervals)])
     place = np.repeat(place.reshape(intervals, points, 1), rows, axis=2).reshape(intervals, -1)
@@ -92,35 +92,35 @@ def row_layout(
 
     most = max((len(conditions.names) for conditions in at_nodes.values()), default=0)
     node_names = np.full((intervals, most), "", object)
-    node_equality, node_decided = np.zeros((2, intervals, most), bool)
+    node_equality, node_determined = np.zeros((2, intervals, most), bool)
     boxes = [box.name for box in border.boxes]
     for k, conditions in at_nodes.items():
         here = slice(len(conditions.names))
         node_names[k, here], node_equality[k, here] = conditions.names, conditions.equality
         if k == 0:
-            node_decided[0, here] = conditions.decided(ends.initial_fixed, boxes, known_start)
+            node_determined[0, here] = conditions.determined(ends.initial_fixed, boxes, known_start)
 
     # The end: conditions, fixed entries, path rows of the last node, limits of the border.
     states, fixed = np.flatnonzero(path.at_nodes()), np.flatnonzero(ends.final_mask)
     limits = border.row_names if phase == border.phases - 1 else []
     end_names = [*final.names, *(f"final {tangents[i]}" for i in fixed), *(path.names[i] for i in states), *limits]
     first = len(final.names) + len(fixed)
-    end_decided = np.zeros(len(end_names), bool)
-    end_decided[first : first + len(states)] = path.decided(ends.final_fixed, known_end)[states]
+    end_determined = np.zeros(len(end_names), bool)
+    end_determined[first : first + len(states)] = path.determined(ends.final_fixed, known_end)[states]
 
     def every(inner: Any, of_nodes: Any, end: Any) -> Array:
         parts = np.broadcast_to(inner, (intervals, len(kept))), np.broadcast_to(of_nodes, (intervals, most))
         return np.concatenate([np.concatenate(parts, axis=1).ravel(), end])
 
-    all_decided = every(decided[:, kept], node_decided, end_decided)
+    all_determined = every(determined[:, kept], node_determined, end_determined)
     end_equality = [*final.equality, *[True] * len(fixed), *path.equality[states], *[False] * len(limits)]
     node_places = np.array([[f"at node {k}"] for k in range(intervals)], object)
     return RowLayout(
         names=every(np.array(path.names, object)[path_row], node_names, np.array(end_names, object)),
         places=every(place[:, kept], node_places, np.full(len(end_names), f"at node {intervals}", object)),
         equality=every(path.equality[path_row], node_equality, np.array(end_equality, bool)),
-        exists=every(exists[:, kept], node_names != "", np.ones(len(end_names), bool)) & ~all_decided,
-        decided=all_decided,
+        exists=every(exists[:, kept], node_names != "", np.ones(len(end_names), bool)) & ~all_determined,
+        determined=all_determined,
         at_single_node=every(
             False, node_names != "", np.repeat([True, False, True], [first, len(states), len(limits)])
         ),

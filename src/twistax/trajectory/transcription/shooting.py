@@ -21,7 +21,7 @@ import jax.numpy as jnp
 import numpy as np
 from numpy import ndarray as Array
 
-from ...expr import Control, Inputs, State
+from ...expr import Control, Expr, Inputs, State
 from ...system import entry_names
 from ...system.dynamics import Arrays, Dynamics
 from ..problem.bridges.path_bounds import PathBounds
@@ -29,15 +29,15 @@ from ..problem.by_node import ByNode
 from ..problem.conditions import Conditions, Ends
 from ..problem.statement import Objective, PathRows
 from .border import Border
-from .local import Expressions, Local
+from .local import Local
 from .mesh import Mesh
 from .methods import Collocation, MultipleShooting
 from .points import Given, Point, Step
 from .row_layout import row_layout
 
 
-class Segment(NamedTuple):
-    """A transcribed phase, and the places of its nodes and intervals in the whole problem."""
+class PhaseSegment(NamedTuple):
+    """A transcribed phase, and where its nodes and intervals are among those of the whole problem."""
 
     number: int
     shooting: Shooting
@@ -61,12 +61,12 @@ class Transcribed(ABC):
         border: the unknowns that all stages share.
         names, places: of every row.
         equality, exists: (rows,) which rows are equalities; which ones the problem has.
-        decided: (rows,) those that no unknown changes, for the ends decide them; they are only checked.
-        pinned: (rows,) those of them that other rows decide.
+        determined: (rows,) those that the ends determine, so that no unknown changes them; they are only checked.
+        redundant: (rows,) those of them that other rows determine.
         at_single_node: (rows,) the conditions at single nodes.
         free: Step of bool, which unknowns may move.
-        stirred: (nodes, n) tangents that random steps move: the free ones but what the end fixes, for rows that this
-            decides are evaluated at the start of a search.
+        perturbable: (nodes, n) tangents that random steps may change: the free ones except those that the end fixes,
+            whose rows are evaluated at the start of a search.
         segments, joins: the phases, and what is between them.
     """
 
@@ -80,12 +80,12 @@ class Transcribed(ABC):
     places: Array
     equality: Array
     exists: Array
-    decided: Array
-    pinned: Array
+    determined: Array
+    redundant: Array
     at_single_node: Array
     free: Step
-    stirred: Array
-    segments: Sequence[Segment]
+    perturbable: Array
+    segments: Sequence[PhaseSegment]
     joins: Sequence[Any]
 
     @abstractmethod
@@ -103,15 +103,15 @@ class Transcribed(ABC):
         """The text that follows the place of an interval in messages, for each phase."""
         return [""]
 
-    def named(self, part: Segment, name: str) -> str:
+    def named(self, part: PhaseSegment, name: str) -> str:
         """The name of a row of a phase among those of all."""
         return name
 
-    def whole_rows(self, parts: Sequence[Array]) -> Array:
+    def rows_of_all(self, parts: Sequence[Array]) -> Array:
         """Numbers for the rows of each phase as numbers for all rows."""
         return parts[0]
 
-    def rows_of(self, part: Segment, rows: Any) -> Any:
+    def rows_of(self, part: PhaseSegment, rows: Any) -> Any:
         """The rows of a phase among all rows, or anything with an entry for each."""
         return rows
 
@@ -177,22 +177,22 @@ class Shooting(Transcribed):
             substeps=self.substeps,
             phase=phase,
         )
-        for field in ("names", "places", "equality", "exists", "decided", "at_single_node"):
+        for field in ("names", "places", "equality", "exists", "determined", "at_single_node"):
             setattr(self, field, getattr(self.layout, field))
-        self.pinned, self.rows_per_interval = np.zeros_like(self.exists), self.layout.per_interval
+        self.redundant, self.rows_per_interval = np.zeros_like(self.exists), self.layout.per_interval
         free = np.ones((self.nodes, self.n), bool)
         if phase == 0:
             free[0] = ~ends.initial_mask
         self.free = Step(free, np.ones((self.intervals, self.m), bool), border.free)
-        self.stirred = free.copy()
-        self.stirred[-1, self.layout.fixed] = False
-        self.segments = [Segment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
+        self.perturbable = free.copy()
+        self.perturbable[-1, self.layout.fixed] = False
+        self.segments = [PhaseSegment(0, self, slice(0, self.nodes), slice(0, self.intervals), alone=True)]
         self.joins = []
 
-    def made_of(self, expressions: Expressions) -> Shooting:
-        """The functions of other expressions of the same shapes; parameters of nodes come at their share."""
+    def made_of(self, **expressions: tuple[Expr, ...]) -> Shooting:
+        """The functions of other expressions, by name, of the same shapes; parameters of nodes come at their share."""
         other = copy.copy(self)
-        other.local, other._interpolates = self.local.made_of(expressions), False
+        other.local, other._interpolates = self.local.made_of(**expressions), False
         return other
 
     # ---- rows -----------------------------------------------------------------------------------------------------
@@ -202,10 +202,12 @@ class Shooting(Transcribed):
         return [(place, int(row)) for place, row in enumerate(self.layout.path_indices) if row < len(self.path.names)]
 
     def drop(self, rows: Sequence[Array]) -> None:
-        (pinned,) = rows
-        self.exists, self.decided, self.pinned = (np.array(a) for a in (self.exists, self.decided, self.pinned))
-        self.exists[pinned] = False
-        self.pinned[pinned] = self.decided[pinned] = True
+        (redundant,) = rows
+        self.exists, self.determined, self.redundant = (
+            np.array(a) for a in (self.exists, self.determined, self.redundant)
+        )
+        self.exists[redundant] = False
+        self.redundant[redundant] = self.determined[redundant] = True
 
     def defect(self, stage: int, column: int) -> str:
         return f"'dynamics of {self.states[column]}' between nodes {stage} and {stage + 1}"

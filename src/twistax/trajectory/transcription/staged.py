@@ -111,7 +111,7 @@ class Staged:
             places.append(place)
         self._bounds = [np.concatenate(parts) for parts in zip(*bounds)]
         # Padding of smaller phases has no place either.
-        self._places = transcribed.whole_rows([place - nothing for place in places]).astype(int) + nothing
+        self._places = transcribed.rows_of_all([place - nothing for place in places]).astype(int) + nothing
 
     def drop(self, rows: Sequence[Array], instance: Given) -> None:
         """Remove rows of each phase that other rows determine; they are only checked."""

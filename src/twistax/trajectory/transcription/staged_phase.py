@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 from ...solver.transcription import EQUALITY, INEQUALITY, NONE, CorePhase, JoinKernels, PhaseKernels
 from ..problem.conditions import Conditions
 from .kernels import point_of
-from .shooting import Segment, Shooting
+from .shooting import PhaseSegment, Shooting
 
 
 class Bounds(NamedTuple):
@@ -44,7 +44,7 @@ class StagedPhase:
 
     def __init__(
         self,
-        segment: Segment,
+        segment: PhaseSegment,
         conditions: Mapping[int, Conditions],
         kernels: PhaseKernels,
         join: JoinKernels | None,

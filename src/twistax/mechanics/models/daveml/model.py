@@ -23,7 +23,7 @@ from .tables import limited
 
 #: Marks of a variable whose value comes from outside.
 _GIVEN = ("isInput", "isControl", "isDisturbance", "isState")
-#: What may stand under the root. Anything else would change what the file means.
+#: The elements allowed under the root. Any other element would change the meaning of the file.
 _KNOWN = {
     "fileHeader", "variableDef", "breakpointDef", "griddedTableDef", "ungriddedTableDef", "function", "checkData",
     "provenance", "description", "reference",

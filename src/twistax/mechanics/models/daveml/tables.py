@@ -25,7 +25,7 @@ _LOOKUPS: dict[str, Steps | None] = {
     "floor": lambda x, points: [x >= point for point in points[1:]],
     "ceiling": lambda x, points: [x > point for point in points[:-1]],
 }
-#: Entries of `extrapolate`: whether the table goes on below its first and above its last breakpoint.
+#: Values of `extrapolate`: whether the table is extrapolated below its first and above its last breakpoint.
 _ENDS = {"neither": (False, False), "min": (True, False), "max": (False, True), "both": (True, True)}
 
 

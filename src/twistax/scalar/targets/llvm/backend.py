@@ -39,7 +39,7 @@ KERNEL_EVENT = "/twistax/kernel"
 _XLA = XLA()
 #: Operations of functions that XLA compiles for many seconds.
 _LONG = 5000
-#: What kernels are written from, between the time when that was looked at and the first kernel.
+#: The forms of programs, between the check that they have one and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
 
@@ -145,7 +145,7 @@ class Native(Backend):
         if closed is None:
             return None
         try:
-            # A step carries what stands around its rates too.
+            # A step contains more than the evaluation of its rates.
             program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
             native_form(program)
         except (NotNative, TooLarge):

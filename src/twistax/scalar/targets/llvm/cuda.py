@@ -87,9 +87,9 @@ class Driver:
 
     def address(self, name: str) -> int:
         """Where a function is."""
-        found = ctypes.cast(self._functions[name], ctypes.c_void_p).value
-        assert found is not None
-        return found
+        address = ctypes.cast(self._functions[name], ctypes.c_void_p).value
+        assert address is not None
+        return address
 
     def __call__(self, name: str, *arguments: Any) -> None:
         """Call a function.
@@ -110,12 +110,12 @@ class Driver:
     @functools.cached_property
     def capability(self) -> tuple[int, int]:
         """The lowest compute capability of the devices that JAX has."""
-        found = []
+        capabilities = []
         for ordinal in _ordinals():
-            own = self.device(ordinal)
+            device = self.device(ordinal)
             kinds = (_MAJOR, _MINOR)
-            found.append(tuple(self.attribute("cuDeviceGetAttribute", kind, own) for kind in kinds))
-        major, minor = min(found)
+            capabilities.append(tuple(self.attribute("cuDeviceGetAttribute", kind, device) for kind in kinds))
+        major, minor = min(capabilities)
         return major, minor
 
     def device(self, ordinal: int) -> int:
@@ -147,7 +147,7 @@ def driver() -> Driver:
 
 def _ordinals() -> list[int]:
     """The devices of JAX by the driver's numbers."""
-    return [int(own.local_hardware_id or 0) for own in jax.local_devices(backend="cuda")]
+    return [int(device.local_hardware_id or 0) for device in jax.local_devices(backend="cuda")]
 
 
 class DeviceCode:
@@ -162,48 +162,48 @@ class DeviceCode:
     """
 
     def __init__(self, ptx: bytes, entry: str) -> None:
-        own, ordinals, library, kernel = driver(), _ordinals(), ctypes.c_void_p(), ctypes.c_void_p()
+        cuda, ordinals, library, kernel = driver(), _ordinals(), ctypes.c_void_p(), ctypes.c_void_p()
         text = ctypes.create_string_buffer(ptx)
-        own("cuLibraryLoadData", ctypes.byref(library), text, None, None, 0, None, None, 0)
-        weakref.finalize(self, _unload, own, ordinals, library).atexit = False
-        own("cuLibraryGetKernel", ctypes.byref(kernel), library, entry.encode())
+        cuda("cuLibraryLoadData", ctypes.byref(library), text, None, None, 0, None, None, 0)
+        weakref.finalize(self, _unload, cuda, ordinals, library).atexit = False
+        cuda("cuLibraryGetKernel", ctypes.byref(kernel), library, entry.encode())
         assert kernel.value is not None
         self.handle = kernel.value
         function = ctypes.c_void_p()
         for ordinal in ordinals:
             # Loaded now: not while XLA records a graph.
-            with own.current(ordinal):
-                own("cuKernelGetFunction", ctypes.byref(function), kernel)
-        device = own.device(ordinals[0])
-        self.registers = own.attribute("cuKernelGetAttribute", _REGISTERS, kernel, device)
-        self.local = own.attribute("cuKernelGetAttribute", _LOCAL_BYTES, kernel, device)
+            with cuda.current(ordinal):
+                cuda("cuKernelGetFunction", ctypes.byref(function), kernel)
+        device = cuda.device(ordinals[0])
+        self.registers = cuda.attribute("cuKernelGetAttribute", _REGISTERS, kernel, device)
+        self.local = cuda.attribute("cuKernelGetAttribute", _LOCAL_BYTES, kernel, device)
 
     def run(self, arrays: Sequence[NDArray[Any]], strides: Sequence[int], rows: int, block: int) -> None:
         """Compute rows of arrays in memory, on the first device; each array is then as the device left it."""
-        own = driver()
-        with own.current(_ordinals()[0]), contextlib.ExitStack() as stack:
+        cuda = driver()
+        with cuda.current(_ordinals()[0]), contextlib.ExitStack() as stack:
             places = []
             for array in arrays:
                 place = ctypes.c_void_p()
-                own("cuMemAlloc_v2", ctypes.byref(place), max(array.nbytes, 1))
-                stack.callback(own, "cuMemFree_v2", place)
+                cuda("cuMemAlloc_v2", ctypes.byref(place), max(array.nbytes, 1))
+                stack.callback(cuda, "cuMemFree_v2", place)
                 if array.nbytes:
-                    own("cuMemcpyHtoD_v2", place, array.ctypes.data, array.nbytes)
+                    cuda("cuMemcpyHtoD_v2", place, array.ctypes.data, array.nbytes)
                 places.append(place)
             values = [*places, *map(ctypes.c_int64, (*strides, rows))]
             pointers = (ctypes.c_void_p * len(values))(*(ctypes.addressof(value) for value in values))
             grid = (rows + block - 1) // block
-            own("cuLaunchKernel", self.handle, grid, 1, 1, block, 1, 1, 0, None, pointers, None)
-            own("cuCtxSynchronize")
+            cuda("cuLaunchKernel", self.handle, grid, 1, 1, block, 1, 1, 0, None, pointers, None)
+            cuda("cuCtxSynchronize")
             for array, place in zip(arrays, places, strict=True):
                 if array.nbytes:
-                    own("cuMemcpyDtoH_v2", array.ctypes.data, place, array.nbytes)
+                    cuda("cuMemcpyDtoH_v2", array.ctypes.data, place, array.nbytes)
 
 
-def _unload(own: Driver, ordinals: Sequence[int], library: ctypes.c_void_p) -> None:
+def _unload(cuda: Driver, ordinals: Sequence[int], library: ctypes.c_void_p) -> None:
     """Once nothing runs that may use it."""
     with contextlib.suppress(BuildError):
         for ordinal in ordinals:
-            with own.current(ordinal):
-                own("cuCtxSynchronize")
-        own("cuLibraryUnload", library)
+            with cuda.current(ordinal):
+                cuda("cuCtxSynchronize")
+        cuda("cuLibraryUnload", library)

@@ -38,8 +38,8 @@ class _DeviceCodeHandle:
     """The code of a kernel of CUDA devices. What comes from the cache was seen to be right, by the same driver."""
 
     def __init__(self, target: str, module: Module, text: str, body: KernelBody) -> None:
-        own = driver()
-        self._key = digest(target, version(), *jax_versions(), str(own.version), str(own.capability))
+        cuda = driver()
+        self._key = digest(target, version(), *jax_versions(), str(cuda.version), str(cuda.capability))
         ptx = cache.kept(self._key)
         self._unchecked = None
         if ptx is None:

@@ -21,33 +21,35 @@ _SERIES = {kind: [1.0 / math.factorial(k) for k in range(2, most)] for kind, mos
 _BOUNDS = {"double": (-800.0, 800.0, -60.0), "float": (-110.0, 110.0, -30.0)}
 
 
-def exponential(code: Writer, own: Precision, x: str) -> str:
+def exponential(code: Writer, precision: Precision, x: str) -> str:
     """e^x."""
-    least, most, _ = _BOUNDS[own.kind]
-    series, high, low = _reduced(code, own, x, least, most)
-    scale = own.power_of_two(code, high)
-    sized = code.multiply_add(own.kind, scale, series, scale)
-    return code.instruction("fmul", own.kind, sized, own.power_of_two(code, low))
+    least, most, _ = _BOUNDS[precision.kind]
+    series, high, low = _reduced(code, precision, x, least, most)
+    scale = precision.power_of_two(code, high)
+    sized = code.multiply_add(precision.kind, scale, series, scale)
+    return code.instruction("fmul", precision.kind, sized, precision.power_of_two(code, low))
 
 
-def exponential_less_one(code: Writer, own: Precision, x: str) -> str:
+def exponential_less_one(code: Writer, precision: Precision, x: str) -> str:
     """e^x - 1, also of small x."""
     # (2^h s + (2^h - 2^-l)) 2^l with k = h + l and the series s.
-    _, most, least = _BOUNDS[own.kind]
-    series, high, low = _reduced(code, own, x, least, most)
-    scale = own.power_of_two(code, high)
-    down = own.power_of_two(code, code.instruction("sub", own.integer, code.constant(own.integer, 0), low))
-    rest = code.instruction("fsub", own.kind, scale, down)
-    sized = code.multiply_add(own.kind, scale, series, rest)
-    found = code.instruction("fmul", own.kind, sized, own.power_of_two(code, low))
-    return code.intrinsic("copysign", own.kind, found, x)
+    _, most, least = _BOUNDS[precision.kind]
+    series, high, low = _reduced(code, precision, x, least, most)
+    scale = precision.power_of_two(code, high)
+    down = precision.power_of_two(
+        code, code.instruction("sub", precision.integer, code.constant(precision.integer, 0), low)
+    )
+    rest = code.instruction("fsub", precision.kind, scale, down)
+    sized = code.multiply_add(precision.kind, scale, series, rest)
+    result = code.instruction("fmul", precision.kind, sized, precision.power_of_two(code, low))
+    return code.intrinsic("copysign", precision.kind, result, x)
 
 
-def hyperbolic_tangent(code: Writer, own: Precision, x: str) -> str:
+def hyperbolic_tangent(code: Writer, precision: Precision, x: str) -> str:
     """By e^(2 |x|) - 1."""
-    d, two = own.kind, code.constant(own.kind, 2.0)
+    d, two = precision.kind, code.constant(precision.kind, 2.0)
     size = code.chosen("fcmp olt", d, code.constant(d, 30.0), code.intrinsic("fabs", d, x))
-    raised = exponential_less_one(code, own, code.instruction("fmul", d, two, size))
+    raised = exponential_less_one(code, precision, code.instruction("fmul", d, two, size))
     # Near zero a / (a + 2), beyond 1 - 2 / (a + 2): one division for both.
     large = code.instruction("fcmp ogt", d, size, code.constant(d, 0.55))
     above, below = code.select(d, large, two, raised), code.instruction("fadd", d, raised, two)
@@ -56,12 +58,12 @@ def hyperbolic_tangent(code: Writer, own: Precision, x: str) -> str:
     return code.intrinsic("copysign", d, code.select(d, large, far, near), x)
 
 
-def _reduced(code: Writer, own: Precision, x: str, least: float, most: float) -> tuple[str, str, str]:
+def _reduced(code: Writer, precision: Precision, x: str, least: float, most: float) -> tuple[str, str, str]:
     """e^r - 1, and k as the sum of two halves, of x between bounds beyond which nothing changes; NaN stays."""
-    d = own.kind
+    d = precision.kind
     x = code.select(d, code.instruction("fcmp olt", d, x, code.constant(d, least)), code.constant(d, least), x)
     x = code.select(d, code.instruction("fcmp ogt", d, x, code.constant(d, most)), code.constant(d, most), x)
-    rounding = code.constant(d, own.rounding)
+    rounding = code.constant(d, precision.rounding)
     shifted = code.multiply_add(d, x, code.constant(d, 1.0 / math.log(2.0)), rounding)
     k, r = code.instruction("fsub", d, shifted, rounding), x
     for piece in _LOG_TWO[d]:
@@ -70,7 +72,7 @@ def _reduced(code: Writer, own: Precision, x: str, least: float, most: float) ->
     # Even and odd powers side by side: half as many products wait for one another.
     even, odd = (code.polynomial(d, square, _SERIES[d][first::2]) for first in (0, 1))
     series = code.multiply_add(d, square, code.multiply_add(d, r, odd, even), r)
-    bits, zero = (code.convert("bitcast", d, own.integer, a) for a in (shifted, rounding))
-    count = code.instruction("sub", own.integer, bits, zero)
-    high = code.instruction("ashr", own.integer, count, code.constant(own.integer, 1))
-    return series, high, code.instruction("sub", own.integer, count, high)
+    bits, zero = (code.convert("bitcast", d, precision.integer, a) for a in (shifted, rounding))
+    count = code.instruction("sub", precision.integer, bits, zero)
+    high = code.instruction("ashr", precision.integer, count, code.constant(precision.integer, 1))
+    return series, high, code.instruction("sub", precision.integer, count, high)

@@ -41,12 +41,12 @@ class Iterations(KernelBody):
         results = [*rest[len(rest) - state :], number]
         if row is not None:
             table = Array(row.outputs[0].shape, row.types[0], long=True)
-            # How long the rows are stands first, as in all functions of long arrays.
+            # The length of the rows comes first, as in all functions of long arrays.
             heads, tails = [COUNT, *heads, number], [Array((), table.dtype, long=True), table]
             results += [number, table]
-        #: The place of the number of the first iteration; the one to stop at stands behind it.
+        #: The argument with the number of the first iteration; the next argument is the one to stop at.
         self._first = 0 if row is None else 1
-        #: How far arguments stand behind where the step has them.
+        #: The offset of the step's arguments.
         self._shift = len(heads) - 1
         #: The first argument of the step that is state.
         self._first_state = len(rest) - state + 1

@@ -31,7 +31,7 @@ _ALL = 2**31
 #: How many places for kernels are made together.
 _SLOTS_AT_ONCE = 64
 
-#: Seconds for which code stays after its last kernel: XLA may be in the middle of a call that nobody waits for.
+#: Seconds for which code stays after its last kernel is gone: an asynchronous call of XLA may still run it.
 _RETIREMENT = 30.0
 
 
@@ -84,7 +84,7 @@ _SLOTS: dict[str, int] = {}
 _FREE: list[tuple[int, int]] = []
 _HANDLERS: list[MachineCode] = []
 
-#: XLA takes a name once: threads that make the same kernel wait for the first.
+#: XLA registers a name once: threads that make the same kernel wait for the first.
 _LOCK = threading.Lock()
 
 
@@ -107,7 +107,7 @@ class Kernel(ABC):
         self.body, self.target = body, target
         self._read = [body.arguments[k] for k in body.read]
         self._written = [body.results[k] for k in body.written]
-        #: Of what is read what results stand in the place of.
+        #: The operands that results overwrite.
         self._in_place = {body.read.index(k): body.written.index(result) for result, k in body.in_place.items()}
         with _LOCK:
             _free()

@@ -54,10 +54,12 @@ class Rows:
         base: the pointer.
         stride: entries from one row to the next; zero where all share one.
         places: the number of the row of each lane.
-        apart: entries of memory from one entry of a row to the next.
+        entry_stride: entries of memory from one entry of a row to the next.
     """
 
-    def __init__(self, code: Code, array: Array, base: str, stride: str, places: list[str], apart: str = "1") -> None:
+    def __init__(
+        self, code: Code, array: Array, base: str, stride: str, places: list[str], entry_stride: str = "1"
+    ) -> None:
         self._code = code
         self._array = array
         # Parts of vectors are moved whole only where a row has as many numbers, or masks are free.
@@ -68,12 +70,12 @@ class Rows:
             )
             for place in places
         ]
-        self._align, self._apart = array.dtype.itemsize, apart
+        self._align, self._entry_stride = array.dtype.itemsize, entry_stride
         self._read: dict[int, str] = {}
 
     def window(self, starts: Sequence[str], array: Array) -> Rows:
         """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
-        window = Rows(self._code, array, "", "", [], self._apart)
+        window = Rows(self._code, array, "", "", [], self._entry_stride)
         window._pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
         return window
 
@@ -156,7 +158,11 @@ class Rows:
         return [self._moved(p, str(entry)) for p in self._pointers]
 
     def _moved(self, pointer: str, entries: str) -> str:
-        place = entries if self._apart == "1" else self._code.emit(f"mul nuw nsw i64 {entries}, {self._apart}")
+        place = (
+            entries
+            if self._entry_stride == "1"
+            else self._code.emit(f"mul nuw nsw i64 {entries}, {self._entry_stride}")
+        )
         return self._code.emit(f"getelementptr {self._array.stored}, ptr {pointer}, i64 {place}")
 
     def _mask(self, width: int) -> tuple[str, str]:

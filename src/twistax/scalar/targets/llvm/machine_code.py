@@ -130,7 +130,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
     with watched("compile"), _LOCK, _in_order() if long else contextlib.nullcontext():
         machine = _target_machine(processor, min(LEVEL, 1) if long else LEVEL)
         try:
-            # A context of its own: what it keeps, each number of a text, goes with it.
+            # A separate context: everything that it stores, each number of a text, is freed with it.
             parsed = llvm.parse_assembly(text, llvm.create_context())
             parsed.verify()
             if packed:
@@ -144,7 +144,7 @@ def compiled(text: str, processor: Processor, long: bool = False, packed: bool =
         return code
 
 
-#: The versions of LLVM with the option below. One that does not know it would end the process.
+#: The versions of LLVM with the option below. Other versions would end the process.
 _ORDERED = range(20, 23)
 
 

@@ -59,8 +59,8 @@ def computed_in(code: Writer, kind: str) -> Precision:
 
 def in_precision(code: Writer, function: Callable[[Writer, Precision, str], str], kind: str, x: str) -> str:
     """A function of a number of a type, computed in the precision of `computed_in`."""
-    own = computed_in(code, kind)
-    if own.kind == kind:
-        return function(code, own, x)
-    found = function(code, own, code.convert("fpext", kind, own.kind, x))
-    return code.convert("fptrunc", own.kind, kind, found)
+    precision = computed_in(code, kind)
+    if precision.kind == kind:
+        return function(code, precision, x)
+    result = function(code, precision, code.convert("fpext", kind, precision.kind, x))
+    return code.convert("fptrunc", precision.kind, kind, result)

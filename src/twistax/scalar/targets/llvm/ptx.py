@@ -103,10 +103,10 @@ def assembled(module: Module, text: str) -> str:
                 _link_library(parsed, context)
             passes = llvm.create_pass_builder(machine, llvm.create_pipeline_tuning_options(speed_level=3))
             passes.getModulePassManager().run(parsed, passes)
-            found: str = machine.emit_assembly(parsed)
+            code: str = machine.emit_assembly(parsed)
         except RuntimeError as error:
             raise BuildError(f"LLVM refuses it: {error}") from error
-    return found
+    return code
 
 
 def _link_library(parsed: Any, context: Any) -> None:
@@ -119,13 +119,13 @@ def _link_library(parsed: Any, context: Any) -> None:
         raise BuildError(f"it calls {called}; CUDA's libdevice.10.bc, which has them, is not installed")
     library = llvm.parse_bitcode(path.read_bytes(), context)
     library.triple, library.data_layout = parsed.triple, parsed.data_layout
-    own = {f.name for f in parsed.functions if not f.is_declaration}
+    defined = {f.name for f in parsed.functions if not f.is_declaration}
     wanted = {f.name for f in parsed.functions if f.is_declaration and f.name.startswith("__nv_")}
     parsed.link_in(library)
     for function in parsed.functions:
         if function.is_declaration and function.name in wanted:
             raise BuildError(f"CUDA's libdevice.10.bc has no {function.name.removeprefix('__nv_')}")
-        if not function.is_declaration and function.name not in own:
+        if not function.is_declaration and function.name not in defined:
             function.linkage = "internal"
 
 

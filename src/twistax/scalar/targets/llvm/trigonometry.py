@@ -81,13 +81,13 @@ def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tupl
     return _with_far(code, kind, angles, near, far)
 
 
-def _near(code: Code, own: Precision, x: str) -> tuple[str, ...]:
-    d, rounding = own.kind, code.constant(own.kind, own.rounding)
+def _near(code: Code, precision: Precision, x: str) -> tuple[str, ...]:
+    d, rounding = precision.kind, code.constant(precision.kind, precision.rounding)
     shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), rounding)
     k = code.instruction("fsub", d, shifted, rounding)
-    quadrant = code.convert("bitcast", d, own.integer, shifted)
+    quadrant = code.convert("bitcast", d, precision.integer, shifted)
     r = x
-    for piece in _FUSED[d] if own is SINGLE or code.module.processor.fma else _EXACT:
+    for piece in _FUSED[d] if precision is SINGLE or code.module.processor.fma else _EXACT:
         r = code.multiply_add(d, k, code.constant(d, -piece), r)
     square = code.instruction("fmul", d, r, r)
     cube = code.instruction("fmul", d, r, square)
@@ -100,22 +100,29 @@ def _near(code: Code, own: Precision, x: str) -> tuple[str, ...]:
     fourth = code.instruction("fmul", d, square, square)
     low = code.multiply_add(d, fourth, code.polynomial(d, square, _COSINE[d]), low)
     cosine = code.instruction("fadd", d, high, low)
-    one_bit = code.constant(own.integer, 1)
-    lowest = code.instruction("and", own.integer, quadrant, one_bit)
-    odd = code.emit(f"icmp ne {code.vector(own.integer)} {lowest}, zeroinitializer")
+    one_bit = code.constant(precision.integer, 1)
+    lowest = code.instruction("and", precision.integer, quadrant, one_bit)
+    odd = code.emit(f"icmp ne {code.vector(precision.integer)} {lowest}, zeroinitializer")
     return (
-        _signed(code, own, code.select(d, odd, cosine, sine), quadrant),
-        _signed(code, own, code.select(d, odd, sine, cosine), code.instruction("add", own.integer, quadrant, one_bit)),
+        _signed(code, precision, code.select(d, odd, cosine, sine), quadrant),
+        _signed(
+            code,
+            precision,
+            code.select(d, odd, sine, cosine),
+            code.instruction("add", precision.integer, quadrant, one_bit),
+        ),
     )
 
 
-def _signed(code: Code, own: Precision, value: str, quadrant: str) -> str:
+def _signed(code: Code, precision: Precision, value: str, quadrant: str) -> str:
     """The opposite in quadrants 2 and 3."""
-    bits = 63 if own is DOUBLE else 31
-    sign = code.instruction("and", own.integer, quadrant, code.constant(own.integer, 2))
-    sign = code.instruction("shl", own.integer, sign, code.constant(own.integer, bits - 1))
-    whole = code.convert("bitcast", own.kind, own.integer, value)
-    return code.convert("bitcast", own.integer, own.kind, code.instruction("xor", own.integer, whole, sign))
+    bits = 63 if precision is DOUBLE else 31
+    sign = code.instruction("and", precision.integer, quadrant, code.constant(precision.integer, 2))
+    sign = code.instruction("shl", precision.integer, sign, code.constant(precision.integer, bits - 1))
+    pattern = code.convert("bitcast", precision.kind, precision.integer, value)
+    return code.convert(
+        "bitcast", precision.integer, precision.kind, code.instruction("xor", precision.integer, pattern, sign)
+    )
 
 
 def _with_far(

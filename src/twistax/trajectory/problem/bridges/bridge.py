@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Collection, Mapping
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy import ndarray as Array
@@ -20,7 +20,8 @@ from ..terms import above, bounds_along
 _NOTHING = 1e-4
 
 
-class Statement(NamedTuple):
+@dataclasses.dataclass(frozen=True, eq=False)
+class Statement:
     """The statement of a phase: system, objective, conditions and parameters.
 
     Attributes:
@@ -55,7 +56,7 @@ class Statement(NamedTuple):
             }
             for k, constraints in self.rows.items()
         }
-        return self._replace(objective=objective, rows=rows)
+        return dataclasses.replace(self, objective=objective, rows=rows)
 
 
 def place_of(node: int, last: int) -> str:
@@ -95,7 +96,7 @@ def extended(
             controls=(*left, *controls),
             parameters=(*system.parameters, *(e for e in new.values() if isinstance(e, Parameter))),
         ),
-        outputs=list(dynamics._functions.families["outputs"]),
+        outputs=list(dynamics.functions.families["outputs"]),
         bake=dynamics.baked,
         backend=dynamics.backend,
     )

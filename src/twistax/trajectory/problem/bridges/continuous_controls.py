@@ -8,6 +8,7 @@ the problem in stages.
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Collection, Mapping
 from typing import Any
 
@@ -67,7 +68,7 @@ class ContinuousControls(Bridge):
             rows = {s.name: continuous_bound(size, s) <= 0.0 for s, size in bounds}
             self.bounds = {s.name: size for s, size in bounds}
             objective = type(statement.objective)(statement.objective.final, running=running)
-            statement = statement._replace(objective=objective)
+            statement = dataclasses.replace(statement, objective=objective)
             for name, leaf in self._smooth.items():
                 self._add(leaf, continuous.get(name, Linear()))
         clock = State(_CLOCK, initial=0.0 if first else None)
@@ -78,10 +79,11 @@ class ContinuousControls(Bridge):
         self.hidden = {s.name for states, _ in self._chains.values() for s in states}
         self.hidden |= {_CLOCK} if self.pace else set()
         if self._exchange:
-            statement = statement.substituted(self.put)._replace(dynamics=self._compiled(dynamics, rows, clock))
+            statement = statement.substituted(self.put)
+            statement = dataclasses.replace(statement, dynamics=self._compiled(dynamics, rows, clock))
         if self.pace:
             at_end = {**statement.rows[statement.last], "the last node is at the final time": clock == Time()}
-            statement = statement._replace(rows={**statement.rows, statement.last: at_end})
+            statement = dataclasses.replace(statement, rows={**statement.rows, statement.last: at_end})
         self.statement = statement
 
     def _add(self, leaf: Control, spline: Spline) -> None:

@@ -85,7 +85,7 @@ class LiftedFunctionals(Bridge):
         self.loose: set[str] = set()
         self._rows: dict[str, Constraint] = {}
         _check_places(statement)
-        statement = statement._replace(objective=_with_running(statement.objective))
+        statement = dataclasses.replace(statement, objective=_with_running(statement.objective))
         later = [c for k, rows in statement.rows.items() if k for c in rows.values()]
         self._low = _pushed_down(statement.objective, later)
         costs = (*within.carried, statement.objective.final, statement.objective.running)
@@ -93,12 +93,13 @@ class LiftedFunctionals(Bridge):
             self._add(dynamics, leaf)
         if self._exchange:
             statement = statement.substituted(lambda e, _: self._put(e))
-            statement = statement._replace(dynamics=extended(dynamics, self._rates, self._rows))
+            statement = dataclasses.replace(statement, dynamics=extended(dynamics, self._rates, self._rows))
         if within.first and self.starts:
             known = {s.name: s for s in self._rates}
             begin = {f"{s.name} == {name}": s == known[name] for name, s in self.starts.items()}
-            statement = statement._replace(rows={**statement.rows, 0: {**statement.rows[0], **begin}})
-        self.statement = statement._replace(controls={**statement.controls, **self._smooth_bounds(statement.controls)})
+            statement = dataclasses.replace(statement, rows={**statement.rows, 0: {**statement.rows[0], **begin}})
+        controls = {**statement.controls, **self._smooth_bounds(statement.controls)}
+        self.statement = dataclasses.replace(statement, controls=controls)
         self.free = {name: (None, None) for _, name in self.extremes.values()}
 
     def _smooth_bounds(self, controls: Mapping[str, Spline]) -> dict[str, Spline]:

@@ -71,7 +71,7 @@ class NodeSlacks(Bridge):
                     rows[node][name] = constraint
         if self.slacks:
             objective = type(objective)(price, running=objective.running)
-        self.statement = statement._replace(objective=objective, rows=rows)
+        self.statement = dataclasses.replace(statement, objective=objective, rows=rows)
         self.free = {name: (None if is_free(slack.soft) else 0.0, None) for name, slack in self.slacks.items()}
 
     def _soften(self, place: str, name: str, soft: Soft, front: str, rows: dict[str, Constraint]) -> Expr:
@@ -158,7 +158,7 @@ class PathBounds(Bridge):
         self.slacks: dict[str, Control] = {}
         for name, constraint in soft.items():
             is_equality = isinstance(constraint.constraint, Equality)
-            residual = dynamics._functions.constraints["equality" if is_equality else "inequality"][name]
+            residual = dynamics.functions.constraints["equality" if is_equality else "inequality"][name]
             size = residual
             if not (is_equality and is_free(constraint)):
                 least = None if is_free(constraint) else np.zeros(residual.shape)

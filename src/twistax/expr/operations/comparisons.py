@@ -1,0 +1,110 @@
+"""Comparisons and constraints: what `<`, `<=`, `==` and their like build."""
+
+from __future__ import annotations
+
+import operator
+from typing import Any
+
+import jax.numpy as jnp
+
+from ...errors import ModelError, OperationError
+from ..bases import Entrywise
+from ..fields import Operand
+from ..leaves import Constant
+from ..node import Expr
+
+
+class Comparison(Entrywise):
+    """A relation between two expressions, entry by entry. Its value is boolean: which entries hold.
+
+    It is computed as it is written, on every path: at a tie x <= y holds and x < y does not, and where a side is NaN
+    none holds. It has no truth value before it is evaluated.
+
+    Attributes:
+        lhs, rhs: both sides, of broadcastable shapes.
+    """
+
+    lhs: Operand
+    rhs: Operand
+    precedence = 5
+    abstract = True
+
+    def makes_boolean(self, *operands: bool) -> bool:
+        return True
+
+    def to_text(self, *operands: str) -> str:
+        return f"{operands[0]} {self.infix} {operands[1]}"
+
+    def __bool__(self) -> bool:
+        raise OperationError(
+            f"the comparison {self!r} has no truth value.\n"
+            "  fix: join conditions by tx.All(a, b), tx.Any(a, b), ~a; chain constraints as a list [a <= x, x <= b]; "
+            "choose with tx.Where, tx.Max, tx.Min; compare structure with a.key() == b.key()"
+        )
+
+
+class Constraint(Comparison):
+    """A comparison that an optimiser can hold; what `==`, `<=` and `>=` build.
+
+    Attributes:
+        lhs, rhs: both sides, of broadcastable shapes.
+    """
+
+    abstract = True
+
+    def residual(self) -> Expr:
+        """lhs - rhs, of which the optimiser wants <= 0 (inequality) or = 0 (equality)."""
+        return self.lhs - self.rhs
+
+
+class Less(Comparison):
+    """lhs < rhs, entry by entry; what `<` and `>` build. A condition, and no constraint.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+    function = operator.lt
+    infix = "<"
+    formula = "<0> < <1>"
+    kinks = ({"lhs": [0.0, 1.0, 2.0, -1.0], "rhs": Constant(1.0)},)
+
+
+class Inequality(Constraint):
+    """lhs <= rhs, entry by entry.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+    function = operator.le
+    infix = "<="
+    formula = r"<0> \le <1>"
+    kinks = ({"lhs": [0.0, 2.0, -1.0], "rhs": Constant(1.0)},)
+
+
+class Equality(Constraint):
+    """lhs == rhs, entry by entry.
+
+    Raises: ShapeError if the sides do not broadcast.
+    """
+
+    function = jnp.equal
+    infix = "=="
+    formula = "<0> = <1>"
+    kinks = ({"lhs": [0.0, 1.0, -1.0], "rhs": Constant(1.0)},)
+
+
+def refuse_conditions(what: str, constraint: Any) -> None:
+    """Raise the plain sentence for a condition that stands where an optimiser wants a constraint.
+
+    Raises: ModelError.
+    """
+    if isinstance(constraint, Less):
+        raise ModelError(
+            f"{what} cannot hold {constraint!r}: the set where a strict comparison holds is open, and has no minimum.\n"
+            f"  fix: {Inequality(constraint.lhs, constraint.rhs)!r}; to keep away from the bound, move it by a margin"
+        )
+    if isinstance(constraint, Expr) and constraint.boolean and not isinstance(constraint, Constraint):
+        raise ModelError(
+            f"{what} expects constraints, a <= b or a == b, got the condition {constraint!r}.\n"
+            "  fix: constraints that must all hold come in a list"
+        )

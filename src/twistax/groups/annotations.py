@@ -1,0 +1,21 @@
+"""Types of arrays with their shapes, by jaxtyping where that is loaded: it takes a third of `import twistax`."""
+
+from __future__ import annotations
+
+import sys
+from typing import TYPE_CHECKING, Any
+
+from jax import Array
+
+if TYPE_CHECKING or "jaxtyping" in sys.modules:
+    from jaxtyping import Float
+else:
+
+    class Float:
+        """`Float[Array, "n"]` is an array; nothing reads its shape."""
+
+        def __class_getitem__(cls, parts: tuple[Any, str]) -> Any:
+            return parts[0]
+
+
+__all__ = ["Array", "Float"]

@@ -1,0 +1,103 @@
+"""The outward pass of the recursions: velocities from the base to the tips, and what follows from them.
+
+In place of the rate A of a body's twist, in its own frame, the recursions carry
+
+    B = A + [w x v; 0],
+
+the acceleration of the frame's origin and the angular acceleration. With W = [0; w] Newton and Euler then say
+F = M B + ad*_W(M W), and linear velocities appear nowhere. From one segment to the next, with T the pose of a segment
+in the one before, p its origin there, H qd = [s; r] the twist across its joint, and w_0 the angular velocity of the one
+before in the axes of this one:
+
+    w = w_0 + r
+    B = Ad_T^-1 (B_before + [w x (w x p); 0]) + [(w_0 + w) x s; w_0 x r] + H qdd
+
+where the first bracket has the w of the one before. Gravity is an acceleration of the base upwards.
+
+Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008): section 2.11 for B.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+
+from ...expr import Constant, Cross, Expr
+from ...expr.lie import Act, AdjointAction, AdjointDual, Inverse, angular, linear, twist
+from ...expr.lie.elements import parts_of_pose
+from ..kinematic_tree import KinematicTree
+from ..tree import Segment
+
+ZERO = Constant(np.zeros(3))
+_NO_INERTIA = Constant(np.zeros((6, 6)))
+_NO_WRENCH = Constant(np.zeros(6))
+
+
+@dataclasses.dataclass(frozen=True)
+class Moving:
+    """A segment in motion. Six-vectors are in its frame, but for `centripetal`, which is in that of the one before."""
+
+    segment: Segment
+    placement: Expr  # pose of the joint's child frame in its parent frame
+    T: Expr  # pose of the segment in the one before
+    w: Expr  # angular velocity (3,)
+    centripetal: Expr  # [w x (w x p); 0] of the one before
+    coriolis: Expr  # [(w_0 + w) x s; w_0 x r]
+
+    @property
+    def inertia(self) -> Expr:
+        """M (6, 6)."""
+        return inertia_of(self.segment)
+
+    @property
+    def gyroscopic(self) -> Expr:
+        """ad*_W(M W) (6,), and what turns masses that move in the body with it: what vanishes with w."""
+        if self.segment.body is None:
+            return _NO_WRENCH
+        W = twist(linear=ZERO, angular=self.w)
+        rigid, inner = AdjointDual(W, self.inertia @ W), self.segment.inner_motion
+        return rigid if inner is None else rigid + inner.turning @ self.w
+
+    @property
+    def needed(self) -> Expr:
+        """The wrench (6,) on the body at B = 0."""
+        inner = self.segment.inner_motion
+        return self.gyroscopic if inner is None else self.gyroscopic + inner.still
+
+    def carried(self, B_before: Expr) -> Expr:
+        """The acceleration (6,) of the segment at zero joint acceleration."""
+        return AdjointAction(self.T, B_before + self.centripetal, inverse=True) + self.coriolis
+
+
+def inertia_of(segment: Segment) -> Expr:
+    """M (6, 6) of a segment, of zeros where it has no mass."""
+    return _NO_INERTIA if segment.body is None else segment.body.matrix
+
+
+def acceleration_of_base(gravity: Expr) -> Expr:
+    """B (6,) of the base."""
+    return twist(linear=-gravity, angular=ZERO)
+
+
+def motion(mechanism: KinematicTree, positions: list[Expr], qd: Expr) -> list[Moving]:
+    """The outward pass: angular velocities and the terms that follow from them."""
+    moving: list[Moving] = []
+    for segment, position in zip(mechanism.segments, positions, strict=True):
+        T = segment.link.transform(position)
+        R, p = parts_of_pose(T)
+        across = mechanism.along(segment, qd)
+        w_before = ZERO if segment.before < 0 else moving[segment.before].w
+        before = Act(Inverse(R), w_before)
+        w = before + angular(across)
+        moving.append(
+            Moving(
+                segment=segment,
+                placement=segment.link.joint.placement(position),
+                T=T,
+                w=w,
+                centripetal=twist(linear=Cross(w_before, Cross(w_before, p)), angular=ZERO),
+                coriolis=twist(linear=Cross(before + w, linear(across)), angular=Cross(before, angular(across))),
+            )
+        )
+    return moving

@@ -1,0 +1,64 @@
+"""Derivatives of the accelerations of a mechanism's system, by the recursions."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from ...expr import Constant, Control, Expr, Stack, State, leaves_of
+from ...expr.fields import ExprLike
+from ..joints import Joint
+from ..kinematic_tree import KinematicTree
+from ..tree import Segment
+from .derivatives import forward_dynamics_derivatives
+from .dynamics import Wrenches
+from .jacobians import BODY, frame_jacobian
+
+
+def slopes_of_accelerations(
+    mechanism: KinematicTree, forces: Expr, wrenches: Wrenches | None
+) -> list[tuple[ExprLike, ExprLike]]:
+    """The derivatives of `forward_dynamics` by the states of positions and velocities, by forces and by wrenches.
+
+    Nothing where masses or lengths change with states or controls.
+    """
+    if any(isinstance(leaf, (State, Control)) for leaf in leaves_of(*_numbers(mechanism))):
+        return []
+    derivatives = forward_dynamics_derivatives(mechanism, tau=forces, wrenches=wrenches)
+    q, vector = mechanism.q, list[Expr]()
+    slopes: list[tuple[ExprLike, ExprLike]] = []
+    for segment, place in zip(mechanism.segments, mechanism.positions("system", None), strict=True):
+        if segment.link.mimic is not None or not segment.freedoms:
+            continue
+        columns = derivatives.q[:, segment.freedoms[0] : segment.freedoms[-1] + 1]
+        if segment.link.joint.group is not None:
+            slopes.append((place, columns))
+        else:
+            columns = _by_coordinates(segment, place, columns)
+            vector += [columns[:, k] for k in range(segment.link.joint.dofs)]
+    if vector:
+        slopes.append((q if isinstance(q, State) else q["q"], Stack(*vector).T))
+    slopes += [(mechanism.qd, derivatives.qd), (forces, derivatives.tau)]
+    for frame, wrench in (wrenches or {}).items():
+        slopes.append((wrench, derivatives.tau @ frame_jacobian(mechanism, frame, axes=BODY).T))
+    return slopes
+
+
+def _by_coordinates(segment: Segment, place: Expr, columns: Expr) -> Expr:
+    """From columns of velocities to columns of coordinates, whose rates may differ from the velocities."""
+    joint = segment.link.joint
+    if type(joint).rate is Joint.rate:
+        return columns
+    return columns @ Stack(*(joint.velocity_of(place, Constant(unit)) for unit in np.eye(joint.dofs))).T
+
+
+def _numbers(mechanism: KinematicTree) -> list[Expr]:
+    """All constants of a mechanism: geometry and inertia."""
+    numbers: list[Expr] = [mechanism.gravity]
+    for segment in mechanism.segments:
+        link, body = segment.link, segment.body
+        numbers += [link.mount, link.joint.motion_subspace]
+        numbers += [] if body is None else [body.mass, body.center_of_mass, body.inertia]
+        inner = segment.inner_motion
+        numbers += [] if inner is None else [inner.still, inner.turning]
+        numbers += [] if link.drive.rotor is None else [link.drive.rotor]
+    return numbers

@@ -1,0 +1,246 @@
+"""Trees of links on a base: their coordinates and their frames, and where all of them are."""
+
+from __future__ import annotations
+
+import functools
+from collections.abc import Collection, Iterable, Mapping
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from ..checks import listed, short
+from ..errors import ModelError
+from ..expr import Constant, Control, Expr, State
+from ..expr.fields import ExprLike
+from ..expr.lie import AdjointAction, Compose, Inverse
+from .arguments import of_shape
+from .bodies import SpatialInertia
+from .loops import Loop, Metric, check_loops
+from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
+
+if TYPE_CHECKING:
+    from ..view import Shape
+
+#: Positions: a vector, or a mapping with a vector "q" and an element for each joint on a group.
+Positions = ExprLike | Mapping[str, ExprLike]
+
+
+class KinematicTree:
+    """Links on joints in the shape of a tree: its coordinates, its frames, and where all of them are.
+
+    `Mechanism` says what the arguments and the attributes are, and adds what follows from the dynamics.
+    """
+
+    def __init__(
+        self,
+        links: Iterable[Link],
+        gravity: ExprLike = (0.0, 0.0, -9.81),
+        *,
+        base: str = "base",
+        keep: Collection[str] = (),
+        notes: Iterable[str] = (),
+        driven: Collection[str] | None = None,
+        loops: Iterable[Loop] = (),
+        loop_metric: Metric = Metric(),  # noqa: B008
+        shapes: Iterable[Shape] = (),
+    ) -> None:
+        name = type(self).__name__
+        try:
+            self.links = sorted_links(links, base)
+            self.segments, self.frames = segments_of(self.links, keep, base)
+        except ModelError as error:
+            raise ModelError(f"{name}: {error}") from None
+        self.gravity = of_shape(name, "gravity", gravity, (3,), "a vector in the base's axes")
+        if isinstance(self.gravity, Constant) and not np.isfinite(self.gravity.value).all():
+            raise ModelError(f"{name} expects gravity to be finite, got {self.gravity!r}")
+        self._notes = tuple(notes)
+        self.base, self.shapes = base, shapes_of(name, shapes)
+        self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
+        self.loops, self.loop_metric = tuple(loops), loop_metric
+        driven = None if driven is None else tuple(driven)
+        #: What `replace` gives the constructor again, beside the links.
+        self._arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
+        self._arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        if driven is None:
+            driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
+        self.driven = tuple(driven)
+        self.freedoms(self.driven)
+        check_loops(self.loops, self.loop_metric, lambda name: self.frame(name).segment)
+
+    def check_masses(self, owner: str) -> None:
+        """Raise ModelError for a joint that moves no mass, so that its acceleration is not determined."""
+        heavy = [segment.body is not None or segment.link.drive.rotor is not None for segment in self.segments]
+        for i in reversed(range(len(self.segments))):
+            if not heavy[i] and self.segments[i].link.joint.dofs:
+                raise ModelError(
+                    f"{owner}: joint {self.segments[i].link.joint.name!r} moves no mass, so its acceleration is not "
+                    "determined.\n  fix: give a body to its link or to one beyond it, or the joint an armature"
+                )
+            if self.segments[i].before >= 0:
+                heavy[self.segments[i].before] |= heavy[i]
+
+    def __repr__(self) -> str:
+        return f"{type(self).__name__}({len(self.links)} links, {self.dofs} freedoms)"
+
+    @functools.cached_property
+    def bodies(self) -> dict[int, SpatialInertia]:
+        """The body of every segment that has mass, with all that is fixed to it, by the index of the segment."""
+        return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
+
+    # ---- coordinates -------------------------------------------------------------------------------------------------
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """The names of the joints that move, in the order of the velocities; followers have their leader's entries."""
+        return tuple(segment.link.joint.name for segment in self.segments)
+
+    @functools.cached_property
+    def _width(self) -> int:
+        """The length of the position vector."""
+        return max((s.coordinates.stop for s in self.segments if s.coordinates is not None), default=0)
+
+    @functools.cached_property
+    def _grouped(self) -> dict[str, Segment]:
+        return {s.link.joint.name: s for s in self.segments if s.link.joint.group is not None}
+
+    @functools.cached_property
+    def q(self) -> Any:
+        """The position vector "q" as a State with the limits of the joints; a mapping where joints are on groups."""
+        elements: dict[str, Any] = {name: segment.link.joint.position for name, segment in self._grouped.items()}
+        if not self._width:
+            return elements
+        low, high = self._bounds(lambda drive: (drive.lower, drive.upper), by_freedom=False)
+        q = State("q", (self._width,), min=low, max=high)
+        return {"q": q, **elements} if elements else q
+
+    @functools.cached_property
+    def qd(self) -> State:
+        """The velocities "qd" (n,) as a State, with the limits of the joints."""
+        low, high = self._bounds(lambda d: (None if d.speed is None else -d.speed, d.speed), by_freedom=True)
+        return State("qd", (self.dofs,), min=low, max=high)
+
+    def motors(self, joints: Collection[str]) -> Control:
+        """The forces "tau" of the motors of some joints as a Control, with their limits; in the joints' order."""
+        at = self.freedoms(joints)
+        low, high = self._bounds(lambda drive: drive.efforts, by_freedom=True)
+        return Control("tau", (len(at),), min=None if low is None else low[at], max=None if high is None else high[at])
+
+    def _bounds(self, limits: Any, *, by_freedom: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
+        """The limits of all leaders in one vector each; None where no joint has one."""
+        size = self.dofs if by_freedom else self._width
+        low, high = np.full(size, -np.inf), np.full(size, np.inf)
+        for segment in self.segments:
+            if segment.link.mimic is None:
+                where: Any = list(segment.freedoms) if by_freedom else segment.coordinates
+                least, most = limits(segment.link.drive)
+                if where is not None:
+                    low[where] = -np.inf if least is None else least
+                    high[where] = np.inf if most is None else most
+        return (low if np.isfinite(low).any() else None), (high if np.isfinite(high).any() else None)
+
+    def freedoms(self, joints: Collection[str]) -> list[int]:
+        """The entries of the velocities that belong to the joints named, each once. Raises ModelError."""
+        entries: list[int] = []
+        for name in [joints] if isinstance(joints, str) else joints:
+            entries += [i for i in self.segment_of(name).freedoms if i not in entries]
+        return entries
+
+    def segment_of(self, joint: str) -> Segment:
+        """The segment that a joint carries. Raises ModelError for an unknown name, or a merged joint."""
+        for segment in self.segments:
+            if segment.link.joint.name == joint:
+                return segment
+        raise ModelError(
+            f"no joint {short(joint)} moves here; known are {listed(self.joints, joint)}.\n"
+            "  a Fixed joint is merged with what it sits on, unless it is named in keep="
+        )
+
+    def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
+        """The argument `name` of `owner`, one entry a freedom (n,); qd itself where None. Raises ShapeError."""
+        hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
+        return self.qd if value is None else of_shape(owner, name, value, (self.dofs,), hint)
+
+    def positions(self, owner: str, q: Positions | None) -> list[Expr]:
+        """The position of the joint of every segment.
+
+        Raises:
+            ShapeError: a vector of another length, an element of another shape.
+            ModelError: elements of joints on groups that are missing, or others that are not known.
+        """
+        places: Any = self.q if q is None else q
+        if not isinstance(places, Mapping):
+            if self._grouped:
+                raise ModelError(
+                    f"{owner} expects q as a mapping, got {short(places)}: positions of {listed(self._grouped)} are on "
+                    f'groups.\n  fix: {{"q": vector, {next(iter(self._grouped))!r}: element}}'
+                )
+            places = {"q": places}
+        wanted = {*self._grouped, *(["q"] if self._width else [])}
+        if set(places) != wanted:
+            raise ModelError(f"{owner} expects positions of {listed(sorted(wanted))}, got {listed(places)}")
+        hint = "one entry for each coordinate; of a chain one entry for each link, from base to tip"
+        vector = of_shape(owner, "q", places["q"], (self._width,), hint) if self._width else Constant(np.zeros(0))
+        return [self._position(owner, segment, vector, places) for segment in self.segments]
+
+    def _position(self, owner: str, segment: Segment, vector: Expr, places: Mapping[str, ExprLike]) -> Expr:
+        joint, mimic = segment.link.joint, segment.link.mimic
+        if joint.group is not None:
+            return of_shape(owner, f"the position of {joint.name!r}", places[joint.name], joint.group.shape)
+        coordinates = vector[segment.coordinates]
+        return coordinates if mimic is None else mimic.ratio * coordinates + mimic.offset
+
+    def along(self, segment: Segment, velocities: Expr) -> Expr:
+        """H qd (6,): the twist of a segment's joint for velocities (n,), or its part of accelerations, in the segment's
+        frame.
+        """
+        H = segment.link.joint.motion_subspace
+        if not segment.freedoms:
+            return Constant(np.zeros(6))
+        if len(segment.freedoms) == 1:
+            return H[:, 0] * segment.scaled(velocities[segment.freedoms[0]])
+        return H @ velocities[segment.freedoms[0] : segment.freedoms[-1] + 1]
+
+    # ---- kinematics --------------------------------------------------------------------------------------------------
+
+    def frame(self, name: str) -> Frame:
+        """A frame by the name of its link, or of the joint that carries the link. Raises ModelError."""
+        if name in self.frames:
+            return self.frames[name]
+        for link in self.links:
+            if link.joint.name == name:
+                return self.frames[link.name]
+        raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
+
+    def transforms(self, q: Positions | None = None) -> list[Expr]:
+        """T (4, 4) of each segment in the segment before, or in the base. Raises ShapeError."""
+        places = self.positions(f"{type(self).__name__}.transforms", q)
+        return [segment.link.transform(place) for segment, place in zip(self.segments, places, strict=True)]
+
+    def poses(self, q: Positions | None = None) -> list[Expr]:
+        """T (4, 4) of each segment in the base. Raises ShapeError."""
+        poses: list[Expr] = []
+        for segment, T in zip(self.segments, self.transforms(q), strict=True):
+            poses.append(T if segment.before < 0 else Compose(poses[segment.before], T))
+        return poses
+
+    def twists(self, q: Positions | None = None, qd: ExprLike | None = None) -> list[Expr]:
+        """V (6,) of each segment, in its frame: $V_i = Ad_T^-1 V_before + H qd_i$. Raises ShapeError."""
+        rates = self.coordinates(f"{type(self).__name__}.twists", "qd", qd)
+        twists: list[Expr] = []
+        for segment, T in zip(self.segments, self.transforms(q), strict=True):
+            V, before = self.along(segment, rates), segment.before
+            twists.append(V if before < 0 else AdjointAction(T, twists[before], inverse=True) + V)
+        return twists
+
+    def pose(self, frame: str, q: Positions | None = None, *, relative_to: str | None = None) -> Expr:
+        """T (4, 4): maps coordinates of a frame to those of the base, or of another frame. Raises ModelError."""
+        at = self.frame(frame)
+        T = at.T if at.segment < 0 else Compose(self.poses(q)[at.segment], at.T)
+        return T if relative_to is None else Compose(Inverse(self.pose(relative_to, q)), T)
+
+    def twist(self, frame: str, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
+        """The body twist (6,) of a frame: its velocity seen from the base, in its own axes. Raises ModelError."""
+        at = self.frame(frame)
+        if at.segment < 0:
+            return Constant(np.zeros(6))
+        return AdjointAction(at.T, self.twists(q, qd)[at.segment], inverse=True)

@@ -1,0 +1,1 @@
+"""Scenes with rates that die away much faster than the motion."""

@@ -1,0 +1,178 @@
+"""A scene as numbers: what is drawn where, and when. How it is drawn is the matter of `stage.py`."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+from typing import Any, TypeVar
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ..checks import number, reals, short
+from ..errors import InputError
+from .shapes import Color, Shape
+
+A = TypeVar("A", bound="Animation")
+
+ORANGE: Color = (242, 140, 40)
+
+#: Pictures a second, and how long an animation takes unless it is said, in s.
+RATE = 30
+_SHORTEST, _LONGEST = 2.0, 20.0
+
+#: The longest arrow, as a part of the size of the scene, where its scale is not given.
+_LONG = 0.2
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Body:
+    """Something that moves, with all that is fixed to it.
+
+    Attributes:
+        name: of the state, or of the frame of a mechanism.
+        poses: T (n, 4, 4) in the world at the times of the scene; positions in m.
+        shapes: in its axes.
+        axes: whether x (red), y (green) and z (blue) are drawn.
+        trail: whether the path of its origin is.
+    """
+
+    name: str
+    poses: Array
+    shapes: tuple[Shape, ...] = ()
+    axes: bool = True
+    trail: bool = True
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Arrow:
+    """How a vector is drawn: `solution.show(arrows={"T": tx.view.Arrow("g", at=engine)})`.
+
+    A value (3,) is one arrow. A value (6,) is a wrench [f; tau] or a twist [v; w], and two arrows.
+
+    Attributes:
+        on: the name of the body, or of the frame of a mechanism, that it starts from; the only one unless given.
+        at: (3,) where it starts, in the axes of the body, m.
+        world: the vector is in axes of the world; in those of the body unless given.
+        scale: metres for a unit of the vector, for a torque, too; negative draws it the other way. Unless given the
+            largest one along the motion is a fifth of the scene.
+        color: red, green and blue from 0 to 255. A torque has it darker.
+    Raises: InputError for a place that is no point, or a scale that is zero.
+    """
+
+    on: str | None = None
+    at: Any = (0.0, 0.0, 0.0)
+    world: bool = False
+    scale: float | None = None
+    color: Color = ORANGE
+
+    def __post_init__(self) -> None:
+        at = reals("Arrow: at", self.at, InputError)
+        if at.shape != (3,) or not np.isfinite(at).all():
+            raise InputError(f"Arrow expects at to be a point (3,), got {short(self.at)}")
+        object.__setattr__(self, "at", at)
+        if self.scale is not None:
+            number("Arrow: scale", self.scale, "a number other than 0", lambda x: np.isfinite(x) and x != 0.0)
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Vector:
+    """A vector along the motion: (n, 3) values, the body they start from, and how they are drawn."""
+
+    name: str
+    body: Body
+    values: Array
+    looks: Arrow
+    color: Color
+
+    def ends(self, scale: float) -> Array:
+        """Where it starts and ends (n, 2, 3), in the world."""
+        R, p = self.body.poses[:, :3, :3], self.body.poses[:, :3, 3]
+        values = self.values if self.looks.world else np.einsum("nij,nj->ni", R, self.values)
+        start = p + R @ self.looks.at
+        return np.stack([start, start + scale * values], axis=1)
+
+
+def _ends(shape: Shape) -> Array:
+    """The corners (8, 3) of the box about a shape, in the axes of its body."""
+    corners = shape.mesh()[0]
+    sides = np.stack([corners.min(axis=0), corners.max(axis=0)])
+    box = np.array([[sides[i, 0], sides[j, 1], sides[k, 2]] for i in (0, 1) for j in (0, 1) for k in (0, 1)])
+    return box @ shape.at[:3, :3].T + shape.at[:3, 3]
+
+
+@dataclasses.dataclass(frozen=True, eq=False)
+class Animation:
+    """What is drawn over time, as numbers; `Scene` says what the attributes are."""
+
+    ts: Array
+    bodies: tuple[Body, ...]
+    vectors: tuple[Vector, ...] = ()
+    shapes: tuple[Shape, ...] = ()
+    up: Sequence[float] | Array = (0.0, 0.0, 1.0)
+    seconds: float | None = None
+
+    @property
+    def duration(self) -> float:
+        """How long the animation takes, s."""
+        return float(np.clip(self.ts[-1] - self.ts[0], _SHORTEST, _LONGEST) if self.seconds is None else self.seconds)
+
+    def extent(self) -> Array:
+        """The least and largest coordinates (2, 3) of all that is drawn but arrows, m."""
+        low, high = [], []
+        for body in self.bodies:
+            ends = np.concatenate([np.zeros((1, 3)), *(_ends(shape) for shape in body.shapes)])
+            corners = body.poses[:, None, :3, 3] + np.einsum("nij,kj->nki", body.poses[:, :3, :3], ends)
+            low.append(corners.min(axis=(0, 1)))
+            high.append(corners.max(axis=(0, 1)))
+        for shape in self.shapes:
+            low.append(shape.corners().min(axis=0))
+            high.append(shape.corners().max(axis=0))
+        return np.array([np.min(low, axis=0), np.max(high, axis=0)])
+
+    @property
+    def size(self) -> float:
+        """The diagonal of the extent, m; 1 where it is a point."""
+        low, high = self.extent()
+        return float(np.linalg.norm(high - low)) or 1.0
+
+    def scale_of(self, vector: Vector) -> float:
+        """Metres for a unit of a vector."""
+        if vector.looks.scale is not None:
+            return float(vector.looks.scale)
+        return _LONG * self.size / (float(np.linalg.norm(vector.values, axis=1).max()) or 1.0)
+
+    def at(self: A, times: Array) -> A:
+        """The scene at other times within its own.
+
+        Positions and vectors are linear between two of its times, and the rotation goes on about one axis.
+        """
+        from scipy.spatial.transform import Rotation, Slerp
+
+        def line(values: Array) -> Array:
+            return np.stack([np.interp(times, self.ts, column) for column in values.T], axis=1)
+
+        moved = {}
+        for body in self.bodies:
+            poses = np.tile(np.eye(4), (len(times), 1, 1))
+            poses[:, :3, :3] = Slerp(self.ts, Rotation.from_matrix(body.poses[:, :3, :3]))(times).as_matrix()
+            poses[:, :3, 3] = line(body.poses[:, :3, 3])
+            moved[body.name] = dataclasses.replace(body, poses=poses)
+        # An arrow is as long as it would be at all of the old times.
+        vectors = tuple(
+            dataclasses.replace(
+                vector,
+                body=moved[vector.body.name],
+                values=line(vector.values),
+                looks=dataclasses.replace(vector.looks, scale=self.scale_of(vector)),
+            )
+            for vector in self.vectors
+        )
+        seconds = self.duration
+        return dataclasses.replace(
+            self, ts=np.asarray(times), bodies=tuple(moved.values()), vectors=vectors, seconds=seconds
+        )
+
+    def frames(self: A) -> A:
+        """The scene at the times of its pictures, thirty for each second of the animation."""
+        return self.at(np.linspace(self.ts[0], self.ts[-1], 1 + int(np.ceil(RATE * self.duration))))
