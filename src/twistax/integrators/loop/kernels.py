@@ -227,8 +227,8 @@ def _beside(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) 
         program = stepper.dynamics.backend.beside(flat, types)
         return None if program is None else (program, shapes[-1])
 
-    found: tuple[Derived, Any] | None = _made(stepper, rest, (shared_kernel, function, structure, types), make)
-    return found
+    kernel: tuple[Derived, Any] | None = _made(stepper, rest, (shared_kernel, function, structure, types), make)
+    return kernel
 
 
 def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
