@@ -97,6 +97,13 @@ ROWS = [
     bad("a product without a part", lambda: product.log({"g": EYE}), "Product.log", "'x'"),
     bad("a product with another part", lambda: product.log({"g": EYE, "y": np.zeros(2)}), "Product.log", "'y'"),
     bad("a product of an array", lambda: product.log(EYE), "Product.log", "dict"),
+    bad(
+        "a part of another shape",
+        lambda: product.join({"g": np.zeros(6), "x": np.zeros(3)}),
+        "Product.join",
+        "x",
+        "(3,)",
+    ),
     bad("a tangent of another length", lambda: product.exp(np.zeros(7)), "Product.split", "(8,)", "(7,)"),
     bad("a nearest rotation to zeros", lambda: tx.SO3.normalize(np.zeros((3, 3))), "normalize", "R"),
     bad("a nearest rotation to NaN", lambda: tx.SO3.normalize(jnp.nan * jnp.eye(3)), "normalize", "nan"),

@@ -81,6 +81,8 @@ ROWS = [
     ),
     bad("values by node that are text", lambda: weighted(by_node=[price]).solve(params={price: "a"}), "price", "'a'"),
     bad("a soft number", lambda: tx.Soft(3.0, l1=1.0), "Soft", "constraint", "float"),
+    bad("a soft strict constraint", lambda: tx.Soft(position < 1.0, l1=1.0), "Soft", "position < 1", "strict", "<= 1"),
+    bad("a price that is a state", lambda: problem(_priced()), "the weight of position <= 1.", "'h'"),
     bad("a soft constraint without a price", lambda: tx.Soft(position <= 1.0), "Soft", "l1=", "l2="),
     bad("a price below zero", lambda: tx.Soft(position <= 1.0, l1=-1.0), "Soft", "l1", "0 or more"),
     bad("a price of another shape", lambda: tx.Soft(position <= 1.0, l2=[1.0, 2.0]), "Soft", "l2", "(2,)"),
@@ -88,7 +90,7 @@ ROWS = [
     bad("ends of phases that are a number", lambda: two_phases().solve(final=3.0), "final", "3.0", "phases"),
     bad("a time of no phase", lambda: two_phases().solve(final_time={"c": 1.0}), "'c'", "'a', 'b'"),
     bad("parameters of phases that are a number", lambda: two_phases().solve(params=3.0), "params", "3.0"),
-    bad("derivatives of phases", lambda: tx.trajectory.solution(two_phases()), "solution", "one phase"),
+    bad("derivatives of phases", lambda: tx.trajectory.solution(two_phases()), "solution", "no list of phases"),
     bad("derivatives by text", lambda: tx.trajectory.solution(easy())(initial={"position": "a"}), "position", "'a'"),
     bad(
         "a problem of a system that is not compiled", lambda: problem(cart().system), "Problem", "System", "tx.compile"
@@ -220,3 +222,8 @@ ROWS = [
 def _bounded() -> tx.Dynamics:
     h = tx.State("h", min=0.0)
     return tx.compile(tx.System({h: -h}))
+
+
+def _priced() -> tx.Dynamics:
+    row = tx.Soft(position <= 1.0, l1=tx.State("h"))
+    return tx.compile(tx.System(rates={position: velocity, velocity: force}, constraints=[row]))

@@ -13,7 +13,6 @@ from us1976_oracle import MASSES, gases
 from us1976_oracle import atmosphere as standard
 
 import twistax as tx
-from twistax.errors import ModelError
 from twistax.mechanics import environment, flight
 
 atmosphere, earth, gravity = environment.atmosphere, environment.earth, environment.gravity
@@ -90,26 +89,6 @@ def test_a_planet_turns_its_bulges() -> None:
     assert not EGM2008.axisymmetric
     assert EGM2008.up_to(8, 0).axisymmetric
     assert len(EGM2008.up_to(2).terms) == 3
-
-
-@pytest.mark.parametrize(
-    ("call", "words"),
-    [
-        (lambda: Harmonics(1.0, 1.0, ((2, 3, 0.0, 0.0),)), r"orders up to the degree .*, got \(2, 3\)"),
-        (lambda: Harmonics(1.0, 1.0, ((2, 0, 0.0, 0.0),) * 2), "each degree and order once"),
-        (lambda: Harmonics(1.0, 1.0, ((2, 0, np.inf, 0.0),)), r"a coefficient of \(2, 0\) must be a finite number"),
-        (lambda: Harmonics(0.0, 1.0, ()), "gm to be a positive number"),
-        (lambda: EGM2008.up_to(9), "up_to expects a degree up to 8, which these terms have, got 9"),
-        (
-            lambda: dataclasses.replace(AIR, gases=((4.0, -1.0),)),
-            "pairs of a molar mass and a number density, both pos",
-        ),
-        (lambda: gravity.gradient_torque(-1.0, np.ones(3), np.eye(3)), "gm must be a positive number"),
-    ],
-)
-def test_what_has_no_meaning(call: Any, words: str) -> None:
-    with pytest.raises(ModelError, match=words):
-        call()
 
 
 def test_gravity_gradient_of_a_cloud_of_points() -> None:

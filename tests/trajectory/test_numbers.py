@@ -1,6 +1,9 @@
 """Numbers of a model are data: what differs in numbers, nodes, meshes or guesses alone compiles nothing."""
 
+import os
 import pickle
+import subprocess
+import sys
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from typing import Any
@@ -259,3 +262,22 @@ def test_states_and_limits_of_other_roles_are_not_mixed_up() -> None:
         for own, values in ((of_speed, result.xs["v"]), (of_control, result.us["u"])):
             assert values.max() <= own.get("max", np.inf) + 1e-6
             assert values.min() >= own.get("min", -np.inf) - 1e-6
+
+
+#: As users start: in single precision, with nothing compiled before.
+FIRST = """
+import twistax as tx
+
+p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+dynamics = tx.compile(tx.System(rates={p: v, v: u - 0.1 * tx.Sin(p)}))
+ends = {"initial": {p: 0.0, v: 0.0}, "final": {p: 1.0, v: 0.0}}
+result = tx.trajectory.Problem(dynamics, tx.Minimize(running=u * u), nodes=5, final_time=2.0, **ends).solve()
+print(result.status.name, result.xs["p"].dtype)
+"""
+
+
+def test_the_first_solve_of_a_process_in_single_precision() -> None:
+    """Threads that make machine code have settings of JAX of their own."""
+    env = {**os.environ, "TWISTAX_CACHE": "off", "JAX_ENABLE_X64": "0"}
+    done = subprocess.run([sys.executable, "-c", FIRST], env=env, capture_output=True, text=True, timeout=120)
+    assert done.stdout.split() == ["SOLVED", "float64"], done.stderr

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import accumulate, pairwise, starmap
 from types import MappingProxyType
@@ -18,6 +19,7 @@ from twistax.groups.euclidean import Euclidean
 from twistax.groups.group import Group
 
 
+@dataclass(frozen=True, init=False, repr=False)
 class Product(Group):
     """A direct product of named groups, $SE(3)^N x SO(3)^K x R^m$ and the like.
 
@@ -25,6 +27,8 @@ class Product(Group):
     the sorted keys JAX uses for dicts). Factors may be products themselves. Two products are equal when names, groups
     and order are. Raises InputError for a dict that lacks a name or has one too many.
     """
+
+    _factors: tuple[tuple[str, Group], ...]
 
     @classmethod
     def examples(cls) -> tuple[Group, ...]:
@@ -37,13 +41,7 @@ class Product(Group):
         for name, group in factors.items():
             if not isinstance(group, Group):
                 raise ModelError(f"Product expects a Group for factor {name!r}, got {type(group).__name__}")
-        self._factors = tuple(factors.items())
-
-    def __eq__(self, other: object) -> bool:
-        return isinstance(other, Product) and self._factors == tuple(other.factors.items())
-
-    def __hash__(self) -> int:
-        return hash(self._factors)
+        object.__setattr__(self, "_factors", tuple(factors.items()))
 
     def __repr__(self) -> str:
         return f"Product({dict(self._factors)!r})"

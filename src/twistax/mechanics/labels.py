@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from ..expr import Constant, State
-
-if TYPE_CHECKING:
-    from .mechanism import Mechanism
-    from .tree import Segment
+from .kinematic_tree import KinematicTree
+from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
 
 
-def labels_of(mechanism: Mechanism, driven: Sequence[int]) -> Labels:
+def labels_of(mechanism: KinematicTree, driven: Sequence[int]) -> Labels:
     """The labels of q, qd and tau: joints, with an axis where one has several freedoms; m and rad, and their rates."""
     freedoms, places = [("", "")] * mechanism.dofs, list[tuple[str, str]]()
     for segment in mechanism.segments:

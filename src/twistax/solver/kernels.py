@@ -268,7 +268,8 @@ class _Pending:
         if self._program is None:
             return
         try:
-            with _COMPILING, contextlib.suppress(NotNative, BuildError):
+            # Settings of JAX are those of a thread.
+            with _COMPILING, in_double(), contextlib.suppress(NotNative, BuildError):
                 self._kernel = _Unbound.of_program(self._program, self._arguments)
         except BaseException as error:
             self._error = error

@@ -137,8 +137,8 @@ class Functions:
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
-        twin.__dict__.update(self.__dict__, **changes)
-        twin.jitted, twin._called = _for_calls(twin), set[str]()
+        twin.__dict__.update(self.__dict__, _called=set[str](), **changes)
+        twin.jitted = _for_calls(twin)
         return twin
 
     def __reduce__(self) -> Any:

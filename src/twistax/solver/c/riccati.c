@@ -43,16 +43,16 @@ static void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
 
 typedef struct { /* rows first <= i < last of a column; all others are zero */
   int32_t first, last;
-} range;
+} column_range;
 
-static range nonzeros(int32_t n, const double *column) {
-  range r = {0, n};
+static column_range nonzeros(int32_t n, const double *column) {
+  column_range r = {0, n};
   while (r.first < n && column[r.first] == 0) r.first++;
   while (r.last > r.first && column[r.last - 1] == 0) r.last--;
   return r;
 }
 
-static double dot(range r, const double *restrict a, const double *restrict b) {
+static double dot(column_range r, const double *restrict a, const double *restrict b) {
   double sum = 0;
   for (int32_t l = r.first; l < r.last; l++) sum += a[l] * b[l];
   return sum;
@@ -68,14 +68,14 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   memset(T, 0, sizeof(double) * (size_t)nx * (size_t)n);
   for (int32_t j = 0; j < n; j++) {
     const double *const f = F + (size_t)j * (size_t)nx;
-    const range r = nonzeros(nx, f);
+    const column_range r = nonzeros(nx, f);
     twx_add_product(nx, 1, r.last - r.first, P + (size_t)r.first * (size_t)nx, nx, f + r.first, nx, T + (size_t)j * (size_t)nx, nx);
   }
   for (int32_t j = 0; j < np; j++) /* F'W_p of rows before p; of p itself both orders */
     for (int32_t i = 0; i < nx; i++) T[i + (size_t)(nv + j) * (size_t)nx] += W[i + (size_t)j * (size_t)nx];
   for (int32_t i = 0; i < n; i++) {
     const double *const f = F + (size_t)i * (size_t)nx;
-    const range r = nonzeros(nx, f);
+    const column_range r = nonzeros(nx, f);
     for (int32_t j = i; j < n; j++) M[i + (size_t)j * (size_t)n] += dot(r, f, T + (size_t)j * (size_t)nx);
     for (int32_t j = 0; i >= nv && j <= i - nv; j++) M[nv + j + (size_t)i * (size_t)n] += dot(r, f, W + (size_t)j * (size_t)nx);
     for (int32_t j = 0; j < w->nbe; j++) R[i + (size_t)j * (size_t)n] = dot(r, f, W + (size_t)(np + j) * (size_t)nx);

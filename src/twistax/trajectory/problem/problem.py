@@ -287,61 +287,63 @@ class Problem:
         mesh_tolerance: float = MESH,
         strategies: Collection[Any] = tuple(Strategy),
     ) -> TrajectoryResult:
-        """Optimise, from one guess or from several, and return the best result.
+        """Optimise from one guess or from several, and return the best result.
 
-        The first call compiles, later ones do not. Neither do problems that differ in numbers or nodes alone from one
-        that was solved before: numbers in expressions are arguments of the compiled functions. What changes the
-        structure compiles anew: a zero, a factor of one, an exponent or a table. Threads may share a problem.
+        The first call compiles, later calls do not. A problem that differs from an earlier one only in numbers or nodes
+        does not compile again either: numbers in expressions are arguments of the compiled functions. A change of
+        structure compiles again: a zero, a factor of one, an exponent or a table. Threads may share a problem.
 
-        Where explicit steps are unstable and no optimum comes out, the problem is solved by collocation with Radau IIA
-        of order 5, and the message says so; `result.problem` is the one that was solved. A warm start from such a
-        result is one for that problem again.
+        If explicit steps are unstable and the solve finds no optimum, the problem is solved by collocation with Radau
+        IIA of order 5, and the message says so; `result.problem` is the problem that was solved. Use a warm start from
+        such a result for that problem.
 
-        In a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
-        final_time_guess are dicts from names of phases to what is said here; those left out keep what they have.
+        For a problem of phases the result is a `PhasedResult`. Then guess, initial, final, final_time and
+        final_time_guess are dicts from names of phases to the values described here; phases that are left out keep
+        their values.
 
         Args:
-            guess: values by leaf or name on top of the problem's own guess.
-            warm: start from a result, or from what its `shifted` gives, instead of a guess: with its multipliers, its
-                scales, and a barrier that fits how far it is from what is asked now.
-            initial, final: values by state or name in place of the problem's own. The same entries are fixed.
-            params: values of parameters, by leaf or name, in place of the problem's own.
-            free: other limits of free parameters, by leaf or name; the same sides stay open.
-            final_time: a number where the problem has one, limits where it has limits.
-            final_time_guess: where a free final time starts.
-            guesses: how many tries. The first one starts from the guess, or `warm`, the others from perturbed guesses.
-            seed: perturb every try's guess. The same seed gives the same tries. Standard deviations are 0.4 of the
-                scale for free tangents of states, final times and parameters, and 0.15 for controls; at most a sixth of
-                the distance of limits. They are halved until the gaps of the dynamics are at most thirty times as large
-                as their scale and as the gaps of the guess.
-            callback: called with (iteration, cost, violation) before each step. Where it returns True the search ends
-                with status STOPPED, and the result is the iterate with the smallest error, with its measures.
-                `IPOPT` and `Fatrop` call it and go on.
+            guess: values by leaf or name that replace parts of the problem's guess.
+            warm: start from a result, or from its `shifted(...)`, in place of a guess: with its multipliers and scales,
+                and with a barrier parameter that fits its violation of the present problem.
+            initial, final: values by state or name in place of those of the problem. The same entries must be fixed.
+            params: values of parameters, by leaf or name, in place of those of the problem.
+            free: other limits of free parameters, by leaf or name; the same sides must be open.
+            final_time: a number if the problem has a number, limits if it has limits.
+            final_time_guess: the guess of a free final time.
+            guesses: the number of tries. The first starts from the guess or from `warm`, the others from perturbed
+                guesses.
+            seed: perturb the guess of every try; equal seeds give equal tries. Standard deviations are 0.4 of the scale
+                for free tangents of states, final times and parameters, and 0.15 for controls, but at most a sixth of
+                the distance of limits. They are halved until the defects of the dynamics are at most thirty times their
+                scale, and thirty times the defects of the guess.
+            callback: called with (iteration, cost, violation) before each step. If it returns True the search ends with
+                status STOPPED, and the result is the iterate with the smallest error. `IPOPT` and `Fatrop` ignore what
+                it returns.
             progress: True prints a line for each iteration (cost, violation, step), False nothing; a `Progress` formats
                 the cost. Left out, lines come after two seconds, on a terminal, unless there is a callback.
-            max_iterations: iterations a try may use.
-            max_seconds: wall time after which the search ends with status OUT_OF_TIME, and the same iterate; the look
-                at the mesh comes after it. `IPOPT` and `Fatrop` have one of their own.
-            tolerance: how far, in scaled form, the first-order conditions may be from holding.
-            solver: the solver of others that is to solve, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; the
-                interior point of this package if left out.
+            max_iterations: the most iterations of a try.
+            max_seconds: wall time after which the search ends with status OUT_OF_TIME and the same kind of iterate; the
+                check of the mesh comes after it. `IPOPT` and `Fatrop` have their own limit.
+            tolerance: of the scaled first-order conditions.
+            solver: another solver, `tx.trajectory.IPOPT()` or `tx.trajectory.Fatrop()`; by default the interior-point
+                method of this package.
             between: how far a dense rollout may violate path constraints, in their scales, such as 1e-6. Where it
                 violates them they are tightened, and the problem is solved again with a warm start.
-            mesh_tolerance: the largest error of the mesh that a SOLVED result has; beyond it the status is COARSE. Each
-                interval, integrated closely again from its planned start, ends within this of its planned end, in
-                scales of the states, and the relative error of the objective is at most this: see `result.accuracy`.
-                An infinite one accepts any mesh.
-            refine: make the mesh finer until each interval, integrated closely again from its planned start, ends
-                within this of its planned end, in scales of the states, and the relative change of the objective from
-                mesh to mesh is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`;
-                `result.meshes` has all of them. The status is COARSE where a thousand nodes are not enough.
-            strategies: what is done around the interior point method, members of `Strategy`; an empty tuple leaves the
-                method alone. Solvers of others have some of their own.
+            mesh_tolerance: the largest error of the mesh for status SOLVED; beyond it the status is COARSE. Each
+                interval, integrated accurately from its planned start, ends within this of its planned end, in scales
+                of the states, and the relative error of the objective is at most this: see `result.accuracy`. An
+                infinite one accepts any mesh.
+            refine: refine the mesh until each interval, integrated accurately from its planned start, ends within this
+                of its planned end, in scales of the states, and the relative change of the objective from mesh to mesh
+                is at most this, such as 1e-6. The result is that of the last mesh, `result.problem`; `result.meshes`
+                has all of them. The status is COARSE where a thousand nodes are not enough.
+            strategies: what may be done besides the interior-point method, members of `Strategy`; an empty tuple uses
+                the method alone. Other solvers have strategies of their own.
 
         Raises:
             ModelError, ShapeError, InputError: a guess, an end or a parameter that does not fit.
             TrajectoryError: other entries fixed, times or numbers without meaning; limits of a parameter that is not
-                free, or on other sides; a warm start of another problem, or beside a guess.
+                free, or on other sides; a warm start of another problem, or together with a guess.
         """
         arguments = {name: value for name, value in locals().items() if name != "self"}
         return solved(self, SolveOptions(**arguments))

@@ -60,25 +60,27 @@ class Quality:
     """How well a result solves its problem. All arrays are NumPy, double precision.
 
     Attributes:
-        final_time: when it ends, s.
-        params: the parameters it was solved for, and those that were found.
+        final_time: the time at the end, s.
+        params: the values of all parameters, with those of free parameters at the solution.
         cost: the objective as stated (a maximum is not negated).
-        violation: the largest violation of a constraint, each measured in its own scale; 0 where all hold.
+        violation: the largest violation of a constraint, each measured in its own scale; 0 if all hold.
         violations: row name -> largest violation at the nodes in the constraint's own unit, all rows of the problem.
-        optimality: how far the first-order conditions are from holding.
-        multipliers: row name -> multipliers of what is minimised, in the units of the objective over those of the row,
-            in the order of its places; a norm's are those of its square. "dynamics of <state>" (intervals, dimension).
-        active: names of the constraints that bind, those first that matter most to the objective.
-        accuracy: how closely it follows the differential equations, and which limits it exceeds between nodes; None
-            of a point that is not finite.
-        status: how it ended; `message` says it in one sentence, and which constraint is worst and where.
-        iterations: steps of the solver in the try that gave this result.
-        tries: one line (status, cost, violation, iterations) for every guess.
+        optimality: the residuals of the first-order conditions.
+        multipliers: row name -> multipliers for the minimised objective, in its unit over that of the row, in the order
+            of the row's places; those of a norm belong to its square. "dynamics of <state>" has shape (intervals,
+            dimension).
+        active: names of the active constraints, those with the largest effect on the objective first.
+        accuracy: the integration error, and the limits that are exceeded between nodes; None for a point that is not
+            finite.
+        status: how the solve ended; `message` explains it in one sentence, and names the worst constraint and its
+            place.
+        iterations: iterations of the solver in the try with this result.
+        tries: (status, cost, violation, iterations) of every try.
         compile_seconds, solve_seconds: wall time; of `solve(refine=...)` that of all meshes.
-        warm: what `solve(warm=...)` starts from.
-        slacks: (rows,) what is left to every inequality in its own unit, as the solver knows it.
-        saddle: whether the objective falls to second order from here, along what the constraints leave free, and
-            searches from beside it found nothing better.
+        warm: the start for `solve(warm=...)`.
+        slacks: (rows,) the slack of every inequality in its own unit, as the solver has it.
+        saddle: whether the point is a saddle: the objective decreases to second order within the constraints, and
+            searches from nearby points found nothing better.
     """
 
     problem: Any
