@@ -12,8 +12,10 @@ import pytest
 
 import twistax as tx
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import cuda, cuda_kernel, kernel, self_test, targets
-from twistax.scalar.targets.llvm.cuda_kernel import CudaKernel
+from twistax.scalar.targets.cuda import driver as cuda
+from twistax.scalar.targets.cuda import kernel as cuda_kernel
+from twistax.scalar.targets.cuda.kernel import CudaKernel
+from twistax.scalar.targets.llvm import kernel, self_test, targets
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, MachineCode, Processor, compiled, load
 

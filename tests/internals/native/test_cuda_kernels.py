@@ -20,7 +20,8 @@ from native_programs import program_of, run
 import twistax as tx
 from twistax.mechanics import Chain, chain_models, forward_dynamics
 from twistax.scalar.primitives.table import OPERATIONS
-from twistax.scalar.targets.llvm import handler, ptx, targets
+from twistax.scalar.targets.cuda import ptx
+from twistax.scalar.targets.llvm import handler, targets
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import KernelBody

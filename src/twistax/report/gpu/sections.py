@@ -15,10 +15,10 @@ import numpy as np
 import twistax as tx
 
 from ...jax_inside import jax_versions
-from ...scalar.targets.llvm import cuda_kernel
+from ...scalar.targets.cuda import kernel as cuda_kernel
+from ...scalar.targets.cuda.driver import driver
+from ...scalar.targets.cuda.ptx import libdevice
 from ...scalar.targets.llvm.backend import KERNEL_EVENT
-from ...scalar.targets.llvm.cuda import driver
-from ...scalar.targets.llvm.ptx import libdevice
 from ..sections import flights, problems
 from . import cases
 

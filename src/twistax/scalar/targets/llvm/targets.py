@@ -8,12 +8,12 @@ from typing import Any
 
 from ....jax_inside import backends
 from ...program import ScalarProgram
-from .cuda import driver
-from .cuda_kernel import CudaKernel
+from ..cuda.driver import driver
+from ..cuda.kernel import CudaKernel
+from ..cuda.ptx import libdevice
 from .kernel import HostKernel, Kernel
 from .kernel_body import KernelBody
 from .machine_code import BuildError, Processor
-from .ptx import libdevice
 
 
 class Target(ABC):

@@ -17,7 +17,7 @@ from typing import Any
 import jax
 from numpy.typing import NDArray
 
-from .machine_code import BuildError
+from ..llvm.machine_code import BuildError
 
 #: CUDA 12.0, the first with libraries that belong to no context.
 _LEAST = 12000

@@ -12,12 +12,12 @@ from numpy.typing import NDArray
 from ....jax_inside import jax_versions
 from ... import kernel_cache as cache
 from ...kernel_cache import version
-from .code import Module
-from .cuda import DeviceCode, driver
-from .handler import write_device_handler
-from .kernel import CodeHandle, HostCodeHandle, Kernel, digest, named
-from .kernel_body import KernelBody
-from .machine_code import Processor
+from ..llvm.code import Module
+from ..llvm.handler import write_device_handler
+from ..llvm.kernel import CodeHandle, HostCodeHandle, Kernel, digest, named
+from ..llvm.kernel_body import KernelBody
+from ..llvm.machine_code import Processor
+from .driver import DeviceCode, driver
 from .ptx import ENTRY, assembled, device, write_kernel
 
 #: Threads in a block.

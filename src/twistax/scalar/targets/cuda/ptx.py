@@ -14,9 +14,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
-from .code import Module
-from .kernel_body import BatchFunction
-from .machine_code import BuildError, Processor
+from ..llvm.code import Module
+from ..llvm.kernel_body import BatchFunction
+from ..llvm.machine_code import BuildError, Processor
 
 #: What the entry of the kernel is called.
 ENTRY = "kernel"
