@@ -2,6 +2,7 @@
 
 python examples/monte_carlo.py                                              # 2,000 throws
 python examples/monte_carlo.py --count 1000000 --directory out/throws       # stop it and call it again
+python examples/monte_carlo.py --count 1000000 --device gpu                  # all CUDA devices of this machine
 """
 
 from __future__ import annotations
@@ -53,8 +54,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     parser.add_argument("--count", type=int, default=2_000, help="throws (default: %(default)s)")
     parser.add_argument("--directory", help="where chunks are kept, to go on after a stop")
+    parser.add_argument("--device", choices=("cpu", "gpu"), help="where throws are computed (default: JAX's choice)")
     arguments = parser.parse_args()
-    found = tx.sweep(run, throw, count=arguments.count, directory=arguments.directory)
+    try:
+        devices = jax.local_devices(backend=arguments.device)
+    except RuntimeError as error:
+        parser.error(f"--device {arguments.device}: {error}")
+    found = tx.sweep(run, throw, count=arguments.count, directory=arguments.directory, devices=devices)
     low, middle, high = (found.percentiles(p) for p in (5, 50, 95))
     print(f"{found}\n\n{'':8}{'mean':>9}{'std':>8}{'5 %':>9}{'50 %':>9}{'95 %':>9}")
     for name, unit in (("range", "m"), ("aside", "m"), ("time", "s")):

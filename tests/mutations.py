@@ -37,6 +37,7 @@ TESTS = {
     "expr/lie": "expr/test_lie_*.py expr/test_attitude_nodes.py expr/test_coscrews.py",
     "system": "lowering/test_dynamics.py lowering/test_hessian.py lowering/test_lower.py lowering/test_[bcflrs]*.py",
     "scalar": "internals/scalar/test_*.py lowering/test_range.py",
+    "scalar/targets/cuda": "internals/native/test_cuda_*.py",
     "scalar/targets/llvm": "internals/native/test_*.py lowering/native/test_*.py",
     "system/export": "lowering/export/test_*.py",
     "integrators": "integrators/test_fixed.py integrators/test_[acefims]*.py internals/test_s*.py",

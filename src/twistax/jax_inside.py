@@ -21,6 +21,7 @@ import jax.numpy as jnp
 import jaxlib
 from jax.experimental import jet
 from jax.experimental.serialize_executable import deserialize_and_load, serialize
+from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Jaxpr, Literal, Primitive, jaxpr_as_fun
 from jax.interpreters import ad, batching, mlir
 
@@ -442,10 +443,17 @@ def wrapped_terms() -> tuple[Any, Any]:
     return WrapTerm, AdjointTerm
 
 
+def accelerators_exist() -> bool:
+    """Whether this process has devices beside the CPU, on which a computation may run too."""
+    return any(name != "cpu" for name in backends())
+
+
 @contextlib.contextmanager
 def in_double() -> Iterator[None]:
-    """Double precision; and values at once, also in a function that is being traced."""
+    """Double precision, on the CPU; and values at once, also in a function that is being traced."""
     with jax.enable_x64(True), contextlib.ExitStack() as stack:
+        if accelerators_exist():
+            stack.enter_context(jax.default_device(jax.local_devices(backend="cpu")[0]))
         # Only there: checks at run time, as diffrax makes them, do not work in it.
         if is_tracing() and is_traced(jnp.zeros(())):
             stack.enter_context(jax.ensure_compile_time_eval())

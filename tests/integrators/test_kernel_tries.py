@@ -57,8 +57,8 @@ def test_saved_times_limits_and_jumps() -> None:
 def test_one_call_of_the_kernel_goes_on_across_jumps() -> None:
     """Also where rows are filled on the way; of many limits it sees some at a time."""
     table = tx.FirstOrderHold(np.linspace(0.0, 1.0, 9), np.random.default_rng(2).normal(size=(9, 3)))
-    rows = {"save_at": np.linspace(0.0, 1.0, 5), "between": tx.Between.POLYNOMIAL}
-    for more in ({}, rows):
+    rows = {"save_at": np.linspace(0.0, 1.0, 5)}
+    for more in ({}, rows, {**rows, "between": tx.Between.POLYNOMIAL}):
         given: dict[str, Any] = {"t1": 1.0, "rtol": 1e-6, "u": {"F": table}, **more}
         program = jax.make_jaxpr(lambda x, given=given: tx.integrate(NATIVE, x, **given).xs)(START)
         names = [eqn.primitive.name for eqn in all_equations(program.jaxpr)]

@@ -14,6 +14,7 @@ from integrator_bodies import start
 
 import twistax as tx
 from compiled_steps import programs_of_steps
+from twistax.scalar.targets.llvm import targets
 from twistax.scenes import ROCKET
 
 Cost = Callable[[jax.Array], jax.Array]
@@ -114,16 +115,18 @@ def test_wide_states_stay_arrays() -> None:
     assert not programs_of_steps(dynamics)
 
 
-def test_accelerators_take_no_kernels(monkeypatch: pytest.MonkeyPatch) -> None:
+@pytest.mark.parametrize(("platform", "kernels"), [("tpu", False), ("cuda", True)])
+def test_other_accelerators_take_no_kernels(platform: str, kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
     """There a step written out whole would compile for long and run no faster."""
     pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
     dynamics = tx.compile(top(), backend=tx.Native())
-    monkeypatch.setattr(jax, "default_backend", lambda: "gpu")
+    monkeypatch.setattr(targets, "backends", lambda: {"cpu": None, platform: None})
     cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
     jax.make_jaxpr(cost)(jnp.zeros(3))
     jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    assert [made for made in dynamics.functions.steps.values() if made is not None] == programs_of_steps(dynamics)
-    assert all(found.runner is None for found in programs_of_steps(dynamics))
+    steps = [made for made in dynamics.functions.steps.values() if made is not None]
+    assert (steps != programs_of_steps(dynamics)) == kernels
+    assert all((program.runner is not None) == kernels for program in programs_of_steps(dynamics))
 
 
 def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> None:

@@ -12,9 +12,10 @@ from twistax.integrators.options import Options, plan_of
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.iterations import Iterations
-from twistax.scalar.targets.llvm.kernel import Kernel, check_kernel
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
+from twistax.scalar.targets.llvm.self_test import check_kernel
 
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
@@ -34,6 +35,6 @@ def test_a_wrong_kernel_for_one_body_is_found(monkeypatch: pytest.MonkeyPatch) -
     monkeypatch.setitem(vars(OPERATIONS["mul"]), "llvm", OPERATIONS["add"].llvm)
     number, x = jax.ShapeDtypeStruct((), int), jax.ShapeDtypeStruct((3,), float)
     step = native_form(scalarize(lambda k, x: [0.5 * x, (x > 0.0).all()], number, x))
-    tile = Iterations(step, 1, 1)
+    body = Iterations(step, 1, 1)
     with pytest.raises(BuildError, match="differ"):
-        check_kernel(Kernel(tile, Processor.host()), tile)
+        check_kernel(HostKernel(body, Processor.host()))

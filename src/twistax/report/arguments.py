@@ -16,6 +16,7 @@ def add_options(parser: argparse.ArgumentParser) -> None:
         "speed": "another report: what one evaluation of dynamics costs, ours and others'",
         "figures": "another report: every other figure of docs/measured.md",
         "optimal": "another report: trajectory problems with published optima, beside IPOPT and Fatrop",
+        "gpu": "another report: kernels on a CUDA device beside XLA there and beside the CPU; rows as text",
     }.items():
         kinds.add_argument(f"--{name}", action="store_true", help=text)
     parser.add_argument(

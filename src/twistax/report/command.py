@@ -41,6 +41,8 @@ def run(arguments: argparse.Namespace) -> int:
     cannot be written, --renew would write partial tables, --only names a section of another report, or jinja2 or,
     with --foreign, casadi is missing.
     """
+    if getattr(arguments, "gpu", False):
+        return int(importlib.import_module(".gpu.command", __package__).run(arguments))
     if importlib.util.find_spec("jinja2") is None:
         return _refuse("the report needs jinja2, which is not installed; fix: pip install 'twistax[report]'")
     partial = [f"--{name}" for name in _PARTIAL if getattr(arguments, name)]

@@ -45,7 +45,7 @@ class Written(Differentiable):
     def primitive(self, inside: bool) -> Primitive:
         return _written_p
 
-    def kernel(self, rows: int) -> Rows | None:
+    def kernel(self, rows: int, platform: str) -> Rows | None:
         return None
 
     def made(self, program: ClosedJaxpr) -> Written:

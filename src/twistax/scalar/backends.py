@@ -19,8 +19,8 @@ from ..errors import ModelError
 from ..jax_inside import ClosedJaxpr, Jaxpr, Literal, all_equations, inner_jaxprs, is_traced, jaxpr_as_fun, spread
 from .array_primitive import on_any_mesh
 from .graph import LIMITS, Limits, TooLarge
-from .jax_primitive import Derived, Rows, call_program
-from .loops import Repeated, Ring
+from .jax_primitive import Derived, call_program
+from .loops import MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
 from .reader import scalarize
@@ -99,8 +99,8 @@ class Backend(ABC):
         """A function that stands beside loops in kernels as one too, however small; None: it runs as it is."""
         return None
 
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
-        """What makes a kernel, of one member (True) or of many, that takes all iterations of a loop; None: it has none.
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
+        """What makes a kernel that takes all iterations of a loop; None: it has none.
 
         Args:
             step: one iteration.

@@ -130,10 +130,11 @@ def fast(
 
     XLA runs a function as a chain of operations on arrays, some 50 ns each, far more than the arithmetic of a 3x3
     matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
-    llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor. `lax.scan`, `fori_loop` and
-    `while_loop` with a body of scalars become one kernel each, with all of their iterations. Batches of `jax.vmap`
-    run side by side in the processor's vectors. What has no such form (libraries, large arrays, effects, random keys)
-    runs as JAX has it, and so does everything on other devices. `fast(f).explain(*arguments)` says what became of it.
+    llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices.
+    `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
+    iterations. Batches of `jax.vmap` run side by side in the processor's vectors, or in the threads of a CUDA device.
+    What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
+    other devices. `fast(f).explain(*arguments)` says what became of it.
 
     Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
     unless the backend is `tx.Native(tx.XLA(checked=True))`.

@@ -91,8 +91,12 @@ class Batch:
         return result, moved
 
 
+#: The platforms of JAX that kernels are made for. Which one an equation runs on is known where it is lowered.
+PLATFORMS = ("cpu", "cuda")
+
+
 class Runner(Protocol):
-    """Runs programs on the CPU without XLA, for calls with enough operations."""
+    """Runs programs without XLA, for calls with enough operations."""
 
     @property
     def least(self) -> int: ...
@@ -101,11 +105,11 @@ class Runner(Protocol):
     def alone(self) -> bool:
         """Whether it runs them also in what would be one small function without them."""
 
-    def prepare(self, program: ScalarProgram, single: bool) -> Rows | None:
-        """What runs the program; None: XLA does.
+    def prepare(self, program: ScalarProgram, single: bool, platform: str = "cpu") -> Rows | None:
+        """What runs the program; None: XLA does. Asked once for each program and platform.
 
         Args:
-            single: for one row; else for many. Asked once for each program.
+            single: for one row; else for many.
         """
 
 
@@ -120,13 +124,13 @@ class Computed(ABC):
     results: Any
     function: Any
 
-    def on_cpu(self, arguments: Sequence[Any], batch: Batch, inside: bool) -> list[jax.Array]:
-        """The computation for XLA on the CPU without a kernel, `inside` a small call or not."""
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+        """The computation for XLA on a platform without a kernel, `inside` a small call or not."""
         return batch.each(self.function, arguments)
 
     @abstractmethod
-    def kernel(self, rows: int) -> Rows | None:
-        """What runs a batch of that many members on the CPU instead."""
+    def kernel(self, rows: int, platform: str) -> Rows | None:
+        """What runs a batch of that many members on a platform instead."""
 
 
 class Differentiable(Computed):
@@ -184,7 +188,7 @@ class Derived(Differentiable):
 
     Args:
         program: the program; or what makes it, with the shapes and types of its results.
-        runner: what runs it and its derivatives on the CPU; XLA if None.
+        runner: what runs it and its derivatives where it can; XLA if None.
     """
 
     def __init__(
@@ -197,7 +201,7 @@ class Derived(Differentiable):
         self._program = program
         self.runner = runner
         self._results = results
-        self._prepared: dict[bool, Rows | None] = {}
+        self._prepared: dict[tuple[bool, str], Rows | None] = {}
 
     @functools.cached_property
     def program(self) -> ScalarProgram:
@@ -217,20 +221,22 @@ class Derived(Differentiable):
     def _apart(self) -> Any:
         return as_function(self.program, apart)
 
-    def kernel(self, rows: int) -> Rows | None:
-        """What the runner runs for a batch of that many members on the CPU; None: XLA does."""
+    def kernel(self, rows: int, platform: str) -> Rows | None:
+        """What the runner runs for a batch of that many members on a platform; None: XLA does."""
         if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
-        return self.native(rows == 1)
+        return self.native(rows == 1, platform)
 
-    def native(self, single: bool) -> Rows | None:
+    def native(self, single: bool, platform: str = "cpu") -> Rows | None:
         """What the runner runs, for one member or for more, however many operations there are."""
-        if self.runner is not None and single not in self._prepared:
-            self._prepared[single] = self.runner.prepare(self.program, single)
-        return self._prepared.get(single)
+        if self.runner is not None and (single, platform) not in self._prepared:
+            self._prepared[single, platform] = self.runner.prepare(self.program, single, platform)
+        return self._prepared.get((single, platform))
 
-    def on_cpu(self, arguments: Sequence[Any], batch: Batch, inside: bool) -> list[jax.Array]:
-        """What XLA runs on the CPU: member after member, each loop compiled as one function, or `inside` of one."""
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+        """On the CPU member after member, each loop compiled as one function, or `inside` of one."""
+        if platform != "cpu":
+            return super().by_xla(arguments, batch, inside, platform)
         empty = not any(jnp.size(a) for a in arguments)
         if batch.depth == 0:
             return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
@@ -292,15 +298,17 @@ def call_program(program: Differentiable, *arguments: Any, batch: Batch = _ONE) 
 # ---- rules of JAX for them -------------------------------------------------------------------------------------------
 
 
-def _by_xla(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[jax.Array]:
-    return program.on_cpu(arguments, batch, inside)
+def _by_xla(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+    return program.by_xla(arguments, batch, inside, platform)
 
 
-def by_kernel(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[jax.Array]:
-    """On the CPU: the kernel, where there is one."""
+def by_kernel(*arguments: Any, program: Computed, batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
+    """The kernel of a platform, where there is one."""
     rows = math.prod(batch.shape(arguments))
-    kernel = program.kernel(rows) if rows else None
-    return program.on_cpu(arguments, batch, inside) if kernel is None else batch.rows(kernel, arguments)
+    kernel = program.kernel(rows, platform) if rows else None
+    if kernel is None:
+        return program.by_xla(arguments, batch, inside, platform)
+    return batch.rows(kernel, arguments)
 
 
 def _elsewhere(*arguments: Any, program: Computed, batch: Batch, inside: bool) -> list[jax.Array]:
@@ -362,8 +370,12 @@ class _Held:
         return _Held, ()
 
 
-def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None:
-    """Register with JAX how an equation runs, alone or in a batch."""
+def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms: Sequence[str] = PLATFORMS) -> None:
+    """Register with JAX how an equation runs, alone or in a batch.
+
+    Args:
+        run: runs it on these platforms, and takes the platform as a keyword. On others the program's function runs.
+    """
 
     @functools.lru_cache(32)  # what is jitted keeps its program
     def compiled(**params: Any) -> Any:
@@ -411,7 +423,8 @@ def define(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]]) -> None
     primitive.def_abstract_eval(_abstract)
     batching.primitive_batchers[primitive] = batching_rule
     mlir.register_lowering(primitive, lower(_elsewhere))
-    mlir.register_lowering(primitive, lower(on_cpu), platform="cpu")
+    for platform in platforms:
+        mlir.register_lowering(primitive, lower(functools.partial(run, platform=platform)), platform=platform)
 
 
 def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, batch: Batch, inside: bool) -> Any:
@@ -439,14 +452,16 @@ def _jet(primals: Sequence[Any], series: Sequence[Any], *, program: Derived, bat
 _taylor_rules: dict[Any, Any] = jet.jet_rules
 
 
-def differentiable(primitive: Primitive, on_cpu: Callable[..., list[jax.Array]] | None = None) -> None:
-    """Register a `Differentiable` with JAX; on the CPU it runs by its kernel if there is one."""
-    define(primitive, on_cpu or by_kernel)
+def differentiable(
+    primitive: Primitive, run: Callable[..., list[jax.Array]] = by_kernel, platforms: Sequence[str] = PLATFORMS
+) -> None:
+    """Register a `Differentiable` with JAX."""
+    define(primitive, run, platforms)
     ad.primitive_jvps[primitive] = _jvp
     ad.primitive_transposes[primitive] = _transpose
 
 
-differentiable(_program_p, _by_xla)
+differentiable(_program_p, _by_xla, ("cpu",))
 differentiable(_native_p)
 for _primitive in (_program_p, _native_p):
     _taylor_rules[_primitive] = _jet

@@ -21,6 +21,9 @@ from .targets.xla import as_function
 #: From what an iteration left for rows, and a mark, to the row.
 Row: TypeAlias = Callable[[Any, jax.Array], jax.Array]
 
+#: From whether it is for one body, and the platform, to a kernel; None: there is none.
+MakeKernel: TypeAlias = Callable[[bool, str], "Rows | None"]
+
 #: A table, and the number of the next row.
 _Filled: TypeAlias = tuple[jax.Array, jax.Array]
 
@@ -34,14 +37,14 @@ class _Rolled(Computed):
     """A loop with the kernels of all its iterations. Compared and hashed by identity.
 
     Args:
-        kernel: makes the kernel, for one member (True) or for many; None where there is none.
+        kernel: makes the kernel, for one member (True) or for many, on a platform; None where there is none.
     """
 
-    def __init__(self, kernel: Callable[[bool], Rows | None]) -> None:
+    def __init__(self, kernel: MakeKernel) -> None:
         self._kernel = functools.lru_cache(kernel)
 
-    def kernel(self, rows: int) -> Rows | None:
-        return self._kernel(rows == 1)
+    def kernel(self, rows: int, platform: str) -> Rows | None:
+        return self._kernel(rows == 1, platform)
 
 
 class Filling(NamedTuple):
@@ -160,7 +163,7 @@ class Repeated(_Rolled):
         self,
         step: ScalarProgram,
         state: int,
-        kernel: Callable[[bool], Rows | None],
+        kernel: MakeKernel,
         row: ScalarProgram | None = None,
         length: int = 0,
     ) -> None:
@@ -176,8 +179,8 @@ class Repeated(_Rolled):
             repeated = self._others[length] = Repeated(self._step, self._state, self._kernel, self.row, length)
         return repeated
 
-    def kernel(self, rows: int) -> Rows | None:
-        kernel = super().kernel(rows)
+    def kernel(self, rows: int, platform: str) -> Rows | None:
+        kernel = super().kernel(rows, platform)
         return kernel if kernel is None or self.row is None else functools.partial(kernel, length=self._length)
 
     @functools.cached_property
@@ -258,9 +261,7 @@ class Looped(_Rolled):
         kernel: as of all loops.
     """
 
-    def __init__(
-        self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: Callable[[bool], Rows | None]
-    ) -> None:
+    def __init__(self, function: Callable[..., list[jax.Array]], results: Shapes, kernel: MakeKernel) -> None:
         super().__init__(kernel)
         self.function, self.results = function, results
 

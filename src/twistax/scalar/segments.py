@@ -73,10 +73,10 @@ class Whole(Written):
 
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-        """The function for the CPU, and a reason for each part."""
+        """The function for platforms with kernels, and a reason for each part."""
         return emit_whole(self.program, self.backend)
 
-    def on_cpu(self, arguments: Sequence[Any], batch: Batch, inside: bool) -> list[jax.Array]:
+    def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         return batch.each(self.parts[0], arguments)
 
     def made(self, program: ClosedJaxpr) -> Whole:

@@ -2,8 +2,8 @@
 
 XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
 The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
-to compile that way, on arrays of at most thousands of entries, and with every argument in use. Elsewhere, and under
-vmap, the function runs as it is, with the same result.
+to compile that way, on arrays of at most thousands of entries, and with every argument in use. On other platforms, and
+under vmap, the function runs as it is, with the same result.
 `tests/internals/test_small_call.py` notices if the attribute loses its effect.
 """
 
@@ -19,7 +19,7 @@ import jax
 import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
-from ..jax_inside import all_equations, is_key, opened, small_calls_exist, xla_metadata
+from ..jax_inside import accelerators_exist, all_equations, is_key, opened, small_calls_exist, xla_metadata
 from .primitives.table import entry_of
 
 Result = TypeVar("Result")
@@ -116,7 +116,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     Args:
         trusted: take the caller's word that it works. XLA ends the process where it does not.
     """
-    if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist() or jax.default_backend() != "cpu":
+    if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist():
         return function(*arguments)
     debugging: Any = jax.config
     if debugging.jax_disable_jit:  # operations one by one would have the attribute
@@ -135,8 +135,7 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
         return function(*arguments)
     run, traced = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
-    results = _outlined(_reading(run))(*jax.lax.optimization_barrier([*traced, *leaves]))
-    result: Result = unflatten(results[:-1])
+    result: Result = unflatten(_outlined(run)(*jax.lax.optimization_barrier([*traced, *leaves])))
     return result
 
 
@@ -166,7 +165,7 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
     @jax.custom_batching.custom_vmap
     def outlined(*leaves: jax.Array) -> list[jax.Array]:
         with xla_metadata(xla_cpu_small_call="true", inlineable="false"):
-            return jax.jit(run, inline=False)(*leaves)
+            return jax.jit(_reading(run), inline=False)(*leaves)[:-1]
 
     @outlined.def_vmap
     def batched(size: int, mapped: list[bool], *leaves: jax.Array) -> tuple[list[jax.Array], list[bool]]:
@@ -174,9 +173,14 @@ def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arr
         results = jax.vmap(run, in_axes=axes, axis_size=size)(*leaves)
         return results, [True] * len(results)
 
+    def by_platform(*leaves: jax.Array) -> list[jax.Array]:
+        """Where it runs is known once it is lowered."""
+        results: list[jax.Array] = jax.lax.platform_dependent(*leaves, cpu=outlined, default=run)
+        return results
+
     # Part of a larger program always. Where JAX evaluates a jaxpr that holds the inner function, it lowers it while
     # the attribute is set, every operation gets it, and XLA ends the process at loops inside.
-    return jax.jit(outlined)
+    return jax.jit(by_platform if accelerators_exist() else outlined)
 
 
 def known_inside(jaxpr: Any) -> bool:

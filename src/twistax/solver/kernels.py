@@ -23,9 +23,10 @@ from ..scalar.program import ScalarProgram
 from ..scalar.rewriting import computed_before
 from ..scalar.targets.llvm.backend import KERNEL_EVENT
 from ..scalar.targets.llvm.code import NotNative
-from ..scalar.targets.llvm.kernel import Kernel, check_kernel
+from ..scalar.targets.llvm.kernel import HostKernel
 from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, Straight, by_numpy, native_form
 from ..scalar.targets.llvm.machine_code import BuildError, Processor
+from ..scalar.targets.llvm.self_test import check_kernel
 from ..scalar.walk import uncollected
 from ..system.functions import Kept
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
@@ -134,8 +135,8 @@ class _Unbound:
                 place = arguments.index(Argument.NUMBERS)
                 before, form = computed_before(form, place)
             body = Straight(form, processor.lanes(np.dtype(float)))
-            kernel = Kernel(body, processor, threads=1)
-            check_kernel(kernel, body)
+            kernel = HostKernel(body, processor, threads=1)
+            check_kernel(kernel)
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
         return cls(kernel.symbol[1], [arguments[k] for k in body.read], kernel, before, place)
 

@@ -11,7 +11,7 @@ import pytest
 
 from twistax.scalar.graph import ScalarGraph
 from twistax.scalar.program import ScalarProgram
-from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
 
@@ -34,7 +34,7 @@ def program_of(operations: Sequence[Any], dtype: Any, arguments: int) -> ScalarP
 def run(program: ScalarProgram, processor: Processor, *columns: Any) -> list[np.ndarray]:
     """The results, one column each."""
     form = native_form(program)
-    kernel = Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
+    kernel = HostKernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
     rows = np.broadcast_arrays(*columns)
     return [r[:, 0] for r in kernel.run([rows[k].reshape(-1, 1) for k in kernel.body.read])]
 

@@ -24,10 +24,11 @@ from twistax import jax_inside
 from twistax.scalar import kernel_cache as cache
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import kernel
-from twistax.scalar.targets.llvm.kernel import Kernel, check_kernel
+from twistax.scalar.targets.llvm import kernel, self_test
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, Processor
+from twistax.scalar.targets.llvm.self_test import check_kernel
 
 KEY, CODE = "0" * 64, bytes(range(256)) * 20
 POINTS = np.random.default_rng(0).normal(size=(9, 3))
@@ -41,7 +42,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     while len(kernel._FREE) < 4:
         _used(float(np.random.default_rng().random()))
     monkeypatch.setattr(jax_inside, "_SAID", set())
-    monkeypatch.setattr(kernel, "_CALLED", True)
+    monkeypatch.setattr(self_test, "_CALLED", {"cpu"})
     found = tmp_path / "cache"
     monkeypatch.setenv("TWISTAX_CACHE", str(found))
     yield found
@@ -62,9 +63,9 @@ def _used(factor: float) -> np.ndarray:
     shape = jax.ShapeDtypeStruct((3,), float)
     form = native_form(scalarize(lambda x: [factor * x * x + x], shape))
     processor = Processor.host()
-    tile = Straight(form, processor.lanes(form.graph.dtype))
-    own = Kernel(tile, processor)
-    check_kernel(own, tile)
+    body = Straight(form, processor.lanes(form.graph.dtype))
+    own = HostKernel(body, processor)
+    check_kernel(own)
     (found,) = own.run([POINTS])
     np.testing.assert_allclose(found, factor * POINTS**2 + POINTS, rtol=1e-14, atol=1e-15)  # they may cancel
     del own

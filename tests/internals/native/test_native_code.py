@@ -18,9 +18,9 @@ from twistax import jax_inside
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel as kernel_module
-from twistax.scalar.targets.llvm import machine_code
+from twistax.scalar.targets.llvm import machine_code, self_test
 from twistax.scalar.targets.llvm.code import Module
-from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
 
@@ -58,8 +58,8 @@ def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:
     """As if XLA's interface had changed."""
-    monkeypatch.setattr(kernel_module, "_CALLED", False)
-    monkeypatch.setattr(Kernel, "__call__", lambda self, rows, *a, **_: [jnp.zeros((rows, 3))])
+    monkeypatch.setattr(self_test, "_CALLED", set())
+    monkeypatch.setattr(HostKernel, "__call__", lambda self, rows, *a, **_: [jnp.zeros((rows, 3))])
     with pytest.warns(RuntimeWarning, match="differ where JAX calls it"):
         rates = tx.compile(SMALL, backend=tx.Native(least=0, threads=5))(0.0, AT)["s"]
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
@@ -67,7 +67,7 @@ def test_a_handler_called_otherwise_is_not_used(monkeypatch: pytest.MonkeyPatch)
 
 def test_the_first_kernel_may_be_a_constant(monkeypatch: pytest.MonkeyPatch) -> None:
     """It reads nothing, though the system has a state."""
-    monkeypatch.setattr(kernel_module, "_CALLED", False)
+    monkeypatch.setattr(self_test, "_CALLED", set())
     rates = tx.compile(tx.System(rates={s: tx.Constant(np.arange(3.0))}), backend=tx.Native(least=0))(0.0, AT)["s"]
     np.testing.assert_array_equal(rates, np.arange(3.0))
 
@@ -92,11 +92,11 @@ def test_a_library_without_a_function(monkeypatch: pytest.MonkeyPatch) -> None:
     np.testing.assert_allclose(rates, RATES, rtol=1e-14)
 
 
-def _kernel() -> Kernel:
+def _kernel() -> HostKernel:
     shape = jax.ShapeDtypeStruct((3,), float)
     processor = Processor.host()
     form = native_form(scalarize(lambda x, y: [x * y, x.sum()], shape, shape))
-    return Kernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
+    return HostKernel(Straight(form, processor.lanes(form.graph.dtype)), processor)
 
 
 @pytest.mark.parametrize(
@@ -128,8 +128,8 @@ def test_the_same_program_has_the_same_target() -> None:
 def test_code_and_constants_may_lie_far_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     """A reference of 32 bits between them would end the process where memory is scattered."""
     texts: list[str] = []
-    name = kernel_module._name
-    monkeypatch.setattr(kernel_module, "_name", lambda text, processor: texts.append(text) or name(text, processor))
+    name = kernel_module.named
+    monkeypatch.setattr(kernel_module, "named", lambda text, processor: texts.append(text) or name(text, processor))
     _kernel()
     written = machine_code.compiled(texts[0], Processor.host())
     assert not _NEAR & set(_relocations(written))

@@ -15,18 +15,18 @@ from native_programs import at_every_width
 
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm.iterations import Iterations
-from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import native_form
 from twistax.scalar.targets.llvm.machine_code import Processor
 
 COUNTER = jax.ShapeDtypeStruct((), int)
 
 
-def kernel_of(step: Any, processor: Processor, dtype: Any, single: bool) -> Kernel:
+def kernel_of(step: Any, processor: Processor, dtype: Any, single: bool) -> HostKernel:
     """The kernel of a step with a matrix that stays and a state of three."""
     shapes = jax.ShapeDtypeStruct((3, 3), dtype), jax.ShapeDtypeStruct((3,), dtype)
     form = native_form(scalarize(step, COUNTER, *shapes))
-    return Kernel(Iterations(form, 1 if single else processor.lanes(np.dtype(dtype)), 1), processor)
+    return HostKernel(Iterations(form, 1 if single else processor.lanes(np.dtype(dtype)), 1), processor)
 
 
 def iterated(step: Any, first: int, stop: int, fixed: np.ndarray, state: np.ndarray) -> tuple[np.ndarray, int]:
@@ -113,7 +113,7 @@ def test_rows_are_filled_as_far_as_each_iteration_comes(processor: Processor) ->
     heads = [np.full((1, 1), length), *(a[:, None] for a in (first, stop, number))]
     rest = [fixed.reshape(count, 9), state, marks, table.reshape(count, -1)]
     for lanes in (1, processor.lanes(np.dtype(float))):
-        kernel = Kernel(Iterations(step, lanes, 1, of_row), processor)
+        kernel = HostKernel(Iterations(step, lanes, 1, of_row), processor)
         _, _, numbers, rows = kernel.run([*heads, *rest], length)
         np.testing.assert_array_equal(numbers[:, 0], filled)
         np.testing.assert_allclose(rows.reshape(expected.shape), expected, rtol=1e-13)

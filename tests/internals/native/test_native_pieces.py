@@ -15,7 +15,7 @@ from native_programs import at_every_width
 
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import machine_code, pieces
-from twistax.scalar.targets.llvm.kernel import Kernel
+from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
 
@@ -39,7 +39,7 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
         monkeypatch.setattr(pieces, "STACK", stack)
         monkeypatch.setattr(pieces, "_LONG", length)
         monkeypatch.setattr(pieces, "_LENGTH", length)
-        kernel = Kernel(Straight(form, lanes), processor)
+        kernel = HostKernel(Straight(form, lanes), processor)
         found.append(kernel.run([rows[k] for k in kernel.body.read]))
     for other in found[1:]:
         for whole, own in zip(found[0], other, strict=True):

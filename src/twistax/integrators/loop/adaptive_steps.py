@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import dataclasses
-import functools
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -24,6 +23,7 @@ from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import Steps, Visits, all_finite, put, rows, zeros_like
 from .outcome import EventState, Halt, LoopOutcome, Result, Run, Saved, StepPart
 from .progress_callback import ProgressCalls
+from .rows_between import StepPolynomial, StepStart, row_of_start, rows_from, starts_in
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
 _PROGRESS = 256
@@ -37,18 +37,6 @@ class _Path(NamedTuple):
     leg: jax.Array
     begin: jax.Array
     end: jax.Array
-
-
-class _Step(NamedTuple):
-    """A step that was tried, for polynomials. If it was rejected its end is its start."""
-
-    end: jax.Array
-    begin: jax.Array
-    y: jax.Array
-    h: jax.Array
-    in_s: jax.Array  # the same by time: negative where an integration goes backward
-    slopes: Any
-    y_end: jax.Array
 
 
 @jax.tree_util.register_dataclass
@@ -74,7 +62,7 @@ class _State:
     every: Any = None
     slopes: Any = None  # those of the last step tried, where there are events and the method has any
     event_state: Any = None
-    rows: Any = None  # those on polynomials
+    rows: Any = None  # those on polynomials; of kernels also the starts of parts of steps
 
     def bare(self, **changes: Any) -> _State:
         """The carry without events and saved rows."""
@@ -151,6 +139,10 @@ class AdaptiveSteps(Steps):
             ts = jnp.asarray(stops.ts)
             table = Filling(ts, jnp.broadcast_to(y.flat, (ts.size, y.flat.size)), zero)
             return dataclasses.replace(state, rows=table), end
+        if self.events is None and self.kernel(stepper, state, end, None) is not None:
+            ts, start = jnp.asarray(stops.ts), row_of_start((t, y.flat), number)
+            table = Filling(ts, jnp.broadcast_to(start, (ts.size, start.size)), zero)
+            return dataclasses.replace(state, rows=table), end
         like = state.last, zero, jnp.asarray(False)
         return state, Visits(jnp.append(stops.ts, end), stops.count, like)
 
@@ -168,10 +160,8 @@ class AdaptiveSteps(Steps):
         return self.t0, state.h
 
     def row_at(self, state: _State, stop: jax.Array) -> tuple[Any, jax.Array, jax.Array]:
-        # A saved time that is the end of a step needs no other one.
-        there = state.t <= stop
-        start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (state.t, state.y.flat), state.last)
-        return start, state.accepted - (~there).astype(int), state.t >= stop
+        start, steps = StepStart(state.t, state.accepted, state.y.flat, state.last).before(stop)
+        return start, steps, state.t >= stop
 
     def parts_of_progress(self, stepper: Stepper, stop: jax.Array) -> tuple[Any, Any, Callable[[_State], Any]]:
         def reached(state: _State) -> tuple[jax.Array, jax.Array, jax.Array]:
@@ -195,8 +185,11 @@ class AdaptiveSteps(Steps):
             requested = jnp.arange(stops.ts.size) < stops.count
             if state.rows is not None:
                 # As at the ends of steps: nothing is left to do, and no step was taken up to the start.
-                ts, ys = jnp.asarray(stops.ts), jax.vmap(read)(state.rows.table)
-                rows_saved = Saved((ts > self.t0).astype(int), ts, ys, (ts <= state.t) & requested, requested)
+                ts, table = jnp.asarray(stops.ts), state.rows.table
+                steps, begins = (ts > self.t0).astype(int), ts
+                if not self.finds_rows:
+                    begins, steps, table = starts_in(table)
+                rows_saved = Saved(steps, begins, jax.vmap(read)(table), (ts <= state.t) & requested, requested)
             else:
                 (times, starts), index, reached = jax.tree.map(lambda a: a[:-1], saved)
                 rows_saved = Saved(index, times, jax.vmap(read)(starts), reached & requested, requested)
@@ -208,7 +201,7 @@ class AdaptiveSteps(Steps):
     def one_step(self, stepper: Stepper, state: _State) -> _State:
         after, step = self.one_try(stepper, dataclasses.replace(state, event_state=None))
         if state.rows is not None and step is not None:
-            row = functools.partial(self.row, stepper, state.y.read)
+            row = rows_from(stepper, state.y.read)
             after = dataclasses.replace(after, rows=state.rows.up_to(after.t, row, held(step)))
         return after
 
@@ -237,29 +230,24 @@ class AdaptiveSteps(Steps):
             limits = jax.lax.dynamic_slice_in_dim(limits, jnp.searchsorted(limits, state.t), _SEEN)
             stop = jnp.minimum(stop, limits[-1])
 
-        def one_try(inputs: Any, stepper: Stepper, state: _State) -> tuple[_State, jax.Array, _Step | None]:
+        def one_try(
+            inputs: Any, stepper: Stepper, state: _State
+        ) -> tuple[_State, jax.Array, StepPolynomial | StepStart | None]:
             steps, stop = inputs
             after, step = steps.one_try(stepper, state)
-            return after, _before(after, stop), step if steps.finds_rows else None
+            if not steps.finds_rows:
+                taken = StepStart(after.t, after.accepted.astype(after.t.dtype), after.y.flat, after.last)
+                return after, _before(after, stop), taken
+            return after, _before(after, stop), step
 
-        row, narrow = functools.partial(self.row, stepper, state.y.read), _without_slopes
+        row, narrow = rows_from(stepper, state.y.read), _without_slopes
         return kernel_tries(one_try, row, (self._bare(limits), stop), stepper, state, narrow)
 
     def _bare(self, limits: Any) -> AdaptiveSteps:
         """The same steps without saved times and events, with these limits, so that all share a kernel."""
         return dataclasses.replace(self, stops=Stops(limits, None, None), events=None, progress_calls=None, dense=False)
 
-    def row(self, stepper: Stepper, read: Callable[[jax.Array], Blocks], step: _Step, t: jax.Array) -> jax.Array:
-        """The packed state at a time up to the end of a step.
-
-        It reads no arrays of the stepper: they may be traced, and rows are made of what a step left alone.
-        """
-        share = (t - step.begin) / step.h
-        moved = stepper.method.between(stepper.dynamics, read(step.y), step.in_s, step.slopes, share)
-        at_ends = jnp.where(share <= 0.0, step.y, step.y_end)
-        return jnp.where((share > 0.0) & (t < step.end), ravel_pytree(moved)[0], at_ends)
-
-    def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, _Step | None]:
+    def one_try(self, stepper: Stepper, state: _State) -> tuple[_State, StepPolynomial | None]:
         """One try of a step, accepted or rejected, and the data of its polynomial, where the method has one."""
         control, order, t, before = self.control, stepper.method.error_order, state.t, state.y.open()
         end, h, planned, least = control.length(t, state.h, self.stops.next_limit(t))
@@ -306,7 +294,7 @@ class AdaptiveSteps(Steps):
         )
         if attempt.slopes is None:
             return after, None
-        return after, _Step(after.t, t, state.y.flat, h, stepper.clock(h), attempt.slopes, after.y.flat)
+        return after, StepPolynomial(after.t, t, state.y.flat, h, stepper.clock(h), attempt.slopes, after.y.flat)
 
     def _resumed(self, stepper: Stepper, state: _State, y: Blocks, h: jax.Array) -> tuple[jax.Array, jax.Array]:
         """The packed carry that the step begins with, and the evaluations so far."""

@@ -198,6 +198,20 @@ def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *r
     """
     if inside_small_call():
         return function(of, stepper, *rest)
+    made = _beside(function, of, stepper, rest)
+    if made is None:
+        return small_call(function, of, stepper.beside_loops, *rest)
+    program, shape = made
+    return jax.tree.unflatten(shape, call_program(program, *jax.tree.leaves((of, stepper, rest))))
+
+
+def has_shared_kernel(function: Callable[..., Any], of: Any, stepper: Stepper, *rest: Any) -> bool:
+    """Whether `shared_kernel` calls a kernel."""
+    return not inside_small_call() and _beside(function, of, stepper, rest) is not None
+
+
+def _beside(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) -> tuple[Derived, Any] | None:
+    """The kernel of `shared_kernel`, and the structure of its results."""
     leaves, structure = jax.tree.flatten((of, stepper, rest))
     types = _types(leaves)
 
@@ -213,11 +227,8 @@ def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *r
         program = stepper.dynamics.backend.beside(flat, types)
         return None if program is None else (program, shapes[-1])
 
-    made = _made(stepper, rest, (shared_kernel, function, structure, types), make)
-    if made is None:
-        return small_call(function, of, stepper.beside_loops, *rest)
-    program, shape = made
-    return jax.tree.unflatten(shape, call_program(program, *leaves))
+    kernel: tuple[Derived, Any] | None = _made(stepper, rest, (shared_kernel, function, structure, types), make)
+    return kernel
 
 
 def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:

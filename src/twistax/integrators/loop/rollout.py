@@ -19,7 +19,7 @@ from ..charts.coordinates import Blocks
 from ..events.crossings import crossing_rows
 from ..events.event_end import Meeting, cut_at, refined, refined_rows, saved_before, to_event
 from ..method import Stepper, jitted
-from .kernels import Packed, advance_again, opened, shared_kernel
+from .kernels import Packed, advance_again, has_shared_kernel, opened, shared_kernel
 from .loop import Steps, all_finite, first_rows
 from .outcome import LoopOutcome, Result, Run, Saved, StepPart
 from .unreached import nan_unless, zero_of
@@ -113,6 +113,9 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
     else:
 
         def to_saves(saved: Saved, parts: StepPart) -> Blocks:
+            first = jax.tree.map(lambda a: a[0], (saved.y, parts))
+            if has_shared_kernel(_advanced, None, stepper, *first):
+                return jax.vmap(lambda y, part: shared_kernel(_advanced, None, stepper, y, part))(saved.y, parts)
             return small_call(_one_by_one, stepper, saved.y, parts, saved.requested.sum())
 
         result = _to_saved_times(steps, stepper, x, run, meeting, moved, to_saves)
@@ -157,10 +160,15 @@ def _row(
     return reached, within & ~reached, jax.tree.map(lambda a: jnp.where(reached, a, jnp.nan), values)
 
 
+def _advanced(_: None, stepper: Stepper, y: Blocks, part: StepPart) -> Blocks:
+    """The state at the end of a part of a step."""
+    return jax.tree.map(lambda new, old: jnp.where(part.h > 0.0, new, old), stepper.advance(part.t, y, part.h), y)
+
+
 def _one_by_one(stepper: Stepper, ys: Blocks, parts: StepPart, count: jax.Array) -> Blocks:
     """The states at the ends of the first `count` parts of steps, one after the other.
 
-    As one small function: in a loop of XLA a kernel for each takes longer to call than to run.
+    As one small function, where there is no kernel that takes all of them at once.
     """
 
     def save(_: None, entry: tuple[Blocks, StepPart]) -> tuple[None, Blocks]:

@@ -1,4 +1,4 @@
-"""The backends whose functions run as machine code of their own on the CPU."""
+"""The backends whose functions run as machine code of their own, on processors and on CUDA devices."""
 
 from __future__ import annotations
 
@@ -20,15 +20,17 @@ from ....jax_inside import ClosedJaxpr, say_once
 from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
 from ...graph import TooLarge
 from ...jax_primitive import Derived, Rows, call_program
-from ...loops import Repeated, Ring
+from ...loops import MakeKernel, Repeated, Ring
 from ...program import ScalarProgram
 from ...walk import uncollected
 from .code import NotNative
 from .iterations import Iterations
-from .kernel import Kernel, check_kernel
+from .kernel import Kernel
 from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
 from .loop import LoopBody
-from .machine_code import BuildError, Processor
+from .machine_code import BuildError
+from .self_test import check_kernel
+from .targets import TARGETS, notes, on_all_platforms
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
 #: read it from the cache.
@@ -50,10 +52,10 @@ def installed() -> bool:
 class Native(Backend):
     """Runs functions as kernels: machine code of their scalars for this processor, compiled by LLVM in this process.
 
-    Members of a batch run side by side in the vectors of the processor. Native needs llvmlite,
-    `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU, and steps of
-    explicit methods, all steps between two saved times in one kernel, with their derivatives. Other loops of
-    integrators, other devices, and functions without a native form run as `scalars` does.
+    Members of a batch run side by side in the vectors of the processor, or each in a thread of a CUDA device. Native
+    needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
+    on CUDA devices, and steps of explicit methods, all steps between two saved times in one kernel, with their
+    derivatives. Other loops of integrators, other devices, and functions without a native form run as `scalars` does.
 
     Attributes:
         scalars: the backend that turns functions into scalars, and runs them where no kernel does.
@@ -107,7 +109,7 @@ class Native(Backend):
             if row_program is None:
                 return None
             row_form = native_form(row_program)
-        return Repeated(form, state, lambda single: self._built(Iterations, form, single, state, row_form), row_form)
+        return Repeated(form, state, functools.partial(self._built, Iterations, form, (state, row_form)), row_form)
 
     def step(self, step: Step, shapes: Shapes) -> Derived | None:
         program = self._whole_step(step, shapes)
@@ -120,7 +122,7 @@ class Native(Backend):
         program = self._whole_step(function, shapes)
         return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
 
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> Callable[[bool], Rows | None] | None:
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
         if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
             return None
         program = self._whole_step(step, shapes)
@@ -128,15 +130,16 @@ class Native(Backend):
             return None
         form = native_form(program)
 
-        def kernel(single: bool) -> Rows | None:
-            rows = self._built(LoopBody, form, single, ring)
+        def kernel(single: bool, platform: str) -> Rows | None:
+            rows = self._built(LoopBody, form, (ring,), single, platform)
             return None if rows is None else functools.partial(rows, length=ring.length or 0)
 
         return kernel
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
         """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        if not installed() or jax.default_backend() != "cpu":
+        # Where there are no kernels a step written out whole compiles for long and runs no faster.
+        if not installed() or not on_all_platforms():
             return None
         closed = pure(step, shapes)
         if closed is None:
@@ -163,7 +166,7 @@ class Native(Backend):
         if not form.operations:
             return Derived(program, None, self), "numbers are moved, nothing is computed"
         reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
-        return Derived(program, None, self), reason
+        return Derived(program, None, self), reason + notes()
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
@@ -180,23 +183,28 @@ class Native(Backend):
 
     alone = False
 
-    def prepare(self, program: ScalarProgram, single: bool) -> Callable[..., list[jax.Array]] | None:
+    def prepare(
+        self, program: ScalarProgram, single: bool, platform: str = "cpu"
+    ) -> Callable[..., list[jax.Array]] | None:
         """The kernel of a program, for one member or for batches; None where it has no native form."""
         known = _FORMS.pop(program, program)
         try:
-            return self._built(Straight, native_form(program) if known is program else known, single)
+            form = native_form(program) if known is program else known
         except NotNative:
             return None
+        return self._built(Straight, form, (), single, platform)
 
-    def _built(self, kind: type[KernelBody], form: ScalarProgram, single: bool, *more: Any) -> Kernel | None:
+    def _built(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+    ) -> Kernel | None:
         """A kernel that passed the self-test; None, with a warning, if there is none."""
-        started, processor = time.perf_counter(), Processor.host()
-        lanes = 1 if single else processor.lanes(form.graph.dtype)
+        started, target = time.perf_counter(), TARGETS[platform]
+        if not target.present:
+            return None
         try:
             with uncollected():
-                body = kind(form, lanes, *more)
-                kernel = Kernel(body, processor, self.threads)
-                check_kernel(kernel, body)
+                kernel = target.kernel(kind, form, more, single, self.threads)
+                check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -5,7 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import itertools
-import math
 import re
 import struct
 from collections.abc import Callable, Sequence
@@ -14,16 +13,9 @@ from typing import Any
 import numpy as np
 
 from ...primitives.table_load import Table
+from .exponential import exponential, exponential_less_one, hyperbolic_tangent
 from .machine_code import Processor
-
-#: 1.5 * 2^52: added to a number it leaves the nearest integer in the lowest bits.
-ROUNDING = 6755399441055744.0
-
-#: log 2 in two pieces, the first of 33 bits: k of up to 11 bits times it is exact.
-_LOG_TWO = (6.93147180369123816490e-01, 1.90821492927058770002e-10)
-
-#: (e^r - 1 - r) / r^2.
-_SERIES = [1.0 / math.factorial(k) for k in range(2, 14)]
+from .precision import in_precision
 
 
 class NotNative(Exception):
@@ -50,6 +42,8 @@ class Module:
         self.processor = processor
         self.declarations: set[str] = set()
         self.functions: dict[str, str] = {}
+        #: Whether arrays are stored by columns: the first entries of all rows, then the second ones.
+        self.by_columns = False
         #: Tables of numbers, by name.
         self.tables: dict[str, str] = {}
         #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
@@ -71,8 +65,10 @@ class Module:
 
     def text(self) -> str:
         bits = min(self.processor.bits, self.packed or self.processor.bits)
-        vectors = f'"prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"'
-        attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins" {vectors} }}']
+        vectors = (
+            f' "prefer-vector-width"="{bits}" "min-legal-vector-width"="{bits}"' if not self.processor.triple else ""
+        )
+        attributes = [f'attributes #0 = {{ noinline nounwind "no-builtins"{vectors} }}']
         attributes.append('!0 = !{!"branch_weights", i32 1, i32 2000}')
         return "\n".join([*self.tables.values(), *sorted(self.declarations), *self.functions.values(), *attributes, ""])
 
@@ -205,15 +201,15 @@ class Code:
 
     def exponential(self, kind: str, x: str) -> str:
         """e^x."""
-        return self._in_double(self._exponential, kind, x)
+        return in_precision(self, exponential, kind, x)
 
     def exponential_less_one(self, kind: str, x: str) -> str:
         """e^x - 1, also of small x."""
-        return self._in_double(self._exponential_less_one, kind, x)
+        return in_precision(self, exponential_less_one, kind, x)
 
     def hyperbolic_tangent(self, kind: str, x: str) -> str:
         """By e^(2 |x|) - 1."""
-        return self._in_double(self._hyperbolic_tangent, kind, x)
+        return in_precision(self, hyperbolic_tangent, kind, x)
 
     def negative(self, kind: str, x: str) -> str:
         return self.instruction("sub", kind, "zeroinitializer", x)
@@ -259,69 +255,6 @@ class Code:
             value = self.emit(f"load {target}, ptr {there}, align {dtype.itemsize}")
             values = self.put(target, values, lane, value)
         return values
-
-    # ---- the exponential ---------------------------------------------------------------------------------------------
-
-    # x = k log 2 + r with |r| <= log(2) / 2 (Cody and Waite 1980), and a Taylor series in r. Below 2 units in the last
-    # place; float32 is computed in float64.
-
-    def _in_double(self, function: Callable[[str], str], kind: str, x: str) -> str:
-        if kind == "double":
-            return function(x)
-        return self.convert("fptrunc", "double", kind, function(self.convert("fpext", kind, "double", x)))
-
-    def _exponential(self, x: str) -> str:
-        d, (series, high, low) = "double", self._reduced(x, -800.0, 800.0)
-        scale = self._power_of_two(high)
-        return self.instruction("fmul", d, self.multiply_add(d, scale, series, scale), self._power_of_two(low))
-
-    def _exponential_less_one(self, x: str) -> str:
-        # (2^h s + (2^h - 2^-l)) 2^l with k = h + l and the series s.
-        d, (series, high, low) = "double", self._reduced(x, -60.0, 800.0)
-        scale, down = (
-            self._power_of_two(high),
-            self._power_of_two(self.instruction("sub", "i64", "zeroinitializer", low)),
-        )
-        rest = self.instruction("fsub", d, scale, down)
-        result = self.instruction("fmul", d, self.multiply_add(d, scale, series, rest), self._power_of_two(low))
-        return self.intrinsic("copysign", d, result, x)
-
-    def _hyperbolic_tangent(self, x: str) -> str:
-        d, two = "double", self.constant("double", 2.0)
-        size = self.chosen("fcmp olt", d, self.constant(d, 30.0), self.intrinsic("fabs", d, x))
-        raised = self._exponential_less_one(self.instruction("fmul", d, two, size))
-        # Near zero a / (a + 2), beyond 1 - 2 / (a + 2): one division for both.
-        large = self.instruction("fcmp ogt", d, size, self.constant(d, 0.55))
-        above, below = self.select(d, large, two, raised), self.instruction("fadd", d, raised, two)
-        near = self.instruction("fdiv", d, above, below)
-        far = self.instruction("fsub", d, self.constant(d, 1.0), near)
-        return self.intrinsic("copysign", d, self.select(d, large, far, near), x)
-
-    def _reduced(self, x: str, least: float, most: float) -> tuple[str, str, str]:
-        """e^r - 1, and k as the sum of two halves, of x between bounds beyond which nothing changes; NaN stays."""
-        d = "double"
-        x = self.select(d, self.instruction("fcmp olt", d, x, self.constant(d, least)), self.constant(d, least), x)
-        x = self.select(d, self.instruction("fcmp ogt", d, x, self.constant(d, most)), self.constant(d, most), x)
-        rounding = self.constant(d, ROUNDING)
-        shifted = self.multiply_add(d, x, self.constant(d, 1.0 / math.log(2.0)), rounding)
-        k, r = self.instruction("fsub", d, shifted, rounding), x
-        for piece in _LOG_TWO:
-            r = self.multiply_add(d, k, self.constant(d, -piece), r)
-        square = self.instruction("fmul", d, r, r)
-        # Even and odd powers side by side: half as many products wait for one another.
-        even, odd = (self.polynomial(d, square, _SERIES[first::2]) for first in (0, 1))
-        series = self.multiply_add(d, square, self.multiply_add(d, r, odd, even), r)
-        bits, zero = (self.convert("bitcast", d, "i64", a) for a in (shifted, rounding))
-        count = self.instruction("sub", "i64", bits, zero)
-        high = self.instruction("ashr", "i64", count, self.constant("i64", 1))
-        return series, high, self.instruction("sub", "i64", count, high)
-
-    def _power_of_two(self, k: str) -> str:
-        """2^k of an integer."""
-        biased = self.instruction("add", "i64", k, self.constant("i64", 1023))
-        return self.convert(
-            "bitcast", "i64", "double", self.instruction("shl", "i64", biased, self.constant("i64", 52))
-        )
 
     # ---- several at once -----------------------------------------------------------------------------------------
 

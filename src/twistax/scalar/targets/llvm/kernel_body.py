@@ -197,7 +197,11 @@ class KernelBody(BatchFunction):
         places = ["0"]  # the row of a lane: its own, or the last one
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        return {name: Rows(code, array, f"%{name}", f"%{name}.stride", places) for name, array in self.arrays.items()}
+        return {
+            name: Rows(code, array, f"%{name}", stride, places, stride if code.module.by_columns else "1")
+            for name, array in self.arrays.items()
+            for stride in (f"%{name}.stride",)
+        }
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:

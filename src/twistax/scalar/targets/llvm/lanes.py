@@ -54,9 +54,12 @@ class Rows:
         base: the pointer.
         stride: entries from one row to the next; zero where all share one.
         places: the number of the row of each lane.
+        entry_stride: entries of memory from one entry of a row to the next.
     """
 
-    def __init__(self, code: Code, array: Array, base: str, stride: str, places: list[str]) -> None:
+    def __init__(
+        self, code: Code, array: Array, base: str, stride: str, places: list[str], entry_stride: str = "1"
+    ) -> None:
         self._code = code
         self._array = array
         # Parts of vectors are moved whole only where a row has as many numbers, or masks are free.
@@ -67,16 +70,13 @@ class Rows:
             )
             for place in places
         ]
-        self._align = array.dtype.itemsize
+        self._align, self._entry_stride = array.dtype.itemsize, entry_stride
         self._read: dict[int, str] = {}
 
     def window(self, starts: Sequence[str], array: Array) -> Rows:
         """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
-        window = Rows(self._code, array, "", "", [])
-        window._pointers = [
-            self._code.emit(f"getelementptr {array.stored}, ptr {p}, i64 {start}")
-            for p, start in zip(self._pointers, starts, strict=True)
-        ]
+        window = Rows(self._code, array, "", "", [], self._entry_stride)
+        window._pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
         return window
 
     def read(self, entry: int) -> str:
@@ -155,8 +155,15 @@ class Rows:
             code.lines.append(f"store {array.stored} {one}, ptr {place}, align {self._align}")
 
     def _at(self, entry: int) -> list[str]:
-        stored = self._array.stored
-        return [self._code.emit(f"getelementptr {stored}, ptr {p}, i64 {entry}") for p in self._pointers]
+        return [self._moved(p, str(entry)) for p in self._pointers]
+
+    def _moved(self, pointer: str, entries: str) -> str:
+        place = (
+            entries
+            if self._entry_stride == "1"
+            else self._code.emit(f"mul nuw nsw i64 {entries}, {self._entry_stride}")
+        )
+        return self._code.emit(f"getelementptr {self._array.stored}, ptr {pointer}, i64 {place}")
 
     def _mask(self, width: int) -> tuple[str, str]:
         bits = ", ".join(f"i1 {'true' if k < width else 'false'}" for k in range(self._code.lanes))

@@ -30,6 +30,12 @@ class Processor:
     bits: int  # of a vector
     fma: bool  # whether a b + c is one instruction with one rounding
     masks: bool  # whether parts of vectors are read and written at no cost
+    triple: str = ""  # of the target as LLVM names it; empty: this process
+
+    @property
+    def narrow(self) -> bool:
+        """Whether functions of single precision are computed in it: in double they would take far longer."""
+        return bool(self.triple)
 
     def lanes(self, dtype: np.dtype[Any]) -> int:
         """How many numbers of a floating-point type go into a vector."""

@@ -2,8 +2,8 @@
 
 x = k pi/2 + r with |r| <= pi/4 (W. J. Cody and W. Waite, Software Manual for the Elementary Functions, 1980): products
 of k with pieces of pi/2 are subtracted one after the other, so that what cancels is exact. Polynomials in r as in
-FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c). Below 2 units in the last place up to `LARGEST`; beyond, and for what
-is not finite, the C library is called. Float32 is computed in float64.
+FDLIBM (Sun Microsystems, 1993; k_sin.c, k_cos.c), of single precision as in Cephes (S. L. Moshier, 1989; sinf.c).
+Below 2 units in the last place up to the largest angle; beyond, and for what is not finite, the C library is called.
 """
 
 from __future__ import annotations
@@ -13,27 +13,36 @@ import math
 from collections.abc import Sequence
 from fractions import Fraction
 
-from .code import ROUNDING, Code
+from .code import Code
+from .precision import DOUBLE, SINGLE, Precision, computed_in
 
 #: In radians.
 LARGEST = 1e9
+#: The same where k has few bits.
+_LARGEST_SINGLE = 1e5
 
-_SINE = (
-    -1.66666666666666324348e-01,
-    8.33333333332248946124e-03,
-    -1.98412698298579493134e-04,
-    2.75573137070700676789e-06,
-    -2.50507602534068634195e-08,
-    1.58969099521155010221e-10,
-)
-_COSINE = (
-    4.16666666666666019037e-02,
-    -1.38888888888741095749e-03,
-    2.48015872894767294178e-05,
-    -2.75573143513906633035e-07,
-    2.08757232129817482790e-09,
-    -1.13596475577881948265e-11,
-)
+_SINE = {
+    "double": (
+        -1.66666666666666324348e-01,
+        8.33333333332248946124e-03,
+        -1.98412698298579493134e-04,
+        2.75573137070700676789e-06,
+        -2.50507602534068634195e-08,
+        1.58969099521155010221e-10,
+    ),
+    "float": (-1.6666654611e-01, 8.3321608736e-03, -1.9515295891e-04),
+}
+_COSINE = {
+    "double": (
+        4.16666666666666019037e-02,
+        -1.38888888888741095749e-03,
+        2.48015872894767294178e-05,
+        -2.75573143513906633035e-07,
+        2.08757232129817482790e-09,
+        -1.13596475577881948265e-11,
+    ),
+    "float": (4.166664568298827e-02, -1.388731625493765e-03, 2.443315711809948e-05),
+}
 
 #: pi / 2, 188 bits behind the point.
 _QUARTER_TURN = Fraction(0x1921FB54442D18469898CC51701B839A252049C1114CF98E, 2**188)
@@ -50,62 +59,70 @@ def _pieces(count: int, bits: int) -> list[float]:
 
 
 #: With one rounding in a b + c, k times a piece need not be exact.
-_FUSED = _pieces(3, 53)
+_FUSED = {"double": _pieces(3, 53), "float": _pieces(3, 24)}
 #: Without, k of up to 30 bits times a piece of 23 is.
 _EXACT = _pieces(6, 23)
 
 
 def sines_and_cosines(code: Code, kind: str, angles: Sequence[str]) -> list[tuple[str, ...]]:
     """The values of sin x and cos x of several angles: one branch for all, in case that one of them is far."""
-    vector_type = code.vector(kind)
+    precision, vector_type = computed_in(code, kind), code.vector(kind)
+    largest = code.constant(kind, LARGEST if precision is DOUBLE else _LARGEST_SINGLE)
     near: list[tuple[str, ...]] = []
     far: list[str] = []
     for x in angles:
         # Not "greater": so that NaN is among them.
         size = code.intrinsic("fabs", kind, x)
-        far.append(code.emit(f"fcmp ugt {vector_type} {size}, {code.constant(kind, LARGEST)}"))
-        pair = _near(code, x if kind == "double" else code.convert("fpext", kind, "double", x))
-        if kind != "double":
-            pair = tuple(code.convert("fptrunc", "double", kind, value) for value in pair)
+        far.append(code.emit(f"fcmp ugt {vector_type} {size}, {largest}"))
+        pair = _near(code, precision, x if kind == precision.kind else code.convert("fpext", kind, precision.kind, x))
+        if kind != precision.kind:
+            pair = tuple(code.convert("fptrunc", precision.kind, kind, value) for value in pair)
         near.append(pair)
     return _with_far(code, kind, angles, near, far)
 
 
-def _near(code: Code, x: str) -> tuple[str, ...]:
-    d = "double"
-    shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), code.constant(d, ROUNDING))
-    k = code.instruction("fsub", d, shifted, code.constant(d, ROUNDING))
-    quadrant = code.convert("bitcast", d, "i64", shifted)
+def _near(code: Code, precision: Precision, x: str) -> tuple[str, ...]:
+    d, rounding = precision.kind, code.constant(precision.kind, precision.rounding)
+    shifted = code.multiply_add(d, x, code.constant(d, 2.0 / math.pi), rounding)
+    k = code.instruction("fsub", d, shifted, rounding)
+    quadrant = code.convert("bitcast", d, precision.integer, shifted)
     r = x
-    for piece in _FUSED if code.module.processor.fma else _EXACT:
+    for piece in _FUSED[d] if precision is SINGLE or code.module.processor.fma else _EXACT:
         r = code.multiply_add(d, k, code.constant(d, -piece), r)
     square = code.instruction("fmul", d, r, r)
     cube = code.instruction("fmul", d, r, square)
-    sine = code.multiply_add(d, cube, code.polynomial(d, square, _SINE), r)
+    sine = code.multiply_add(d, cube, code.polynomial(d, square, _SINE[d]), r)
     sine = code.intrinsic("copysign", d, sine, r)  # of zero
     # 1 - r^2 / 2 with what its rounding leaves.
     one, minus_half = code.constant(d, 1.0), code.constant(d, -0.5)
     high = code.multiply_add(d, square, minus_half, one)
     low = code.multiply_add(d, square, minus_half, code.instruction("fsub", d, one, high))
     fourth = code.instruction("fmul", d, square, square)
-    low = code.multiply_add(d, fourth, code.polynomial(d, square, _COSINE), low)
+    low = code.multiply_add(d, fourth, code.polynomial(d, square, _COSINE[d]), low)
     cosine = code.instruction("fadd", d, high, low)
-    one_bit = code.constant("i64", 1)
-    odd = code.emit(
-        f"icmp ne {code.vector('i64')} {code.instruction('and', 'i64', quadrant, one_bit)}, zeroinitializer"
-    )
+    one_bit = code.constant(precision.integer, 1)
+    lowest = code.instruction("and", precision.integer, quadrant, one_bit)
+    odd = code.emit(f"icmp ne {code.vector(precision.integer)} {lowest}, zeroinitializer")
     return (
-        _signed(code, code.select(d, odd, cosine, sine), quadrant),
-        _signed(code, code.select(d, odd, sine, cosine), code.instruction("add", "i64", quadrant, one_bit)),
+        _signed(code, precision, code.select(d, odd, cosine, sine), quadrant),
+        _signed(
+            code,
+            precision,
+            code.select(d, odd, sine, cosine),
+            code.instruction("add", precision.integer, quadrant, one_bit),
+        ),
     )
 
 
-def _signed(code: Code, value: str, quadrant: str) -> str:
+def _signed(code: Code, precision: Precision, value: str, quadrant: str) -> str:
     """The opposite in quadrants 2 and 3."""
-    sign = code.instruction("and", "i64", quadrant, code.constant("i64", 2))
-    sign = code.instruction("shl", "i64", sign, code.constant("i64", 62))
-    bits = code.convert("bitcast", "double", "i64", value)
-    return code.convert("bitcast", "i64", "double", code.instruction("xor", "i64", bits, sign))
+    bits = 63 if precision is DOUBLE else 31
+    sign = code.instruction("and", precision.integer, quadrant, code.constant(precision.integer, 2))
+    sign = code.instruction("shl", precision.integer, sign, code.constant(precision.integer, bits - 1))
+    pattern = code.convert("bitcast", precision.kind, precision.integer, value)
+    return code.convert(
+        "bitcast", precision.integer, precision.kind, code.instruction("xor", precision.integer, pattern, sign)
+    )
 
 
 def _with_far(

@@ -1,0 +1,96 @@
+"""The self-test of a kernel: its results against those of NumPy, once, before anything relies on it."""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import jax
+import numpy as np
+from numpy.typing import NDArray
+
+from .kernel import Kernel
+from .lanes import Array
+from .machine_code import BuildError
+
+#: Relative to the largest entry of a result: what is wrong differs by far more than rounding.
+_TOLERANCE = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-3}
+
+#: Arguments are of size one: of a result smaller than this nothing but rounding may be left, as of a compensated sum.
+_LEAST = 1e-3
+
+#: The platforms on which a call through JAX was right in this process.
+_CALLED: set[str] = set()
+
+
+def check_kernel(kernel: Kernel) -> None:
+    """Compare a kernel with NumPy on random rows; the first time on a platform in a process also through JAX.
+
+    Once for each kernel: what was seen to be right is kept, also for other processes.
+
+    Raises:
+        BuildError: they differ.
+    """
+    body = kernel.body
+    if kernel.handle.checked:
+        return
+    random = np.random.default_rng(0)
+    # What reads no arguments gives one row by itself.
+    rows = kernel.checked_rows if body.read else 1
+    arguments = body.exercised([_drawn(random, (rows, math.prod(a.of_length(body.tried))), a) for a in body.arguments])
+    expected, nearby = body.plain(arguments), [body.plain([_moved(a) for a in arguments])]
+    results = kernel.run([arguments[k] for k in body.read], body.tried)
+
+    def agrees() -> bool:
+        pairs = zip(body.written, results, strict=True)
+        return all(_agree(values, expected[k], [near[k] for near in nearby]) for k, values in pairs)
+
+    if not agrees():
+        # Of nearly singular constants the arguments, moved once, may say nothing: each operation is moved.
+        nearby += [body.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
+        if not agrees():
+            raise BuildError("its results differ from those of NumPy")
+    if kernel.platform not in _CALLED:
+        with jax.ensure_compile_time_eval(), jax.default_device(jax.local_devices(backend=kernel.platform)[0]):
+            shapes = ((rows, *a.of_length(body.tried)) for a in body.arguments)
+            shaped = [a.reshape(shape) for a, shape in zip(arguments, shapes, strict=True)]
+            called = jax.jit(lambda *values: kernel(rows, *values, length=body.tried))(*shaped)
+        for k, result in zip(body.written, results, strict=True):
+            by_jax = np.asarray(called[k]).reshape(result.shape)
+            if not np.array_equal(by_jax, result, equal_nan=result.dtype.kind == "f"):
+                raise BuildError("its results differ where JAX calls it")
+        _CALLED.add(kernel.platform)
+    kernel.handle.keep()
+
+
+def _drawn(random: np.random.Generator, size: tuple[int, int], array: Array) -> NDArray[Any]:
+    drawn = random.normal(size=size) if array.dtype.kind == "f" else random.integers(0, 2, size)
+    return drawn.astype(array.dtype)
+
+
+def _moved(values: NDArray[Any]) -> NDArray[Any]:
+    """The next larger floating-point numbers: the change of the results shows the effect of rounding."""
+    return np.nextafter(values, np.inf, dtype=values.dtype) if values.dtype.kind == "f" else values
+
+
+def _rounded(random: np.random.Generator, values: NDArray[Any]) -> NDArray[Any]:
+    """The next larger or smaller floating-point numbers, at random."""
+    if values.dtype.kind != "f":
+        return values
+    return np.nextafter(values, random.choice([-np.inf, np.inf], values.shape), dtype=values.dtype)
+
+
+def _agree(values: NDArray[Any], expected: NDArray[Any], nearby: Sequence[NDArray[Any]]) -> bool:
+    if values.dtype.kind != "f":
+        # A comparison of nearly equal numbers may fall either way.
+        return bool(np.mean(values == expected) >= 0.5)
+    finite = np.isfinite(expected) & np.all(np.isfinite(nearby), axis=0)
+    if not finite.any():
+        return True
+    size = np.max(np.abs(expected[finite]), initial=_LEAST) * _TOLERANCE[values.dtype]
+    moved = np.max([np.abs(near[finite] - expected[finite]) for near in nearby], axis=0)
+    values, expected = values[finite], expected[finite]
+    with np.errstate(invalid="ignore"):  # what is infinite where it should not be does not agree
+        return bool(np.mean(np.abs(values - expected) <= size + 1e3 * moved) >= 0.9)
