@@ -1,6 +1,8 @@
 """Pickles of earlier versions: classes are found where they are now, or the error says what to do."""
 
 import copy
+import importlib
+import inspect
 import pickle
 from typing import Any
 
@@ -76,3 +78,10 @@ def test_a_status_is_pickled_by_name(member: Any) -> None:
     data = pickle.dumps(member)
     assert member.value.encode() not in data
     assert pickle.loads(data) is copy.deepcopy(member) is member
+
+
+@pytest.mark.parametrize("name", ["discretize", "linearize"])
+def test_functions_with_the_name_of_an_earlier_module_stay(name: str) -> None:
+    """The import of a module names it in its package."""
+    importlib.import_module(f"twistax.trajectory.{name}")
+    assert inspect.isfunction(getattr(trajectory, name))

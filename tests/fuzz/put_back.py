@@ -122,8 +122,8 @@ TABLE = [
     ("axis of Vmap", "in_axes=self.axis", "in_axes=0"),
     (
         "batches along another axis",
-        "in whole else batching.bdim_at_front(a, d, size)",
-        "in whole else batching.bdim_at_front(a, None if d is None else 0, size)",
+        "in unbatched else batching.bdim_at_front(a, d, size)",
+        "in unbatched else batching.bdim_at_front(a, None if d is None else 0, size)",
     ),
     (
         "integers are rounded",

@@ -7,6 +7,7 @@ from collections.abc import Iterator
 import pytest
 
 import twistax as tx
+from twistax.expr.fields import Operand
 from twistax.scalar.walk import uncollected
 
 
@@ -57,7 +58,7 @@ def test_compiling_and_tracing_are_without_it() -> None:
 
     class Seen(tx.Expr):
         takes, gives = ((),), ()
-        operand: tx.Operand
+        operand: Operand
 
         def simplify(self) -> tx.Expr:
             seen.append(("simplified", gc.isenabled()))

@@ -26,7 +26,7 @@ OPTIONS: dict[str, dict[str, Any]] = {
 
 def every_scene() -> dict[str, Scene]:
     """The scenes that a module of twistax.scenes has under a name in capitals."""
-    names = [found.name for found in pkgutil.iter_modules(twistax.scenes.__path__, "twistax.scenes.")]
+    names = [found.name for found in pkgutil.walk_packages(twistax.scenes.__path__, "twistax.scenes.")]
     values = [item for name in names for item in vars(importlib.import_module(name)).items()]
     return {value.name: value for name, value in values if isinstance(value, Scene) and name.isupper()}
 

@@ -92,6 +92,14 @@ def first_module(cls: type) -> str:
     return f"{package}.{_EARLIER[below]}" if package == _PACKAGE and below in _EARLIER else cls.__module__
 
 
+class _KeepsNames(ModuleType):
+    """A package with a function that has the name of an earlier module, which the import of this must not replace."""
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        if not (isinstance(value, ModuleType) and name in vars(self)):
+            super().__setattr__(name, value)
+
+
 class EarlierNames:
     """Finds a module that has moved where it is now; Python asks when nothing else has a module of that name."""
 
@@ -108,7 +116,10 @@ class EarlierNames:
 
     @staticmethod
     def exec_module(module: ModuleType) -> None:
-        """A module may put another one in its place."""
+        """A module may put another one in its place. The import then names it in its package."""
+        package, _, name = module.__name__.rpartition(".")
+        if name in vars(sys.modules[package]):
+            sys.modules[package].__class__ = _KeepsNames
         if (now := module_now(module.__name__)) != module.__name__:
             sys.modules[module.__name__] = importlib.import_module(now)
         else:
