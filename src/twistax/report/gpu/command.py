@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import dataclasses
 import json
 import os
 import subprocess
@@ -71,6 +72,6 @@ def measure(folder: str, name: str) -> None:
         return
     with (Path(folder) / _ROWS).open("a") as file:
         for row in rows():
-            file.write(json.dumps({"section": name, **row._asdict()}) + "\n")
+            file.write(json.dumps({"section": name, **dataclasses.asdict(row)}) + "\n")
             file.flush()
             print(f"  {row.what:<58} {row.by:<26} {row.value:.4g} {row.unit}".rstrip(), flush=True)
