@@ -106,7 +106,7 @@ def test_versions(capsys: pytest.CaptureFixture[str], monkeypatch: pytest.Monkey
 def test_versions_name_the_packages_of_the_extras() -> None:
     project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
     # Those of developers are left out.
-    assert set(EXTRAS) == set(project["optional-dependencies"]) - {"test", "openscvx", "peers", "all"}
+    assert set(EXTRAS) == set(project["optional-dependencies"]) - {"test", "gpu-test", "openscvx", "peers", "all"}
     for extra, packages in EXTRAS.items():
         named = {re.match(r"[\w-]+", line)[0] for line in project["optional-dependencies"][extra]}
         assert set(packages) <= named

@@ -4,42 +4,20 @@ from __future__ import annotations
 
 import functools
 from collections.abc import Callable
-from typing import Any
 
 import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from integrator_bodies import start
+from turning_top import Cost, integrated, top
 
 import twistax as tx
 from compiled_steps import programs_of_steps
-from twistax.scalar.targets.llvm import targets
 from twistax.scenes import ROCKET
 
-Cost = Callable[[jax.Array], jax.Array]
 #: Programs that run once need not be fast.
 QUICK = {"xla_backend_optimization_level": 0, "xla_llvm_disable_expensive_passes": True}
 BACKENDS = {"XLA": tx.XLA(), "native": tx.Native()}
-
-
-def top() -> tx.System:
-    """An asymmetric body that turns under drag, its weight and a torque that changes with time."""
-    R, w, t = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,)), tx.Time()
-    J = tx.Parameter("J", shape=(3,), value=np.array([1.0, 2.0, 3.5]))
-    torque = tx.Concat(tx.Sin(2.0 * t), 0.3, 0.0) - 0.1 * w + tx.linalg.Cross(np.array([0.0, 0.2, 0.5]), R[2, :])
-    return tx.System(rates={R: w, w: (torque - tx.linalg.Cross(w, J * w)) / J})
-
-
-def integrated(dynamics: tx.Dynamics, **options: Any) -> Cost:
-    """A cost of the end as a function of what is added to the rate at the start."""
-    rotation, rate = start()["g"][:3, :3], np.array([0.4, 2.0, -0.7])
-
-    def cost(z: jax.Array) -> jax.Array:
-        end = tx.integrate(dynamics, {"R": rotation, "w": rate + z}, t1=0.5, **options).xs
-        return (end["w"][-1] ** 2).sum() + end["R"][-1][:, 1:].sum()
-
-    return cost
 
 
 @functools.cache
@@ -113,20 +91,6 @@ def test_wide_states_stay_arrays() -> None:
 
     np.testing.assert_allclose(jax.grad(cost)(jnp.ones(500)), np.exp(-1.0), rtol=1e-7)
     assert not programs_of_steps(dynamics)
-
-
-@pytest.mark.parametrize(("platform", "kernels"), [("tpu", False), ("cuda", True)])
-def test_other_accelerators_take_no_kernels(platform: str, kernels: bool, monkeypatch: pytest.MonkeyPatch) -> None:
-    """There a step written out whole would compile for long and run no faster."""
-    pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
-    dynamics = tx.compile(top(), backend=tx.Native())
-    monkeypatch.setattr(targets, "backends", lambda: {"cpu": None, platform: None})
-    cost = integrated(dynamics, steps=3, method=tx.RKMK(tx.tableaus.DOP853))
-    jax.make_jaxpr(cost)(jnp.zeros(3))
-    jax.make_jaxpr(jax.grad(cost))(jnp.zeros(3))
-    steps = [made for made in dynamics.functions.steps.values() if made is not None]
-    assert (steps != programs_of_steps(dynamics)) == kernels
-    assert all((program.runner is not None) == kernels for program in programs_of_steps(dynamics))
 
 
 def test_a_control_that_closes_over_a_traced_value_keeps_its_derivative() -> None:

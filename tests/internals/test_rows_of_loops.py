@@ -14,7 +14,7 @@ from twistax.scalar.loops import Repeated
 @pytest.mark.parametrize("backend", [tx.XLA(), tx.Native()], ids=["a loop of XLA", "a kernel's loop"])
 def test_rows_of_batches_of_batches_are_exact(backend: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     """Oscillators of other frequencies, ends and starts, in loops of XLA, where each is at another row."""
-    monkeypatch.setattr(Repeated, "kernel", lambda self, rows: None)
+    monkeypatch.setattr(Repeated, "kernel", lambda self, rows, platform: None)
     x, v, w = tx.State("x"), tx.State("v"), tx.Parameter("w")
     dynamics = tx.compile(tx.System({x: v, v: -w * w * x}), backend=backend)
     shares = np.append(np.linspace(0.0, 0.4, 210), [0.7, 1.0, 1.0])
