@@ -91,13 +91,13 @@ def test_rows_on_polynomials_are_filled_by_the_kernel() -> None:
     forces, tolerances = np.array([1.0, -3.0, 0.2, 5.0, 2.0]), np.array([1e-8, 1e-9, 1e-10, 1e-9, 1e-11])
     found = jax.vmap(flown)(forces, tolerances)
     np.testing.assert_allclose(found.xs["x"], forces[:, None] * exact, atol=1e-6)
-    # Another number of rows needs no other kernel; without rows it leaves nothing for them.
+    # Another number of rows needs no other kernel; rows by steps have one of their own.
     given.update(save_at=ts[::2])
     assert flown(2.0, 1e-11).stats.steps == found.stats.steps[-1]
     assert len(kernels_of_chosen_steps(dynamics)) == 1
     given.update(save_at=None, between=tx.Between.STEP)
     assert flown(2.0, 1e-11).stats.steps == found.stats.steps[-1]
-    assert [each.row is None for each in kernels_of_chosen_steps(dynamics)] == [False, True]
+    assert len(kernels_of_chosen_steps(dynamics)) == 2
 
 
 def test_rows_on_polynomials_leave_little_to_xla() -> None:

@@ -17,6 +17,7 @@ typedef struct {
   double barrier, penalty, slope, merit; /* penalty: of the l1 norm of the defects */
   double bounds;                         /* the barrier's part of the merit */
   double identity;                       /* what multiple of it the last step needed */
+  int32_t lost;                          /* whether the last search met points that are not finite */
 } phase;
 
 static double merit_of(twx_work *w, const phase *f, const twx_values *at) {
@@ -72,9 +73,12 @@ static void measure_step(twx_work *w, phase *f) {
   f->merit = merit_of(w, f, &w->here), f->bounds = twx_barrier_of_bounds(w, &w->here, f->barrier);
 }
 
-static double search_merit(twx_work *w, const phase *f) {
+static double search_merit(twx_work *w, phase *f) {
   for (double length = twx_primal_length(w, &w->step); length > LENGTH_LEAST; length *= 0.5) {
-    if (twx_move(w, &w->step, length)) continue;
+    if (twx_move(w, &w->step, length)) {
+      f->lost = 1;
+      continue;
+    }
     if (merit_of(w, f, &w->trial) <= f->merit + 1e-4 * length * f->slope + 10 * TWX_EPSILON * fabs(f->merit)) return length;
   }
   return 0;
@@ -97,8 +101,8 @@ static twx_status reduce_violation(twx_work *w) {
     if (!factorize_restoring(w, &f)) return TWX_UNBOUNDED_CURVATURE;
     twx_solve_system(w, &w->right, &w->step, 0);
     measure_step(w, &f);
-    const int flat = f.slope > -SLOPE_LEAST * (f.merit - f.bounds);
-    const double length = flat ? 0 : search_merit(w, &f);
+    f.lost = 0;
+    const double length = f.slope > -SLOPE_LEAST * (f.merit - f.bounds) ? 0 : search_merit(w, &f);
     if (length > 0) {
       accept_restoring(w);
       if (twx_differentiate(w)) return TWX_NON_FINITE;
@@ -107,8 +111,8 @@ static twx_status reduce_violation(twx_work *w) {
         return TWX_SOLVED;
     }
     if (length == 0 || f.slope > -1e-2 * f.barrier) {
-      /* Where no step helps though there is a slope, as among points that are not finite, nothing is stationary. */
-      if (f.barrier < BARRIER_LEAST) return flat || f.slope > -1e-2 * f.barrier ? TWX_INFEASIBLE : TWX_STALLED;
+      /* Among points that are not finite no step helps, and nothing is stationary. */
+      if (f.barrier < BARRIER_LEAST) return length == 0 && f.lost ? TWX_STALLED : TWX_INFEASIBLE;
       f.barrier *= BARRIER_DECREASE;
     }
   }
