@@ -16,7 +16,6 @@
 typedef struct {
   double barrier, penalty, slope, merit; /* penalty: of the l1 norm of the defects */
   double bounds;                         /* the barrier's part of the merit */
-  double identity;                       /* what multiple of it the last step needed */
   int32_t lost;                          /* whether the last search met points that are not finite */
 } phase;
 
@@ -42,15 +41,10 @@ static void restoring_right_side(twx_work *w, double barrier) {
   for (size_t i = 0; i < w->rows; i++) w->Ss[i] = barrier / (w->iterate.s[i] * w->iterate.s[i]);
 }
 
-/* The multiple of the identity begins below the one that the step before needed. */
-static int32_t factorize_restoring(twx_work *w, phase *f) {
-  const twx_options *o = w->options;
-  const double least = o->inertia_first * 1e-4;
-  f->identity *= o->inertia_decrease;
-  if (f->identity < least) f->identity = 0;
-  while (!twx_factorize(w, f->identity, 0)) {
-    f->identity = f->identity > 0 ? o->inertia_increase * f->identity : least;
-    if (f->identity > o->inertia_largest) return 0;
+static int32_t factorize_restoring(twx_work *w) {
+  for (double identity = 0; !twx_factorize(w, identity, 0);) {
+    identity = identity > 0 ? w->options->inertia_increase_first * identity : w->options->inertia_first * 1e-4;
+    if (identity > w->options->inertia_largest) return 0;
   }
   return 1;
 }
@@ -98,7 +92,7 @@ static twx_status reduce_violation(twx_work *w) {
   phase f = {.barrier = twx_max(w->barrier, twx_violation(w, &w->here, 1)), .penalty = PENALTY_LEAST};
   for (int32_t n = 0; n < (int32_t)o->restoration_iterations; n++) {
     restoring_right_side(w, f.barrier);
-    if (!factorize_restoring(w, &f)) return TWX_UNBOUNDED_CURVATURE;
+    if (!factorize_restoring(w)) return TWX_UNBOUNDED_CURVATURE;
     twx_solve_system(w, &w->right, &w->step, 0);
     measure_step(w, &f);
     f.lost = 0;
