@@ -11,12 +11,12 @@
 #define BARRIER_DECREASE 0.1
 #define LENGTH_LEAST 1e-12
 #define PENALTY_LEAST 1.0     /* multipliers that vanish would leave the defects free */
+#define SLOPE_STEEP 1e-3      /* relative to the same: more is none, though rounding may hide the decrease */
 #define SLOPE_LEAST 1e-8      /* relative to the squares and the defects: less is a stationary point */
 
 typedef struct {
   double barrier, penalty, slope, merit; /* penalty: of the l1 norm of the defects */
   double bounds;                         /* the barrier's part of the merit */
-  int32_t lost;                          /* whether the last search met points that are not finite */
 } phase;
 
 static double merit_of(twx_work *w, const phase *f, const twx_values *at) {
@@ -67,12 +67,9 @@ static void measure_step(twx_work *w, phase *f) {
   f->merit = merit_of(w, f, &w->here), f->bounds = twx_barrier_of_bounds(w, &w->here, f->barrier);
 }
 
-static double search_merit(twx_work *w, phase *f) {
+static double search_merit(twx_work *w, const phase *f) {
   for (double length = twx_primal_length(w, &w->step); length > LENGTH_LEAST; length *= 0.5) {
-    if (twx_move(w, &w->step, length)) {
-      f->lost = 1;
-      continue;
-    }
+    if (twx_move(w, &w->step, length)) continue;
     if (merit_of(w, f, &w->trial) <= f->merit + 1e-4 * length * f->slope + 10 * TWX_EPSILON * fabs(f->merit)) return length;
   }
   return 0;
@@ -95,7 +92,6 @@ static twx_status reduce_violation(twx_work *w) {
     if (!factorize_restoring(w)) return TWX_UNBOUNDED_CURVATURE;
     twx_solve_system(w, &w->right, &w->step, 0);
     measure_step(w, &f);
-    f.lost = 0;
     const double length = f.slope > -SLOPE_LEAST * (f.merit - f.bounds) ? 0 : search_merit(w, &f);
     if (length > 0) {
       accept_restoring(w);
@@ -105,8 +101,10 @@ static twx_status reduce_violation(twx_work *w) {
         return TWX_SOLVED;
     }
     if (length == 0 || f.slope > -1e-2 * f.barrier) {
-      /* Among points that are not finite no step helps, and nothing is stationary. */
-      if (f.barrier < BARRIER_LEAST) return length == 0 && f.lost ? TWX_STALLED : TWX_INFEASIBLE;
+      /* Where no step helps though a large part of the violation would vanish by one, or it overflows, nothing is
+       * stationary. */
+      const int32_t steep = !(f.slope >= -SLOPE_STEEP * (f.merit - f.bounds));
+      if (f.barrier < BARRIER_LEAST) return length == 0 && steep ? TWX_STALLED : TWX_INFEASIBLE;
       f.barrier *= BARRIER_DECREASE;
     }
   }
