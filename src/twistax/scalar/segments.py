@@ -28,7 +28,7 @@ from ..jax_inside import (
 )
 from .array_primitive import Written, is_written
 from .backends import Backend, array_operations
-from .jax_primitive import Batch
+from .batch import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
 from .small_call import small_call

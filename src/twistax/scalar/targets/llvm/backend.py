@@ -16,10 +16,12 @@ import jax
 
 from ....checks import instance, whole
 from ....errors import ModelError
-from ....jax_inside import ClosedJaxpr, say_once
+from ....jax_inside import ClosedJaxpr
+from ....progress import say_once
 from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
+from ...batch import Rows
 from ...graph import TooLarge
-from ...jax_primitive import Derived, Rows, call_program
+from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import ScalarProgram
 from ...walk import uncollected
