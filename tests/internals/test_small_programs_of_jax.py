@@ -10,7 +10,7 @@ import pytest
 
 from test_jax_inside import ARGUMENTS, recursion
 from twistax import progress
-from twistax.jax_inside import compiling, programs
+from twistax.jax_inside import compiling, tracing
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.xla import as_function
 
@@ -19,7 +19,7 @@ from twistax.scalar.targets.xla import as_function
 def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(progress, "_SAID", set())
     closed = jax.make_jaxpr(recursion)(*ARGUMENTS)
-    kept = programs.parameters
+    kept = tracing.parameters
 
     def other(eqn: Any, *known: Any) -> Any:
         if eqn.primitive.name != "scan":
@@ -28,7 +28,7 @@ def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkey
         changed = {name: value for name, value in changed.items() if value is not None}
         return kept(eqn.replace(params=changed), *known)
 
-    monkeypatch.setattr(programs, "parameters", other)
+    monkeypatch.setattr(tracing, "parameters", other)
     with pytest.warns(RuntimeWarning, match="scan.*which this twistax does not know: that operation runs as JAX has"):
         program = scalarize(closed)
     assert [call.jaxpr.jaxpr.eqns[0].primitive.name for call in program.calls] == ["scan"]

@@ -1,4 +1,4 @@
-"""The inside of JAX that tracing makes: jaxprs, their equations, what they are traced from, and whether JAX traces.
+"""The inside of JAX that traces: jaxprs and their equations, whether JAX traces, and the types of arrays on meshes.
 
 What an equation holds that is not known here makes `Unread`: the caller then leaves that equation to JAX, which gives
 the same numbers, and tells the user once.
@@ -6,6 +6,7 @@ the same numbers, and tells the user once.
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from typing import Any, TypeVar
@@ -26,6 +27,7 @@ def undocumented(module: str, name: str, otherwise: Any = None) -> Any:
 
 _weak_types = undocumented("jax._src.util", "weakref_cache_key_types", set())
 _nothing_traced = undocumented("jax._src.core", "trace_state_clean")
+_varying_checked = undocumented("jax._src.config", "_check_vma")
 
 
 class Unread(Exception):
@@ -103,13 +105,6 @@ def part(
     return ClosedJaxpr(piece, list(constants.values()))
 
 
-def constants_first(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function of its constants and its arguments."""
-    jaxpr = program.jaxpr
-    debug = jaxpr.debug_info.with_unknown_names()
-    return ClosedJaxpr(jaxpr.replace(constvars=[], invars=[*jaxpr.constvars, *jaxpr.invars], debug_info=debug), [])
-
-
 def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
     """A jaxpr as a function of the traced values that it closes over, then of its arguments; and those values.
 
@@ -177,11 +172,6 @@ def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
     return jax.make_jaxpr(function)(*data)
 
 
-def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:
-    """The abstract value of an array."""
-    return jax.core.ShapedArray(shape, dtype)
-
-
 def is_traced(tree: Any) -> bool:
     """Whether JAX is tracing any leaf: its numbers are not known."""
     return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
@@ -196,3 +186,56 @@ def weakly_kept(cls: type[T]) -> type[T]:
     """Tell JAX's caches of traces not to keep what they know alive: parameters of equations, of this class."""
     _weak_types.add(cls)
     return cls
+
+
+def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:
+    """The abstract value of an array."""
+    return jax.core.ShapedArray(shape, dtype)
+
+
+def spread(values: Sequence[Any]) -> bool:
+    """Whether the type of any array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
+    avals = [getattr(value, "aval", None) for value in values]
+    arrays = [aval for aval in avals if isinstance(aval, jax.core.ShapedArray)]
+    return any(aval.mat.varying or explicit(aval.sharding.mesh) for aval in arrays)
+
+
+def explicit(mesh: Any) -> bool:
+    """Whether any axis of a mesh is explicit."""
+    return jax.sharding.AxisType.Explicit in (mesh.axis_types or ())
+
+
+@contextlib.contextmanager
+def of_one_device() -> Iterator[None]:
+    """What is traced inside is a function of plain arrays: loops and branches ask there for nothing that meshes add."""
+    with contextlib.ExitStack() as settings:
+        if _varying_checked is not None:
+            settings.enter_context(_varying_checked(False))
+        if explicit(jax.sharding.get_abstract_mesh()):
+            settings.enter_context(jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())))
+        yield
+
+
+def varying_alike(arguments: Sequence[Any]) -> list[Any]:
+    """Arguments of one equation: inside of `shard_map` those that all devices share vary as the others do."""
+    axes = [jax.typeof(a).mat.varying for a in arguments]
+    every = frozenset().union(*axes)
+    return [
+        a if varying == every else jax.lax.pcast(a, tuple(every - varying), to="varying")
+        for a, varying in zip(arguments, axes, strict=True)
+    ]
+
+
+def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequence[Any]) -> Any:
+    """The abstract value of a result on the mesh of the arguments: its first `depth` axes lie as theirs do.
+
+    Args:
+        shared: the arguments that do not have these axes.
+    """
+    like = next((a for a in arguments if a.mat.varying or explicit(a.sharding.mesh)), None)
+    if like is None:
+        return aval
+    specs = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
+    batch = [next((axis for axis in axes if axis is not None), None) for axes in zip(*specs, strict=True)]
+    spec = jax.sharding.PartitionSpec(*batch, *(None for _ in aval.shape[len(batch) :]))
+    return like.update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
