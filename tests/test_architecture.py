@@ -294,3 +294,12 @@ def test_types_and_shapes_are_checked_while_tests_run(monkeypatch: pytest.Monkey
         so3.exp(jnp.zeros(3))
     annotating = [path.name for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text()]
     assert annotating == ["annotations.py"]
+
+
+def test_a_journey_of_the_page_for_contributors_has_at_most_twelve_files() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "contributing.md").read_text()
+    section = page.partition("## Journeys\n")[2].partition("\n## ")[0]
+    parts = re.split(r"^\*\*(.+?)\.\*\*", section, flags=re.MULTILINE)[1:]
+    files = [re.findall(r"`[\w/]+\.(?:py|json)`", text) for text in parts[1::2]]
+    assert len(files) >= 7
+    assert {title: len(names) for title, names in zip(parts[::2], files, strict=True) if len(names) > 12} == {}
