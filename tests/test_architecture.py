@@ -127,6 +127,33 @@ def test_the_check_sees_a_circle_of_lazy_imports(tmp_path: Path) -> None:
         graphlib.TopologicalSorter(imports(tmp_path)).prepare()
 
 
+def sizes(root: Path) -> Iterator[tuple[str, int, int]]:
+    """Everything of a tree that has a size, as (what, size, bound): lines of files and functions, files of folders."""
+    for path in root.rglob("*.py"):
+        text = path.read_text()
+        yield str(path.relative_to(root)), len(text.splitlines()), 400
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                body = node.body[1:] if ast.get_docstring(node) and len(node.body) > 1 else node.body
+                yield f"{path.relative_to(root)}: {node.name}", (node.end_lineno or 0) - body[0].lineno + 1, 60
+    for folder in {path.parent for path in root.rglob("*.py")}:
+        files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+        yield f"files in {folder.relative_to(root)}", len(files), 15
+
+
+def test_files_functions_and_folders_are_small() -> None:
+    assert [(what, size) for what, size, bound in sizes(SOURCE) if size > bound] == []
+    lines = [(what, size) for what, size, bound in sizes(Path(__file__).parent) if size > bound == 400]
+    assert lines == []
+
+
+def test_the_check_sees_what_is_too_large(tmp_path: Path) -> None:
+    (tmp_path / "long.py").write_text("def f():\n" + 401 * "    x = 1\n")
+    for k in range(16):
+        (tmp_path / f"file{k}.py").write_text("")
+    assert len([what for what, size, bound in sizes(tmp_path) if size > bound]) == 3
+
+
 def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
