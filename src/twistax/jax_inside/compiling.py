@@ -15,7 +15,7 @@ import jaxlib
 from jax.extend.backend import backends
 from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 
-from .tracing import explicit, is_traced, is_tracing, shaped_array, undocumented
+from .tracing import has_explicit_axes, is_traced, is_tracing, shaped_array, undocumented
 
 _set_xla_metadata = undocumented("jax.experimental.xla_metadata", "set_xla_metadata")
 _need_devices = undocumented("jax._src.dispatch", "prim_requires_devices_during_lowering", set())
@@ -122,7 +122,7 @@ def on_axes(function: Callable[..., list[Any]], depth: int, unbatched: Collectio
     """
     mesh, spec = context.avals_out[0].sharding.mesh, jax.sharding.PartitionSpec
     batch = spec(*context.avals_out[0].sharding.spec[:depth])
-    if not explicit(mesh) or all(axis is None for axis in batch):
+    if not has_explicit_axes(mesh) or all(axis is None for axis in batch):
         return None
     ins = [spec() if k in unbatched else batch for k in range(len(context.avals_in))]
     outs = [batch for _ in context.avals_out]

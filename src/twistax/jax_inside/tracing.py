@@ -197,11 +197,11 @@ def spread(values: Sequence[Any]) -> bool:
     """Whether the type of any array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
     avals = [getattr(value, "aval", None) for value in values]
     arrays = [aval for aval in avals if isinstance(aval, jax.core.ShapedArray)]
-    return any(aval.mat.varying or explicit(aval.sharding.mesh) for aval in arrays)
+    return any(aval.mat.varying or has_explicit_axes(aval.sharding.mesh) for aval in arrays)
 
 
-def explicit(mesh: Any) -> bool:
-    """Whether any axis of a mesh is explicit."""
+def has_explicit_axes(mesh: Any) -> bool:
+    """Whether types of arrays say how they lie on axes of a mesh."""
     return jax.sharding.AxisType.Explicit in (mesh.axis_types or ())
 
 
@@ -211,7 +211,7 @@ def of_one_device() -> Iterator[None]:
     with contextlib.ExitStack() as settings:
         if _varying_checked is not None:
             settings.enter_context(_varying_checked(False))
-        if explicit(jax.sharding.get_abstract_mesh()):
+        if has_explicit_axes(jax.sharding.get_abstract_mesh()):
             settings.enter_context(jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())))
         yield
 
@@ -232,7 +232,7 @@ def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequenc
     Args:
         shared: the arguments that do not have these axes.
     """
-    like = next((a for a in arguments if a.mat.varying or explicit(a.sharding.mesh)), None)
+    like = next((a for a in arguments if a.mat.varying or has_explicit_axes(a.sharding.mesh)), None)
     if like is None:
         return aval
     specs = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
