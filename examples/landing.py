@@ -13,7 +13,7 @@ from twistax.scenes import powered_descent as scene
 
 jax.config.update("jax_enable_x64", True)
 
-vehicle, start = scene.Vehicle(), scene.Start(height=600.0, offset=(150.0, 60.0), tilt=np.deg2rad(20.0))
+vehicle, start = scene.Lander(), scene.Start(height=600.0, offset=(150.0, 60.0), tilt=np.deg2rad(20.0))
 dynamics = tx.compile(scene.system(vehicle))
 g, V, m = dynamics.states
 

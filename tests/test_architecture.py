@@ -127,6 +127,33 @@ def test_the_check_sees_a_circle_of_lazy_imports(tmp_path: Path) -> None:
         graphlib.TopologicalSorter(imports(tmp_path)).prepare()
 
 
+def sizes(root: Path) -> Iterator[tuple[str, int, int]]:
+    """Everything of a tree that has a size, as (what, size, bound): lines of files and functions, files of folders."""
+    for path in root.rglob("*.py"):
+        text = path.read_text()
+        yield str(path.relative_to(root)), len(text.splitlines()), 400
+        for node in ast.walk(ast.parse(text)):
+            if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+                body = node.body[1:] if ast.get_docstring(node) and len(node.body) > 1 else node.body
+                yield f"{path.relative_to(root)}: {node.name}", (node.end_lineno or 0) - body[0].lineno + 1, 60
+    for folder in {path.parent for path in root.rglob("*.py")}:
+        files = [path for path in folder.glob("*.py") if path.name != "__init__.py"]
+        yield f"files in {folder.relative_to(root)}", len(files), 15
+
+
+def test_files_functions_and_folders_are_small() -> None:
+    assert [(what, size) for what, size, bound in sizes(SOURCE) if size > bound] == []
+    lines = [(what, size) for what, size, bound in sizes(Path(__file__).parent) if size > bound == 400]
+    assert lines == []
+
+
+def test_the_check_sees_what_is_too_large(tmp_path: Path) -> None:
+    (tmp_path / "long.py").write_text("def f():\n" + 401 * "    x = 1\n")
+    for k in range(16):
+        (tmp_path / f"file{k}.py").write_text("")
+    assert len([what for what, size, bound in sizes(tmp_path) if size > bound]) == 3
+
+
 def run(code: str) -> str:
     return subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.strip()
 
@@ -278,7 +305,10 @@ def test_a_tier_names_tests_that_exist(tier: str) -> None:
     for file, _, test in (name.partition("::") for name in named):
         assert f"def {test.partition('[')[0]}" in (tests / file).read_text(), f"{file} {test}"
     packages = {path.name for path in SOURCE.iterdir() if path.is_dir() and path.name != "__pycache__"}
-    packages = {"lowering" if name in ("scalar", "system") else name for name in packages} - {"monte_carlo"}
+    packages = {"lowering" if name in ("scalar", "system") else name for name in packages} - {
+        "monte_carlo",
+        "jax_inside",
+    }
     assert tier != "smoke" or packages - {"report"} <= {name.split("/")[0] for name in named}
 
 
@@ -291,3 +321,12 @@ def test_types_and_shapes_are_checked_while_tests_run(monkeypatch: pytest.Monkey
         so3.exp(jnp.zeros(3))
     annotating = [path.name for path in SOURCE.rglob("*.py") if "from jaxtyping" in path.read_text()]
     assert annotating == ["annotations.py"]
+
+
+def test_a_journey_of_the_page_for_contributors_has_at_most_twelve_files() -> None:
+    page = (Path(__file__).parents[1] / "docs" / "contributing.md").read_text()
+    section = page.partition("## Journeys\n")[2].partition("\n## ")[0]
+    parts = re.split(r"^\*\*(.+?)\.\*\*", section, flags=re.MULTILINE)[1:]
+    files = [re.findall(r"`[\w/]+\.(?:py|json)`", text) for text in parts[1::2]]
+    assert len(files) >= 7
+    assert {title: len(names) for title, names in zip(parts[::2], files, strict=True) if len(names) > 12} == {}

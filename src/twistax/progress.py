@@ -11,6 +11,7 @@ import logging
 import sys
 import threading
 import time
+import warnings
 from collections.abc import Callable
 from typing import Any
 
@@ -170,3 +171,14 @@ def _look() -> None:
             _ANY.clear()
             if _WATCHED:  # one began in between
                 _ANY.set()
+
+
+#: Warnings that were given, each once for a process.
+_SAID: set[str] = set()
+
+
+def say_once(message: str) -> None:
+    """A RuntimeWarning, once for a process; again and again where a filter of warnings makes it an error."""
+    if message not in _SAID:
+        warnings.warn(message, RuntimeWarning, stacklevel=3)
+        _SAID.add(message)

@@ -65,7 +65,7 @@ def test_the_figure_is_written(descent: Descent, tmp_path: Path) -> None:
             for part in (descent.ts, descent.xs, descent.us, descent.outputs)
         )
     )
-    save_figure(path, "a title", descent, nodes, scene.limits(), scene.Vehicle())
+    save_figure(path, "a title", descent, nodes, scene.limits(), scene.Lander())
     image = matplotlib.image.imread(path)
     assert image.shape[:2] == (700, 1200)
     # Something is drawn in the scene on the left and in the panels on the right.

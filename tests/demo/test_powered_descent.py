@@ -88,7 +88,7 @@ def test_each_limit_breaks_alone(dynamics: tx.Dynamics, broken: str, change: dic
 
 
 def test_the_start_is_the_one_described(dynamics: tx.Dynamics) -> None:
-    x = scene.initial(scene.Start(), scene.Vehicle())
+    x = scene.initial(scene.Start(), scene.Lander())
     R = rotation(np.array([0.2, 1.0, 0.0]), np.deg2rad(-60.0))
     np.testing.assert_allclose(x["g"], tx.pose(position=[400.0, 150.0, 900.0], rotation=R), atol=1e-12)
     np.testing.assert_allclose(R @ x["V"][:3], [-60.0, -20.0, -100.0], rtol=1e-12)
@@ -100,7 +100,7 @@ def test_the_start_is_the_one_described(dynamics: tx.Dynamics) -> None:
 
 def test_another_start_compiles_nothing() -> None:
     """The guesses, too."""
-    made, vehicle = list[str](), scene.Vehicle()
+    made, vehicle = list[str](), scene.Lander()
     scene.guess(scene.Start(), vehicle, 7, 13.0)
 
     def listen(event: str, seconds: float, **_: object) -> None:

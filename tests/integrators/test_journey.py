@@ -4,6 +4,7 @@
 """
 
 import gc
+import importlib.util
 import sys
 from collections.abc import Callable
 from pathlib import Path
@@ -16,6 +17,9 @@ import pytest
 import twistax as tx
 
 SOURCE = str(Path(tx.__file__).parent)
+
+
+NATIVE = pytest.mark.skipif(importlib.util.find_spec("llvmlite") is None, reason="llvmlite is not installed")
 
 
 def entered(call: Callable[[], Any]) -> list[str]:
@@ -59,9 +63,10 @@ def journey(backend: Any, **steps: Any) -> tuple[list[str], list[str]]:
     [
         # diffrax's own call of the same system enters 36 of its files.
         pytest.param(tx.JAX(), {"dt": 0.01}, 36, 14, id="fixed"),
-        pytest.param(tx.JAX(), {"rtol": 1e-4}, 38, 14, id="adaptive"),
+        pytest.param(tx.JAX(), {"rtol": 1e-4}, 38, 13, id="adaptive"),
         # The default without llvmlite: what makes scalars of the rates comes on top.
-        pytest.param(tx.XLA(), {"dt": 0.01}, 42, 14, id="fixed, as scalars"),
+        pytest.param(tx.XLA(), {"dt": 0.01}, 43, 14, id="fixed, as scalars"),
+        pytest.param(tx.Native(), {"rtol": 1e-4}, 62, 13, id="adaptive, as a kernel", marks=NATIVE),
     ],
 )
 def test_the_files_that_integrations_enter(

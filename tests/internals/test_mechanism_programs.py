@@ -8,8 +8,8 @@ from typing import Any
 import jax
 import numpy as np
 import pytest
-from mechanics_oracles import Cloud, pose
-from test_mechanisms import Tree, body_of, free_tree, mimicking_tree
+from joints_of_every_kind import Tree, free_tree, mimicking_tree
+from mechanics_oracles import Cloud, body_of, pose
 
 import twistax as tx
 from oracles import hat

@@ -5,7 +5,7 @@ from typing import Any
 import numpy as np
 
 import twistax as tx
-from twistax.scalar.backends import Backend
+from twistax.scalar.backends import Backend, StepCompiler
 
 
 def test_a_backend_of_ones_own() -> None:
@@ -20,3 +20,10 @@ def test_a_backend_of_ones_own() -> None:
     assert dynamics.explain().backend == "twice"
     rates = dynamics(0.2, {"x": np.array([1.0, -2.0])})["x"]
     np.testing.assert_allclose(rates, [2.0 * np.sin(1.0), 12.0])
+
+
+def test_the_interface_has_four_methods() -> None:
+    """Functions, programs, what runs in loops, and steps; a backend of one's own needs the first alone."""
+    for interface in (Backend, StepCompiler):
+        assert len([name for name, value in vars(interface).items() if callable(value) and name[0] != "_"]) <= 4
+    assert Backend.__abstractmethods__ == {"emit"}

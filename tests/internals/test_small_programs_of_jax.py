@@ -9,16 +9,17 @@ import numpy as np
 import pytest
 
 from test_jax_inside import ARGUMENTS, recursion
-from twistax import jax_inside
+from twistax import progress
+from twistax.jax_inside import compiling, tracing
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.xla import as_function
 
 
 @pytest.mark.parametrize("params", [{"later": 1}, {"ft_in": "?", "ft_out": "?", "num_consts": None, "num_carry": None}])
 def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(jax_inside, "_SAID", set())
+    monkeypatch.setattr(progress, "_SAID", set())
     closed = jax.make_jaxpr(recursion)(*ARGUMENTS)
-    kept = jax_inside.parameters
+    kept = tracing.parameters
 
     def other(eqn: Any, *known: Any) -> Any:
         if eqn.primitive.name != "scan":
@@ -27,7 +28,7 @@ def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkey
         changed = {name: value for name, value in changed.items() if value is not None}
         return kept(eqn.replace(params=changed), *known)
 
-    monkeypatch.setattr(jax_inside, "parameters", other)
+    monkeypatch.setattr(tracing, "parameters", other)
     with pytest.warns(RuntimeWarning, match="scan.*which this twistax does not know: that operation runs as JAX has"):
         program = scalarize(closed)
     assert [call.jaxpr.jaxpr.eqns[0].primitive.name for call in program.calls] == ["scan"]
@@ -41,7 +42,7 @@ def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkey
 def test_without_metadata_functions_run_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     from twistax.scalar.small_call import small_call
 
-    monkeypatch.setattr(jax_inside, "_set_xla_metadata", None)
-    assert not jax_inside.small_calls_exist()
+    monkeypatch.setattr(compiling, "_set_xla_metadata", None)
+    assert not compiling.small_calls_exist()
     x = jnp.arange(3.0)
     np.testing.assert_array_equal(small_call(lambda a: a * a, x), x * x)

@@ -199,3 +199,17 @@ def test_a_scene_in_which_nothing_moves_has_frames(tmp_path: Path) -> None:
 def test_what_stands_twice_or_is_not_known_is_refused(text: str, message: str, tmp_path: Path) -> None:
     with pytest.raises(tx.ModelError, match=message):
         load(model(tmp_path / "model.xml", text))
+
+
+def test_a_mesh_that_a_mass_follows_from_is_read(tmp_path: Path) -> None:
+    """A tetrahedron of four corners: a sixth of a cubic metre, its centre at a quarter."""
+    (tmp_path / "shapes").mkdir()
+    (tmp_path / "shapes" / "m.obj").write_text(TETRAHEDRON)
+    path = tmp_path / "model.xml"
+    path.write_text(
+        '<mujoco><compiler meshdir="shapes"/><asset><mesh name="m" file="m.obj"/></asset><worldbody><body name="b">'
+        '<joint name="j"/><geom type="mesh" mesh="m" density="6"/></body></worldbody></mujoco>'
+    )
+    (body,) = mechanics.load(path).bodies.values()
+    np.testing.assert_allclose(body.mass.value, 1.0, rtol=1e-6)
+    np.testing.assert_allclose(body.center_of_mass.value, 0.25 * np.ones(3), rtol=1e-6)

@@ -391,19 +391,3 @@ def test_broken_files_say_where(text: str, message: str, tmp_path: Path) -> None
     path.write_text(f"<mujoco>\n{text}</mujoco>")
     with pytest.raises(tx.ModelError, match=message):
         mechanics.load(path)
-
-
-def test_a_mesh_that_a_mass_follows_from_is_read(tmp_path: Path) -> None:
-    """A tetrahedron of four corners: a sixth of a cubic metre, its centre at a quarter."""
-    (tmp_path / "shapes").mkdir()
-    (tmp_path / "shapes" / "m.obj").write_text(
-        "v 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n"
-    )
-    path = tmp_path / "model.xml"
-    path.write_text(
-        '<mujoco><compiler meshdir="shapes"/><asset><mesh name="m" file="m.obj"/></asset><worldbody><body name="b">'
-        '<joint name="j"/><geom type="mesh" mesh="m" density="6"/></body></worldbody></mujoco>'
-    )
-    (body,) = mechanics.load(path).bodies.values()
-    np.testing.assert_allclose(body.mass.value, 1.0, rtol=1e-6)
-    np.testing.assert_allclose(body.center_of_mass.value, 0.25 * np.ones(3), rtol=1e-6)

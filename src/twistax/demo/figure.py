@@ -13,7 +13,7 @@ import numpy as np
 
 import twistax as tx
 
-from ..scenes.powered_descent import Array, Limit, Vehicle
+from ..scenes.powered_descent import Array, Lander, Limit
 from ..scenes.touchdown import Descent
 
 _INK, _PATH, _BODY, _FLAME, _LIMIT, _CONE = "#1b2a3a", "#1f5f99", "#37506b", "#f28c28", "#c0392b", "#5b9a68"
@@ -58,7 +58,7 @@ def save_table(path: Path, descent: Descent) -> None:
 
 
 def save_figure(
-    path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Vehicle
+    path: Path, title: str, dense: Descent, nodes: Descent, limits: Sequence[Limit], vehicle: Lander
 ) -> None:
     """Draw a landing into a PNG file: its dense rollout, and the nodes of the optimiser.
 
@@ -106,7 +106,7 @@ def _draw_panel(
     axes.spines[["top", "right"]].set_visible(False)
 
 
-def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> None:
+def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Lander) -> None:
     path = dense.position
     radius = 0.5 * max(float(np.linalg.norm(path[:, :2], axis=1).max()), 0.4 * float(path[:, 2].max()))
     axes.plot(*path.T, color=_PATH, lw=1.8)
@@ -141,7 +141,7 @@ def _draw_scene(axes: Any, dense: Descent, nodes: Descent, vehicle: Vehicle) -> 
         axis.set_pane_color((0.97, 0.97, 0.98, 1.0))
 
 
-def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Vehicle) -> None:
+def _draw_stage(axes: Any, descent: Descent, sample: int, vehicle: Lander) -> None:
     """The stage as a cylinder with a nose, and its plume against the thrust, down to the ground at most."""
     p = descent.position[sample]
     heights = ENLARGED * LENGTH * np.array([0.0, 0.0, 0.82, 1.0])

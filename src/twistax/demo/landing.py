@@ -44,7 +44,7 @@ def run(arguments: argparse.Namespace) -> int:
         return 2
     _say("body", *tumbling.draw(arguments.out), f"in {time.perf_counter() - begin:.1f} s")
     begin = time.perf_counter()
-    start, vehicle = arguments.initial, scene.Vehicle()
+    start, vehicle = arguments.initial, scene.Lander()
     _say("start", *describe_start(start, vehicle))
     dynamics = tx.compile(scene.system(vehicle))
     with tx.trajectory.Progress("check", stream=sys.stdout):
@@ -82,7 +82,7 @@ def _say(word: str, *lines: str) -> None:
         print(f"{'' if number else word:<9} {line}".rstrip(), flush=True)
 
 
-def _check(dynamics: tx.Dynamics, vehicle: scene.Vehicle, points: int = 6) -> list[str]:
+def _check(dynamics: tx.Dynamics, vehicle: scene.Lander, points: int = 6) -> list[str]:
     """Check the derivatives at points scattered around a descent."""
     rng, final_time = np.random.default_rng(0), float(np.mean(vehicle.flight_time))
     guess = scene.guess(scene.Start(), vehicle, points + 1, final_time)
@@ -98,7 +98,7 @@ def _check(dynamics: tx.Dynamics, vehicle: scene.Vehicle, points: int = 6) -> li
 
 
 def _solved(
-    dynamics: tx.Dynamics, start: scene.Start, vehicle: scene.Vehicle, arguments: argparse.Namespace
+    dynamics: tx.Dynamics, start: scene.Start, vehicle: scene.Lander, arguments: argparse.Namespace
 ) -> tx.trajectory.TrajectoryResult:
     problem = scene.problem(dynamics, start, vehicle, nodes=arguments.nodes)
     result = problem.solve(
@@ -136,7 +136,7 @@ def _rollouts(result: tx.trajectory.TrajectoryResult) -> tuple[dict[str, Descent
     return rollouts, failures
 
 
-def _write(table: Path, result: Any, dense: Descent, start: scene.Start, vehicle: scene.Vehicle, landed: bool) -> None:
+def _write(table: Path, result: Any, dense: Descent, start: scene.Start, vehicle: scene.Lander, landed: bool) -> None:
     """Write table, figure and animation, and say where; of the last two why not, where they are not written."""
     lap, figure, animation = time.perf_counter(), table.with_suffix(".png"), table.with_suffix(".html")
     what = f"landed after {dense.ts[-1]:.1f} s" if landed else "no landing found, the best try"
@@ -164,7 +164,7 @@ def _write(table: Path, result: Any, dense: Descent, start: scene.Start, vehicle
 # ---- words -----------------------------------------------------------------------------------------------------------
 
 
-def describe_start(start: scene.Start, vehicle: scene.Vehicle) -> list[str]:
+def describe_start(start: scene.Start, vehicle: scene.Lander) -> list[str]:
     """Where the descent begins."""
     offset, speed = np.linalg.norm(start.offset), np.linalg.norm(start.velocity)
     return [

@@ -14,13 +14,13 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..checks import instance, real_array
+from ..checks import instance, listed, real_array
 from ..errors import InputError
-from ..expr import Inputs
+from ..expr import Inputs, State
 from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
 from ..system.dynamics import Dynamics, need_compiled
-from ..system.inputs import is_finite, need_held, precision
+from ..system.inputs import cast, is_finite, need_held, precision
 from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import EventConditions, event_conditions
@@ -30,7 +30,7 @@ from .method import Method, Stepper
 from .methods.interpolant import Between
 from .methods.projected import need_start_on_manifold, projected
 from .methods.rkmk import RKMK
-from .step_control import StepControl, tolerances_of
+from .step_control import FINEST, StepControl, Tolerances
 from .tableaus import DOP853, RK4
 from .times import Stops, check_saves, direction_of, filled, fixed_steps, limits_of, span_of
 
@@ -299,3 +299,77 @@ def need_element(name: str, group: Group, value: Any) -> None:
                 else ".\n  fix: take the nearest element, that which normalize of the group gives"
             )
         )
+
+
+def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
+    """The tolerances, checked as far as they are known. Raises InputError."""
+    if rtol is None:
+        raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
+    relative = _numbers("rtol", rtol, dtype)
+    if relative.shape != ():
+        raise InputError(f"rtol must be one number, got shape {relative.shape}; atol may be a dict by state")
+    finest = FINEST * float(jnp.finfo(dtype).eps)
+    if not is_traced(rtol):
+        if not 0.0 <= float(rtol) < np.inf:
+            raise InputError(f"rtol must be a positive number, got {float(rtol):g}.\n  fix: e.g. rtol=1e-6")
+        if float(rtol) < finest:
+            precise = (
+                'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double '
+                "precision, or "
+            )
+            precise = precise if np.dtype(dtype) == np.float32 else ""
+            raise InputError(
+                f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
+                f"  fix: {precise}give a larger rtol"
+            )
+    atol = rtol if atol is None else atol
+    names = [state.name for state in dynamics.states]
+    by_state = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
+    for name in by_state:
+        if name not in names:
+            raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
+    for name in names:
+        if name not in by_state:
+            raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
+    return Tolerances(
+        relative,
+        {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
+        {
+            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
+            for s in dynamics.states
+            if s.scale is not None
+        },
+    )
+
+
+def _absolute(state: State, value: Any, dtype: Any) -> Any:
+    """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
+    place, group = f"atol of state {state.name!r}", state.group
+    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
+    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
+        rotation, position = (_numbers(place, part, dtype) for part in value)
+        stack: Any = jnp.stack if is_traced(value) else np.stack
+        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
+    else:
+        array = _numbers(place, value, dtype)
+        shape = group.tangent_shape
+        if array.shape not in ((), shape):
+            pair = ", or the pair (rotation, position)" if is_pose else ""
+            raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
+        array = _held(state, array) if array.shape else array
+    # Not < 0, so that NaN is refused too.
+    if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
+        raise InputError(f"{place} must not be negative, got {array}")
+    return array
+
+
+def _held(state: State, array: Any) -> Any:
+    """Values by tangent entry, in the order of the state's deviations."""
+    return state.group.to_linear_first(array.reshape(-1))
+
+
+def _numbers(place: str, value: Any, dtype: Any) -> Any:
+    array = real_array(place, value)
+    if array.dtype == bool:
+        raise InputError(f"{place} expects real numbers, got {value!r}")
+    return cast(place, array, dtype, on_host=True)

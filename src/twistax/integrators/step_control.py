@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import jax
@@ -11,12 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import listed, number, real_array
-from ..errors import InputError, ModelError
-from ..expr import State
-from ..jax_inside import is_traced
-from ..system.dynamics import Dynamics
-from ..system.inputs import cast
+from ..checks import number
+from ..errors import ModelError
 from ..units import same_unit, seconds
 from .charts.coordinates import Blocks, StateCoordinates
 
@@ -137,7 +133,7 @@ def _log(square: jax.Array) -> jax.Array:
 
 
 #: No tolerance is finer than this many times the precision of the numbers.
-_FINEST = 10.0
+FINEST = 10.0
 
 
 class Tolerances(NamedTuple):
@@ -183,83 +179,9 @@ class Tolerances(NamedTuple):
     def _allowed_part(self, name: str, size: jax.Array) -> jax.Array:
         info = jnp.finfo(size.dtype)
         typical = self.scale.get(name, size)
-        finest = jnp.maximum(info.eps * _FINEST * size, info.tiny)
+        finest = jnp.maximum(info.eps * FINEST * size, info.tiny)
         return jnp.maximum(self.atol[name] + self.rtol * typical, finest)
 
 
 def _flat(tree: Any) -> jax.Array:
     return ravel_pytree(tree)[0]
-
-
-def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Tolerances:
-    """The tolerances, checked as far as they are known. Raises InputError."""
-    if rtol is None:
-        raise InputError("atol is given without rtol.\n  fix: give both, e.g. rtol=1e-9, atol=1e-9")
-    relative = _numbers("rtol", rtol, dtype)
-    if relative.shape != ():
-        raise InputError(f"rtol must be one number, got shape {relative.shape}; atol may be a dict by state")
-    finest = _FINEST * float(jnp.finfo(dtype).eps)
-    if not is_traced(rtol):
-        if not 0.0 <= float(rtol) < np.inf:
-            raise InputError(f"rtol must be a positive number, got {float(rtol):g}.\n  fix: e.g. rtol=1e-6")
-        if float(rtol) < finest:
-            precise = (
-                'use float64: jax.config.update("jax_enable_x64", True) before anything else, and x0 in double '
-                "precision, or "
-            )
-            precise = precise if np.dtype(dtype) == np.float32 else ""
-            raise InputError(
-                f"rtol = {float(rtol):g} is below {finest:.1e}, ten times the round-off of {np.dtype(dtype).name}.\n"
-                f"  fix: {precise}give a larger rtol"
-            )
-    atol = rtol if atol is None else atol
-    names = [state.name for state in dynamics.states]
-    by_state = atol if isinstance(atol, Mapping) else dict.fromkeys(names, atol)
-    for name in by_state:
-        if name not in names:
-            raise InputError(f"atol names {name!r}, which is no state; the states are: {listed(names, name)}")
-    for name in names:
-        if name not in by_state:
-            raise InputError(f"atol has no entry for state {name!r}.\n  fix: atol={{..., {name!r}: 1e-9}}")
-    return Tolerances(
-        relative,
-        {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
-        {
-            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
-            for s in dynamics.states
-            if s.scale is not None
-        },
-    )
-
-
-def _absolute(state: State, value: Any, dtype: Any) -> Any:
-    """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
-    place, group = f"atol of state {state.name!r}", state.group
-    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
-    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
-        rotation, position = (_numbers(place, part, dtype) for part in value)
-        stack: Any = jnp.stack if is_traced(value) else np.stack
-        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
-    else:
-        array = _numbers(place, value, dtype)
-        shape = group.tangent_shape
-        if array.shape not in ((), shape):
-            pair = ", or the pair (rotation, position)" if is_pose else ""
-            raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
-        array = _held(state, array) if array.shape else array
-    # Not < 0, so that NaN is refused too.
-    if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
-        raise InputError(f"{place} must not be negative, got {array}")
-    return array
-
-
-def _held(state: State, array: Any) -> Any:
-    """Values by tangent entry, in the order of the state's deviations."""
-    return state.group.to_linear_first(array.reshape(-1))
-
-
-def _numbers(place: str, value: Any, dtype: Any) -> Any:
-    array = real_array(place, value)
-    if array.dtype == bool:
-        raise InputError(f"{place} expects real numbers, got {value!r}")
-    return cast(place, array, dtype, on_host=True)

@@ -53,6 +53,37 @@ class Emission:
     reason: str  # one sentence
 
 
+class StepCompiler:
+    """Makes programs and kernels of steps of loops; this one makes none. A step is a function of arrays to arrays."""
+
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+        """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
+
+        Args:
+            shapes: of its arguments.
+            state: how many arguments are the state.
+            row: what makes a row of what the step leaves for it, where it leaves something.
+        """
+        return None
+
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
+        """What makes a kernel that takes all iterations of a loop of JAX; None: it has none.
+
+        Args:
+            step: one iteration.
+            ring: how its arguments and results go round.
+        """
+        return None
+
+    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+        """A step as one program, for loops that are differentiated; None: it runs as it is."""
+        return None
+
+    def shared(self, function: Step, shapes: Shapes) -> Derived | None:
+        """A function beside loops in kernels as a kernel too, however small; None: it runs as it is."""
+        return None
+
+
 class Backend(ABC):
     """Turns a function of arrays into the function that runs. A value: equal if it does the same."""
 
@@ -81,32 +112,9 @@ class Backend(ABC):
         """The backend for functions inside the loop of an integrator."""
         return self
 
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
-        """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
-
-        Args:
-            shapes: of its arguments.
-            state: how many arguments are the state.
-            row: what makes a row of what the step leaves for it, where it leaves something.
-        """
-        return None
-
-    def step(self, step: Step, shapes: Shapes) -> Derived | None:
-        """A step as one program, to be differentiated in a loop; None: it runs as it is."""
-        return None
-
-    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
-        """A function that stands beside loops in kernels as one too, however small; None: it runs as it is."""
-        return None
-
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        """What makes a kernel that takes all iterations of a loop; None: it has none.
-
-        Args:
-            step: one iteration.
-            ring: how its arguments and results go round.
-        """
-        return None
+    def steps(self) -> StepCompiler:
+        """What it makes of steps that are taken again and again."""
+        return StepCompiler()
 
 
 @dataclasses.dataclass(frozen=True)
@@ -169,15 +177,8 @@ class XLA(Backend):
         derived = Derived(program)
         return Emission(lambda *a: call_program(derived, *a), program, f"scalars: {program.operations} operations")
 
-    def step(self, step: Step, shapes: Shapes) -> Derived | None:
-        closed = pure(step, shapes)
-        if closed is None or array_operations(closed.jaxpr).total() > _LARGEST_STEP:
-            return None
-        # The slopes of all stages make an array that may be wider.
-        if max(v.aval.size for v in closed.jaxpr.invars) > self.widest:
-            return None
-        program = self.scalars(closed, ANY_SIZE)
-        return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
+    def steps(self) -> StepCompiler:
+        return _ScalarSteps(self)
 
     def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
         """The scalars of a jaxpr.
@@ -200,6 +201,23 @@ class XLA(Backend):
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
         """A jaxpr as a scalar program, of at most so many scalars."""
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
+
+
+@dataclasses.dataclass(frozen=True)
+class _ScalarSteps(StepCompiler):
+    """Steps as scalars that XLA compiles."""
+
+    scalars: XLA
+
+    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+        closed = pure(step, shapes)
+        if closed is None or array_operations(closed.jaxpr).total() > _LARGEST_STEP:
+            return None
+        # The slopes of all stages make an array that may be wider.
+        if max(v.aval.size for v in closed.jaxpr.invars) > self.scalars.widest:
+            return None
+        program = self.scalars.scalars(closed, ANY_SIZE)
+        return Derived(program) if all(_steady(call.jaxpr.jaxpr) for call in program.calls) else None
 
 
 def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:

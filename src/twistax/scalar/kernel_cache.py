@@ -10,7 +10,7 @@ import sys
 import tempfile
 from pathlib import Path
 
-from ..jax_inside import say_once
+from ..progress import say_once
 
 #: A directory, or "off". Read whenever a kernel is needed.
 _VARIABLE = "TWISTAX_CACHE"

@@ -28,7 +28,7 @@ from ..jax_inside import (
 )
 from .array_primitive import Written, is_written
 from .backends import Backend, array_operations
-from .jax_primitive import Batch
+from .batch import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
 from .small_call import small_call
@@ -288,7 +288,7 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     inside = jax.make_jaxpr(step)(*shapes)
     # Loops inside of it that are not unrolled are kernels of their own.
     around = has_loops(inside)
-    kernel = None if around else backend.looped(step, shapes, inner)
+    kernel = None if around else backend.steps().looped(step, shapes, inner)
     if kernel is not None:
         results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
         by_jax = lambda _, *a: as_it_is(*joined(a[: inner.fixed], ring.fixed), *a[inner.fixed :])  # noqa: E731

@@ -22,7 +22,7 @@ Vector = tuple[float, float, float]
 
 
 @dataclasses.dataclass(frozen=True)
-class Vehicle:
+class Lander:
     """The stage and its limits."""
 
     mass: float = 30_000.0  # at the start, kg
@@ -91,13 +91,13 @@ class Limit:
         return np.asarray(self.sign * (self.bound - np.asarray(values)) * self.factor)
 
 
-def system(vehicle: Vehicle | None = None) -> tx.System:
+def system(vehicle: Lander | None = None) -> tx.System:
     """The stage as a system: states g (pose), V (body twist), m (mass); control T (thrust in body axes, N).
 
     Newton-Euler with spatial inertia M = diag(m, m, m, J), M V' = F - ad*_V(M V), and m' = -|T| / (Isp g0).
     Outputs, SI and rad: thrust, gimbal, tilt, rate, cone (how far inside the approach cone, m, measured level), mass.
     """
-    v = vehicle or Vehicle()
+    v = vehicle or Lander()
     g = tx.State("g", group=tx.SE3, scale=[100.0, 100.0, 100.0, 0.5, 0.5, 0.5])
     V = tx.State("V", shape=(6,), scale=[50.0, 50.0, 50.0, 0.3, 0.3, 0.3])
     m = tx.State("m", min=v.dry_mass, scale=3000.0)
@@ -131,9 +131,9 @@ def system(vehicle: Vehicle | None = None) -> tx.System:
     )
 
 
-def limits(vehicle: Vehicle | None = None) -> list[Limit]:
+def limits(vehicle: Lander | None = None) -> list[Limit]:
     """Every limit of the flight in the units people use."""
-    v = vehicle or Vehicle()
+    v = vehicle or Lander()
     degrees = float(np.rad2deg(1.0))
     return [
         Limit("most thrust", "thrust", v.max_thrust, 1.0, "kN", 1e-3),
@@ -146,7 +146,7 @@ def limits(vehicle: Vehicle | None = None) -> list[Limit]:
     ]
 
 
-def initial(start: Start, vehicle: Vehicle) -> dict[str, Any]:
+def initial(start: Start, vehicle: Lander) -> dict[str, Any]:
     """The state at the start, by name."""
     (pose,) = _poses(start, np.ones(1))
     # The tilt axis has the same coordinates in the world and in the body.
@@ -154,7 +154,7 @@ def initial(start: Start, vehicle: Vehicle) -> dict[str, Any]:
     return {"g": pose, "V": twist, "m": vehicle.mass}
 
 
-def guess(start: Start, vehicle: Vehicle, nodes: int, final_time: float) -> dict[str, Any]:
+def guess(start: Start, vehicle: Lander, nodes: int, final_time: float) -> dict[str, Any]:
     """A straight line to the pad at falling speed, turning upright evenly, at 60 % of full thrust."""
     share = np.linspace(1.0, 0.0, nodes)
     poses = _poses(start, share)
@@ -182,7 +182,7 @@ def _pose(position: jax.Array, turn: jax.Array) -> jax.Array:
 
 
 def problem(
-    dynamics: Any, start: Start | None = None, vehicle: Vehicle | None = None, *, nodes: int = 25, **options: Any
+    dynamics: Any, start: Start | None = None, vehicle: Lander | None = None, *, nodes: int = 25, **options: Any
 ) -> tx.trajectory.Problem:
     """Land on the pad, upright and at rest, with as much mass left as possible. The heading is free.
 
@@ -190,7 +190,7 @@ def problem(
         dynamics: `tx.compile(system(vehicle))`.
         options: passed on to `tx.trajectory.Problem`.
     """
-    start, vehicle = start or Start(), vehicle or Vehicle()
+    start, vehicle = start or Start(), vehicle or Lander()
     g, V, m = dynamics.states
     final_time = 13.0
     return tx.trajectory.Problem(

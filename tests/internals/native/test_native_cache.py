@@ -20,7 +20,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 if not hasattr(os, "getuid"):
     pytest.skip("nothing is kept where files have no owners", allow_module_level=True)
 
-from twistax import jax_inside
+from twistax import progress
 from twistax.scalar import kernel_cache as cache
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
@@ -41,7 +41,7 @@ def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Path]:
     # Handlers are made 64 at a time. The files here are kernels alone.
     while len(kernel._FREE) < 4:
         _used(float(np.random.default_rng().random()))
-    monkeypatch.setattr(jax_inside, "_SAID", set())
+    monkeypatch.setattr(progress, "_SAID", set())
     monkeypatch.setattr(self_test, "_CALLED", {"cpu"})
     found = tmp_path / "cache"
     monkeypatch.setenv("TWISTAX_CACHE", str(found))

@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax import jax_inside
+from twistax import progress
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.llvm import kernel as kernel_module
@@ -42,7 +42,7 @@ RATES, SLOPES = np.sin(AT["s"]) * AT["s"], np.diag(np.sin(AT["s"]) + np.cos(AT["
 @pytest.fixture(autouse=True)
 def first_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """No message was given yet."""
-    monkeypatch.setattr(jax_inside, "_SAID", set())
+    monkeypatch.setattr(progress, "_SAID", set())
 
 
 def test_a_wrong_kernel_is_not_used(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,7 +14,7 @@ pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 from native_programs import at_every_width
 
 from twistax.scalar.reader import scalarize
-from twistax.scalar.targets.llvm import machine_code, pieces
+from twistax.scalar.targets.llvm import kernel_body, machine_code, pieces
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import Processor, compiled
@@ -37,7 +37,7 @@ def test_pieces_give_what_the_whole_gives(processor: Processor, dtype: Any, monk
     found, lanes = [], processor.lanes(form.graph.dtype)
     for length, stack in ((10**9, 0), (9, 10**9), (40, 0)):  # what passes on stands on the stack, or elsewhere
         monkeypatch.setattr(pieces, "STACK", stack)
-        monkeypatch.setattr(pieces, "_LONG", length)
+        monkeypatch.setattr(kernel_body, "LONG", length)
         monkeypatch.setattr(pieces, "_LENGTH", length)
         kernel = HostKernel(Straight(form, lanes), processor)
         found.append(kernel.run([rows[k] for k in kernel.body.read]))

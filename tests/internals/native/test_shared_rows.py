@@ -42,7 +42,7 @@ def program(runner: Any) -> Callable[..., jax.Array]:
 
 WAYS = {
     "XLA": (program(None), bent),
-    "kernel": (program(tx.Native(least=0)), bent),
+    "kernel": (program(tx.Native(least=0).runner), bent),
     "loop": (tx.fast(wound), wound),
 }
 

@@ -6,7 +6,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from test_fast import close
+from fast_cases import close
 
 import twistax as tx
 from twistax.scalar.targets.llvm import kernel, machine_code

@@ -23,7 +23,7 @@ MATRIX, SQUARE, TRUTHS = (
 BEHIND = np.array([np.nan, -1.5])
 
 _PRODUCT = Derived(scalarize(lambda x: [x * x], jax.ShapeDtypeStruct((2,), float)))
-_BY_KERNEL = Derived(_PRODUCT.program, None, Native())
+_BY_KERNEL = Derived(_PRODUCT.program, None, Native().runner)
 
 
 @jax.custom_jvp

@@ -13,7 +13,7 @@ from jax import lax
 from scalar_cases import Case, as_jax, evaluate
 from table_examples import EXAMPLES
 
-from twistax import jax_inside
+from twistax import progress
 from twistax.jax_inside import Literal, Unread, all_equations
 from twistax.scalar.backends import array_operations
 from twistax.scalar.graph import ScalarGraph
@@ -71,7 +71,7 @@ def test_an_unknown_parameter_leaves_the_equation_to_jax(name: str, monkeypatch:
     closed = traced(name)
     expected = jax.tree.leaves(function(*arrays))
     _another_jax(TABLE[name], monkeypatch)
-    monkeypatch.setattr(jax_inside, "_SAID", set())
+    monkeypatch.setattr(progress, "_SAID", set())
     with warnings.catch_warnings(record=True) as messages:
         warnings.simplefilter("always")
         program = scalarize(closed)

@@ -19,7 +19,7 @@ import pytest
 pytest.importorskip("llvmlite", reason="native kernels need llvmlite")
 
 import twistax as tx
-from twistax import jax_inside
+from twistax import progress
 
 w, mass, R = tx.State("w", (3,)), tx.State("mass"), tx.State("R", group=tx.SO3)
 J, F = tx.Parameter("J", value=np.diag([1.0, 2.0, 3.0])), tx.Control("F", (3,))
@@ -43,7 +43,7 @@ WS = np.random.default_rng(0).normal(size=(11, 3))
 @pytest.fixture(autouse=True)
 def first_time(monkeypatch: pytest.MonkeyPatch) -> None:
     """No message was given yet."""
-    monkeypatch.setattr(jax_inside, "_SAID", set())
+    monkeypatch.setattr(progress, "_SAID", set())
 
 
 def _near(own: Any, other: Any) -> None:

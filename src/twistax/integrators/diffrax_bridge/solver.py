@@ -23,7 +23,8 @@ from ..charts.chart import Chart, Exponential, SplitExponential, chart_of
 from ..charts.coordinates import Blocks
 from ..method import Stepper
 from ..methods.rkmk import RKMK
-from ..step_control import StepControl, Tolerances, tolerances_of
+from ..options import tolerances_of
+from ..step_control import StepControl, Tolerances
 from ..tableaus import EULER
 from .frame import ChartedSystem, DirectedSystem, LieTerms, explicit_step, parts_of
 

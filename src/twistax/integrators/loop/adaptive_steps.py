@@ -20,10 +20,21 @@ from ..methods.interpolant import Between
 from ..step_control import ErrorHistory, StepControl, Tolerances
 from ..times import Stops
 from .kernels import Packed, kernel_tries, shared_kernel
-from .loop import Steps, Visits, all_finite, put, rows, zeros_like
+from .loop import (
+    StepPolynomial,
+    Steps,
+    StepStart,
+    Visits,
+    all_finite,
+    put,
+    row_of_start,
+    rows,
+    rows_from,
+    starts_in,
+    zeros_like,
+)
 from .outcome import EventState, Halt, LoopOutcome, Result, Run, Saved, StepPart
 from .progress_callback import ProgressCalls
-from .rows_between import StepPolynomial, StepStart, row_of_start, rows_from, starts_in
 
 #: Steps between calls of the progress callback, which takes as long as some twenty of them.
 _PROGRESS = 256

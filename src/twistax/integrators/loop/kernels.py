@@ -120,7 +120,7 @@ def kernel_steps(
             attempts.append(grid.attempt(stepper.in_arrays, k, state))
             return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
 
-        repeated = stepper.dynamics.backend.repeated(step, types, count)
+        repeated = stepper.dynamics.backend.steps().repeated(step, types, count)
         # A step that solves equations may fail, which a kernel does not see.
         if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
             return None
@@ -170,7 +170,7 @@ def kernel_tries(
 
         shapes = [jax.ShapeDtypeStruct((), jnp.result_type(int)), *types[: len(fixed)]]
         shapes += [jax.ShapeDtypeStruct(shape.shape, dtype) for shape in types[len(fixed) :]]
-        return stepper.dynamics.backend.repeated(iteration, shapes, len(state), one_row)
+        return stepper.dynamics.backend.steps().repeated(iteration, shapes, len(state), one_row)
 
     repeated: Repeated | None = _made(stepper, state_of(now), (kernel_tries, structure, form, types), make)
     if repeated is None:
@@ -224,7 +224,7 @@ def _beside(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) 
             shapes.append(shape)
             return results
 
-        program = stepper.dynamics.backend.beside(flat, types)
+        program = stepper.dynamics.backend.steps().shared(flat, types)
         return None if program is None else (program, shapes[-1])
 
     kernel: tuple[Derived, Any] | None = _made(stepper, rest, (shared_kernel, function, structure, types), make)
@@ -241,7 +241,10 @@ def advance_again(stepper: Stepper, t: jax.Array, y: Blocks, h: jax.Array) -> Bl
         return jax.tree.leaves(stepper.in_arrays.advance(t, y, h))
 
     program: Derived | None = _made(
-        stepper, y, (advance_again, structure, types), lambda: stepper.dynamics.backend.step(step, types)
+        stepper,
+        y,
+        (advance_again, structure, types),
+        lambda: stepper.dynamics.backend.steps().differentiable(step, types),
     )
     if program is None:
         return stepper.advance(t, y, h)

@@ -12,7 +12,7 @@ import twistax as tx
 
 from ...integrators import VectorField
 from ...scenes import Scene
-from ...scenes.powered_descent import Start, Vehicle, initial, system
+from ...scenes.powered_descent import Lander, Start, initial, system
 from ...scenes.rocket import ROCKET
 from ...trajectory import discretize
 from ...trajectory.transcription.vectors import declared_scales
@@ -49,7 +49,7 @@ def linearised() -> tuple[dict[str, Timed], dict[str, float]]:
     A rocket stage: a pose, a body twist and a mass under thrust, 0.5 s. Differences are of the largest entry, with the
     unknowns in their scales. Needs JAX's x64 switch.
     """
-    dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Vehicle()
+    dynamics, rng, vehicle = tx.compile(system()), np.random.default_rng(0), Lander()
     scale = np.append(declared_scales((*dynamics.states, *dynamics.controls)), _STEP)
     n = dynamics.dimension
     # States around the start of the descent and thrusts around 60 %, leading axis the batch.

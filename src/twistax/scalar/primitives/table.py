@@ -11,7 +11,8 @@ from typing import Any
 
 import numpy as np
 
-from ...jax_inside import Unread, all_equations, closed, expansion, say_once, scan_parts
+from ...jax_inside import Unread, all_equations, closed, expansion, scan_parts
+from ...progress import say_once
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
 from .entry import Entry, moving
 from .interface import Nodes, Reader, each, flat, nodes

@@ -16,7 +16,7 @@ from ...jax_inside import jaxpr_as_fun
 from ..graph import Call, ScalarGraph
 from ..primitives.interface import flat
 from ..primitives.operations import OPERATIONS
-from ..program import ScalarProgram
+from ..program import ScalarProgram, called_names
 from ..rewriting import emitted_form
 
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
@@ -114,6 +114,28 @@ def as_function(
         needed = sorted(set(form.flat))
         values.update(zip(needed, lax.optimization_barrier([values[i] for i in needed]), strict=True))
         return lax.optimization_barrier(list(map(array, form.outputs, form.types)))
+
+    return function
+
+
+def without_barriers(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
+    """The program as operations alone, for `jax.experimental.jet`: barriers have no Taylor series.
+
+    Raises:
+        NotImplementedError: it calls functions of JAX.
+    """
+    form = emitted_form(program)
+    if form.calls:
+        names = called_names(form.calls)
+        raise NotImplementedError(f"jet: no Taylor series of {names} in a compiled system; use backend=tx.JAX()")
+
+    def function(*arguments: jax.Array) -> list[jax.Array]:
+        values = form.computed(
+            lambda argument, place: jnp.reshape(arguments[argument], -1)[place],
+            lambda value, dtype: jnp.asarray(value, dtype),
+            lambda operation, _, *entries: operation.array(*entries),
+        )
+        return [jnp.stack([values[i] for i in flat(nodes)]).reshape(nodes.shape) for nodes in form.outputs]
 
     return function
 

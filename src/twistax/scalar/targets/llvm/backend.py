@@ -16,10 +16,12 @@ import jax
 
 from ....checks import instance, whole
 from ....errors import ModelError
-from ....jax_inside import ClosedJaxpr, say_once
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, pure
+from ....jax_inside import ClosedJaxpr
+from ....progress import say_once
+from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
+from ...batch import Rows
 from ...graph import TooLarge
-from ...jax_primitive import Derived, Rows, call_program
+from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import ScalarProgram
 from ...walk import uncollected
@@ -46,6 +48,47 @@ _MISSING = "llvmlite is not installed"
 
 def installed() -> bool:
     return importlib.util.find_spec("llvmlite") is not None
+
+
+@dataclasses.dataclass(frozen=True)
+class KernelRunner:
+    """Runs programs as kernels.
+
+    Attributes:
+        least: calls with fewer operations are left to XLA.
+        threads: the largest number of threads that share a large batch; None: as many as XLA has.
+        alone: whether a program is a kernel also in what would be one small function without it.
+    """
+
+    least: int = 500
+    threads: int | None = None
+    alone: bool = False
+
+    def prepare(self, program: ScalarProgram, single: bool, platform: str = "cpu") -> Rows | None:
+        """The kernel of a program, for one member or for batches; None where it has no native form."""
+        known = _FORMS.pop(program, program)
+        try:
+            form = native_form(program) if known is program else known
+        except NotNative:
+            return None
+        return self.built(Straight, form, (), single, platform)
+
+    def built(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
+    ) -> Kernel | None:
+        """A kernel that passed the self-test; None, with a warning, if there is none."""
+        started, target = time.perf_counter(), TARGETS[platform]
+        if not target.present:
+            return None
+        try:
+            with uncollected():
+                kernel = target.kernel(kind, form, more, single, self.threads)
+                check_kernel(kernel)
+        except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
+            say_once(f"no native kernel, XLA compiles the function instead: {error}")
+            return None
+        jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
+        return kernel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -81,8 +124,6 @@ class Native(Backend):
         with_it = f"llvmlite {importlib.metadata.version('llvmlite')}" if installed() else f"{_MISSING}: XLA"
         return f"{super().__str__()} ({with_it})"
 
-    # ---- the backend ---------------------------------------------------------------------------------------------
-
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         try:
             program = self.scalars.scalarised(closed)
@@ -96,61 +137,13 @@ class Native(Backend):
     def in_loops(self) -> Backend:
         return _InLoops(self.scalars, self.threads, self.least)
 
-    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        record = program.restricted(program.outputs[state + 1 :])
-        form, row_form = native_form(program), None
-        if record.outputs and row is not None:
-            outputs = zip(record.outputs, record.types, strict=True)
-            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
-            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
-            if row_program is None:
-                return None
-            row_form = native_form(row_program)
-        return Repeated(form, state, functools.partial(self._built, Iterations, form, (state, row_form)), row_form)
+    def steps(self) -> StepCompiler:
+        return _KernelSteps(self.scalars, self.runner)
 
-    def step(self, step: Step, shapes: Shapes) -> Derived | None:
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return self.scalars.step(step, shapes)
-        program.graph.largest = ANY_SIZE
-        return Derived(program, None, self)
-
-    def beside(self, function: Step, shapes: Shapes) -> Derived | None:
-        program = self._whole_step(function, shapes)
-        return None if program is None else Derived(program, None, dataclasses.replace(self, least=0))
-
-    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
-            return None
-        program = self._whole_step(step, shapes)
-        if program is None:
-            return None
-        form = native_form(program)
-
-        def kernel(single: bool, platform: str) -> Rows | None:
-            rows = self._built(LoopBody, form, (ring,), single, platform)
-            return None if rows is None else functools.partial(rows, length=ring.length or 0)
-
-        return kernel
-
-    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
-        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        # Where there are no kernels a step written out whole compiles for long and runs no faster.
-        if not installed() or not on_all_platforms():
-            return None
-        closed = pure(step, shapes)
-        if closed is None:
-            return None
-        try:
-            # A step contains more than the evaluation of its rates.
-            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
-            native_form(program)
-        except (NotNative, TooLarge):
-            return None
-        return program
+    @property
+    def runner(self) -> KernelRunner:
+        """What runs its programs."""
+        return KernelRunner(self.least, self.threads)
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
         """The program with its kernels, and a reason."""
@@ -164,9 +157,9 @@ class Native(Backend):
         if form is not program:  # which would hold itself
             _FORMS[program] = form
         if not form.operations:
-            return Derived(program, None, self), "numbers are moved, nothing is computed"
+            return Derived(program, None, self.runner), "numbers are moved, nothing is computed"
         reason = f"native: {form.operations} operations; as XLA has them where a call has fewer than {self.least}"
-        return Derived(program, None, self), reason + notes()
+        return Derived(program, None, self.runner), reason + notes()
 
     def _native(self, program: ScalarProgram, otherwise: Callable[[], Emission]) -> Emission:
         derived, reason = self._kernels(program)
@@ -178,38 +171,6 @@ class Native(Backend):
 
     def _say_missing(self) -> None:
         say_once("tx.Native needs llvmlite: pip install 'twistax[native]'; XLA compiles these functions instead")
-
-    # ---- the runner ----------------------------------------------------------------------------------------------
-
-    alone = False
-
-    def prepare(
-        self, program: ScalarProgram, single: bool, platform: str = "cpu"
-    ) -> Callable[..., list[jax.Array]] | None:
-        """The kernel of a program, for one member or for batches; None where it has no native form."""
-        known = _FORMS.pop(program, program)
-        try:
-            form = native_form(program) if known is program else known
-        except NotNative:
-            return None
-        return self._built(Straight, form, (), single, platform)
-
-    def _built(
-        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
-    ) -> Kernel | None:
-        """A kernel that passed the self-test; None, with a warning, if there is none."""
-        started, target = time.perf_counter(), TARGETS[platform]
-        if not target.present:
-            return None
-        try:
-            with uncollected():
-                kernel = target.kernel(kind, form, more, single, self.threads)
-                check_kernel(kernel)
-        except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
-            say_once(f"no native kernel, XLA compiles the function instead: {error}")
-            return None
-        jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
-        return kernel
 
 
 @dataclasses.dataclass(frozen=True)
@@ -225,7 +186,9 @@ class _InLoops(Native):
     def in_loops(self) -> Backend:
         return self
 
-    alone = True
+    @property
+    def runner(self) -> KernelRunner:
+        return KernelRunner(self.least, self.threads, alone=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -247,3 +210,69 @@ class Auto(Native):
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""
+
+
+@dataclasses.dataclass(frozen=True)
+class _KernelSteps(StepCompiler):
+    """Steps as kernels, and as scalars where they have no native form."""
+
+    scalars: XLA
+    runner: KernelRunner
+
+    def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return None
+        record = program.restricted(program.outputs[state + 1 :])
+        form, row_form = native_form(program), None
+        if record.outputs and row is not None:
+            outputs = zip(record.outputs, record.types, strict=True)
+            shapes_of_record = [jax.ShapeDtypeStruct(array.shape, dtype) for array, dtype in outputs]
+            row_program = self._whole_step(row, [*shapes_of_record, shapes_of_record[0]])
+            if row_program is None:
+                return None
+            row_form = native_form(row_program)
+        return Repeated(
+            form, state, functools.partial(self.runner.built, Iterations, form, (state, row_form)), row_form
+        )
+
+    def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
+        if max((math.prod(array.shape) for array in shapes), default=0) > self.scalars.widest:
+            return None
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return None
+        form = native_form(program)
+
+        def kernel(single: bool, platform: str) -> Rows | None:
+            rows = self.runner.built(LoopBody, form, (ring,), single, platform)
+            return None if rows is None else functools.partial(rows, length=ring.length or 0)
+
+        return kernel
+
+    def differentiable(self, step: Step, shapes: Shapes) -> Derived | None:
+        program = self._whole_step(step, shapes)
+        if program is None:
+            return self.scalars.steps().differentiable(step, shapes)
+        program.graph.largest = ANY_SIZE
+        return Derived(program, None, self.runner)
+
+    def shared(self, function: Step, shapes: Shapes) -> Derived | None:
+        program = self._whole_step(function, shapes)
+        return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))
+
+    def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
+        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
+        # Where there are no kernels a step written out whole compiles for long and runs no faster.
+        if not installed() or not on_all_platforms():
+            return None
+        closed = pure(step, shapes)
+        if closed is None:
+            return None
+        try:
+            # A step contains more than the evaluation of its rates.
+            program = self.scalars.scalars(closed, 4 * self.scalars.largest // 3, NATIVE_LIMITS)
+            native_form(program)
+        except (NotNative, TooLarge):
+            return None
+        return program

@@ -13,9 +13,8 @@ from typing import Any
 import numpy as np
 
 from ...primitives.table_load import Table
-from .exponential import exponential, exponential_less_one, hyperbolic_tangent
+from .elementary import exponential, exponential_less_one, hyperbolic_tangent, in_precision
 from .machine_code import Processor
-from .precision import in_precision
 
 
 class NotNative(Exception):

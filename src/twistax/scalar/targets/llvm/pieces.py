@@ -13,8 +13,8 @@ from .code import NAMES, Code
 
 #: Operations in a piece: half as many compile a little sooner, and run a tenth slower and more.
 _LENGTH = 2000
-#: Shorter programs stay whole: they run a tenth faster so.
-_LONG = 20_000
+#: Programs of fewer operations stay whole: they run a tenth faster so.
+LONG = 20_000
 #: The most bytes that pass on the stack.
 STACK = 32_768
 
@@ -105,8 +105,3 @@ class PieceValues(dict[int, str]):
             if i in self._scratch.slots:
                 kind, place = self._scratch.at(self._code, i)
                 self._code.lines.append(f"store {kind} {self[i]}, ptr {place}, align 8")
-
-
-def in_pieces(program: ScalarProgram) -> bool:
-    """Whether a program is long enough to be split."""
-    return program.operations >= _LONG

@@ -14,7 +14,7 @@ from collections.abc import Sequence
 from fractions import Fraction
 
 from .code import Code
-from .precision import DOUBLE, SINGLE, Precision, computed_in
+from .elementary import DOUBLE, SINGLE, Precision, computed_in
 
 #: In radians.
 LARGEST = 1e9

@@ -1,0 +1,241 @@
+"""The inside of JAX that traces: jaxprs and their equations, whether JAX traces, and the types of arrays on meshes.
+
+What an equation holds that is not known here makes `Unread`: the caller then leaves that equation to JAX, which gives
+the same numbers, and tells the user once.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from typing import Any, TypeVar
+
+import jax
+from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
+
+T = TypeVar("T")
+
+
+def undocumented(module: str, name: str, otherwise: Any = None) -> Any:
+    """What a module of JAX has by a name; `otherwise` where this JAX has it elsewhere."""
+    try:
+        return getattr(importlib.import_module(module), name)
+    except (ImportError, AttributeError):
+        return otherwise
+
+
+_weak_types = undocumented("jax._src.util", "weakref_cache_key_types", set())
+_nothing_traced = undocumented("jax._src.core", "trace_state_clean")
+_varying_checked = undocumented("jax._src.config", "_check_vma")
+
+
+class Unread(Exception):
+    """An equation holds parameters that this version of twistax does not know. Never reaches the user."""
+
+
+def parameters(eqn: Any, *known: Collection[str]) -> Mapping[str, Any]:
+    """The parameters of an equation whose names are exactly one of the sets `known`.
+
+    Raises:
+        Unread: they are not.
+    """
+    if not any(set(eqn.params) == set(names) for names in known):
+        raise Unread(f"JAX {jax.__version__} gives {eqn.primitive.name} the parameters {sorted(eqn.params)}")
+    return eqn.params
+
+
+def closed(jaxpr: Jaxpr | ClosedJaxpr) -> ClosedJaxpr:
+    """A jaxpr with its constants; one without constants gets an empty list."""
+    return jaxpr if isinstance(jaxpr, ClosedJaxpr) else ClosedJaxpr(jaxpr, [])
+
+
+def _is_jaxpr(value: Any) -> bool:
+    return isinstance(value, (ClosedJaxpr, Jaxpr))
+
+
+def inner_jaxprs(eqn: Any) -> list[ClosedJaxpr]:
+    """The jaxprs among the parameters of an equation: bodies of loops, branches, called functions."""
+    inner = [closed(p) for p in jax.tree.leaves(list(eqn.params.values()), is_leaf=_is_jaxpr) if _is_jaxpr(p)]
+    inside = expansion(eqn)
+    return inner if inside is None else [*inner, inside]
+
+
+def expansion(eqn: Any, own_derivatives: bool = True) -> ClosedJaxpr | None:
+    """What a composite operation does, of which JAX 0.12 has some, as searchsorted; None for other operations.
+
+    Args:
+        own_derivatives: also of functions that bring their own derivatives.
+    """
+    composite: Any = eqn.params.get("_prim") if eqn.primitive.name == "call_hi_primitive" else None
+    if not hasattr(composite, "expand") or (type(composite).__name__.startswith("Custom") and not own_derivatives):
+        return None
+
+    def opened(*arguments: Any) -> list[Any]:
+        return jax.tree.leaves(composite.expand(*jax.tree.unflatten(composite.in_tree, arguments)))
+
+    return jax.make_jaxpr(opened)(*(jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in eqn.invars))
+
+
+def all_equations(jaxpr: Any) -> Iterator[Any]:
+    """The equations of a jaxpr, and after each those of its inner jaxprs."""
+    for eqn in jaxpr.eqns:
+        yield eqn
+        for inner in inner_jaxprs(eqn):
+            yield from all_equations(inner.jaxpr)
+
+
+def alone(jaxpr: Jaxpr, eqn: Any, inputs: Sequence[Any]) -> ClosedJaxpr:
+    """The jaxpr of one equation of `jaxpr`, of these variables."""
+    return part(jaxpr, [eqn], inputs, eqn.outvars)
+
+
+def part(
+    jaxpr: Jaxpr, eqns: Sequence[Any], inputs: Sequence[Any], outputs: Sequence[Any], constants: Mapping[Any, Any] = {}
+) -> ClosedJaxpr:
+    """The jaxpr of some equations of `jaxpr`, from variables to variables.
+
+    Args:
+        constants: variables whose values are known.
+    """
+    debug = jaxpr.debug_info.with_unknown_names()
+    piece = jaxpr.replace(
+        constvars=list(constants), invars=list(inputs), outvars=list(outputs), eqns=list(eqns), debug_info=debug
+    )
+    return ClosedJaxpr(piece, list(constants.values()))
+
+
+def opened(program: ClosedJaxpr) -> tuple[Callable[..., list[Any]], list[Any]]:
+    """A jaxpr as a function of the traced values that it closes over, then of its arguments; and those values.
+
+    Transformations must see them.
+    """
+    traced = [i for i, value in enumerate(program.consts) if is_traced(value)]
+    if not traced:
+        return jaxpr_as_fun(program), []
+
+    def function(*values: Any) -> list[Any]:
+        consts = list(program.consts)
+        for i, value in zip(traced, values[: len(traced)], strict=True):
+            consts[i] = value
+        return jaxpr_as_fun(ClosedJaxpr(program.jaxpr, consts))(*values[len(traced) :])
+
+    return function, [program.consts[i] for i in traced]
+
+
+def source_of(jaxpr: ClosedJaxpr) -> str | None:
+    """Name and place of the function a jaxpr was traced from."""
+    return jaxpr.jaxpr.debug_info.func_src_info
+
+
+def scan_parts(eqn: Any) -> tuple[int, int]:
+    """How many inputs of a scan are constants, and how many are carried.
+
+    Raises:
+        Unread: a scan of a later JAX.
+    """
+    common = {"jaxpr", "length", "reverse", "unroll"}
+    p = parameters(eqn, common | {"num_carry", "num_consts"}, common | {"ft_in", "ft_out"})  # JAX 0.10; 0.11 and later
+    if "num_consts" in p:
+        return p["num_consts"], p["num_carry"]
+    try:
+        sizes = [len(tree) for tree in p["ft_in"].unpack()]  # constants, carried, scanned over
+    except (AttributeError, TypeError):
+        sizes = []
+    if len(sizes) != 3 or sum(sizes) != len(eqn.invars):
+        raise Unread(f"JAX {jax.__version__} groups the inputs of a scan as {p['ft_in']}")
+    return sizes[0], sizes[1]
+
+
+def is_key(variable: Any) -> bool:
+    """Whether a variable of a jaxpr holds random keys."""
+    dtype = getattr(variable.aval, "dtype", None)  # an effect's token has none
+    return dtype is not None and bool(jax.dtypes.issubdtype(dtype, jax.dtypes.prng_key))
+
+
+def on_key_data(program: ClosedJaxpr) -> ClosedJaxpr:
+    """The same function with the numbers of random keys in place of keys."""
+    arguments, results = program.jaxpr.invars, program.jaxpr.outvars
+    if not any(is_key(v) for v in (*arguments, *results)):
+        return program
+
+    def function(*values: Any) -> list[Any]:
+        wrapped = [
+            jax.random.wrap_key_data(value, impl=v.aval.dtype._impl) if is_key(v) else value
+            for v, value in zip(arguments, values, strict=True)
+        ]
+        pairs = zip(results, jaxpr_as_fun(program)(*wrapped), strict=True)
+        return [jax.random.key_data(value) if is_key(v) else value for v, value in pairs]
+
+    structs = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in arguments]
+    data = [jax.eval_shape(jax.random.key_data, s) if is_key(v) else s for v, s in zip(arguments, structs, strict=True)]
+    return jax.make_jaxpr(function)(*data)
+
+
+def is_traced(tree: Any) -> bool:
+    """Whether JAX is tracing any leaf: its numbers are not known."""
+    return any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(tree))
+
+
+def is_tracing() -> bool:
+    """Whether JAX is tracing anything here; True where that cannot be known."""
+    return _nothing_traced is None or not _nothing_traced()
+
+
+def weakly_kept(cls: type[T]) -> type[T]:
+    """Tell JAX's caches of traces not to keep what they know alive: parameters of equations, of this class."""
+    _weak_types.add(cls)
+    return cls
+
+
+def shaped_array(shape: tuple[int, ...], dtype: Any) -> Any:
+    """The abstract value of an array."""
+    return jax.core.ShapedArray(shape, dtype)
+
+
+def spread(values: Sequence[Any]) -> bool:
+    """Whether the type of any array says how it lies on a mesh: on manual axes of `shard_map`, or on explicit ones."""
+    avals = [getattr(value, "aval", None) for value in values]
+    arrays = [aval for aval in avals if isinstance(aval, jax.core.ShapedArray)]
+    return any(aval.mat.varying or has_explicit_axes(aval.sharding.mesh) for aval in arrays)
+
+
+def has_explicit_axes(mesh: Any) -> bool:
+    """Whether types of arrays say how they lie on axes of a mesh."""
+    return jax.sharding.AxisType.Explicit in (mesh.axis_types or ())
+
+
+@contextlib.contextmanager
+def of_one_device() -> Iterator[None]:
+    """What is traced inside is a function of plain arrays: loops and branches ask there for nothing that meshes add."""
+    with contextlib.ExitStack() as settings:
+        if _varying_checked is not None:
+            settings.enter_context(_varying_checked(False))
+        if has_explicit_axes(jax.sharding.get_abstract_mesh()):
+            settings.enter_context(jax.sharding.use_abstract_mesh(jax.sharding.AbstractMesh((), ())))
+        yield
+
+
+def varying_alike(arguments: Sequence[Any]) -> list[Any]:
+    """Arguments of one equation: inside of `shard_map` those that all devices share vary as the others do."""
+    axes = [jax.typeof(a).mat.varying for a in arguments]
+    every = frozenset().union(*axes)
+    return [
+        a if varying == every else jax.lax.pcast(a, tuple(every - varying), to="varying")
+        for a, varying in zip(arguments, axes, strict=True)
+    ]
+
+
+def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequence[Any]) -> Any:
+    """The abstract value of a result on the mesh of the arguments: its first `depth` axes lie as theirs do.
+
+    Args:
+        shared: the arguments that do not have these axes.
+    """
+    like = next((a for a in arguments if a.mat.varying or has_explicit_axes(a.sharding.mesh)), None)
+    if like is None:
+        return aval
+    specs = [a.sharding.spec[:depth] for k, a in enumerate(arguments) if k not in shared and a.sharding.spec]
+    batch = [next((axis for axis in axes if axis is not None), None) for axes in zip(*specs, strict=True)]
+    spec = jax.sharding.PartitionSpec(*batch, *(None for _ in aval.shape[len(batch) :]))
+    return like.update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
