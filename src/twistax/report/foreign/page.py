@@ -94,7 +94,9 @@ class Beside(Report):
         for what, bars in _RATIOS.items():
             values = [ratio for pair in pairs if math.isfinite(ratio := _ratios(*pair)[what])]
             for word, pick, bar in (("median", median, bars[0]), ("worst", max, bars[1])):
-                row = Row(_ALL, f"{what}, {word}", _BY, value=float(pick(values)) if values else math.nan)
+                row = Row(
+                    _ALL, f"{what}, {word}, at one optimum", _BY, value=float(pick(values)) if values else math.nan
+                )
                 rows.append(judged(row, at_most(bar)))
         return rows
 

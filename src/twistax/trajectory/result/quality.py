@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import functools
+import math
 from collections.abc import Collection, Mapping, Sequence
 from typing import Any
 
@@ -47,12 +48,15 @@ class Optimality:
         feasibility: largest residual of the dynamics or of a constraint.
         complementarity: largest product of a slack and its multiplier.
         gap: how much the objective can still change: the sum of |multiplier times slack or residual|.
+        excess: estimate of the objective less that of the minimum nearby, relative to the objective: what a Newton step
+            without a barrier gains. No unit changes it. NaN where it is not known.
     """
 
     stationarity: float
     feasibility: float
     complementarity: float
     gap: float
+    excess: float = math.nan
 
 
 @dataclasses.dataclass(frozen=True)

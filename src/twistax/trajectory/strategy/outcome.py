@@ -36,6 +36,7 @@ class Errors(NamedTuple):
     feasibility: Any
     complementarity: Any  # largest s w
     gap: Any  # sum of s w and of |multiplier times violation|: what they can cost
+    excess: Any  # of the objective over that of the minimum nearby, relative
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
