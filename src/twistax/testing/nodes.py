@@ -29,7 +29,7 @@ def check_node(node_class: type[Expr]) -> None:
     float32 stays float32, within 100 round-offs of its size and of what its operands' round-off makes of it; jit =
     eager = vmap; derivatives forward = reverse = by differences, where a case is smooth, and finite at `kinks`;
     `canonicalize` keeps the value and is stable; equal trees have equal keys; texts and formulas are whole; nodes never
-    change; a rule of kinds is stated.
+    change; a rule of kinds is stated. No units are checked.
 
     Args:
         node_class: a subclass of `Expr` with `cases`.

@@ -47,11 +47,16 @@ class Fixed:
 
     fact: _Fact
     value: Expr
+    axis: int
     place: Place
 
     def __str__(self) -> str:
-        what = f"in {self.fact!r}" if isinstance(self.fact, str) else self.fact.value
-        return f"{self.place}, {short(self.value)} is {what}{_said(self.value)}"
+        name, takes = short(self.value), self.value.ndim == 2 and self.axis == -1
+        if isinstance(self.fact, str):
+            verb = "takes what is in" if takes else "gives what is in" if self.value.ndim == 2 else "is in"
+            return f"{self.place}, {name} {verb} {self.fact!r}{_said(self.value)}"
+        verb = "takes" if takes else "gives" if self.value.ndim == 2 else "is"
+        return f"{self.place}, {name} {verb} {(self.fact.dual if takes else self.fact).value}{_said(self.value)}"
 
 
 class _Classes:
@@ -136,9 +141,9 @@ class Inference:
         self._units[_token(leaf)] = leaf.unit
         if kind is not None:
             for axis, frame in kind.frames().items():
-                self._fix(self._frames, leaf, leaf, axis, Fixed(frame, leaf, place))
+                self._fix(self._frames, leaf, leaf, axis, Fixed(frame, leaf, axis, place))
                 if kind.space is not None:
-                    self._fix(self._spaces, leaf, leaf, axis, Fixed(kind.space, leaf, place))
+                    self._fix(self._spaces, leaf, leaf, axis, Fixed(kind.space, leaf, axis, place))
 
     def _node(self, place: Place, node: Expr, rule: Rule) -> None:
         links, spaces = list(rule.links(node)), list(rule.spaces(node))
@@ -147,7 +152,7 @@ class Inference:
         fixes = any(value is node for value, _, _ in spaces)
         self._free[id(node)] = not fixes and all(self._free.get(id(value), False) for value in sources)
         for value, axis, space in spaces:
-            self._fix(self._spaces, node, value, axis, Fixed(space, value, place))
+            self._fix(self._spaces, node, value, axis, Fixed(space, value, axis, place))
         for one, axis, other, its_axis, common in links:
             a, b = self._slot(node, one, axis), self._slot(node, other, its_axis)
             self._refuse(place, self._frames.link(a, b, False))
@@ -161,7 +166,7 @@ class Inference:
         self._units[_token(node)] = unit
         made = rule.made(node, units)
         if made is not None:
-            self._fix(self._spaces, node, node, -node.ndim, Fixed(made, node, place))
+            self._fix(self._spaces, node, node, -node.ndim, Fixed(made, node, -node.ndim, place))
 
     def read_rate(self, state: State, rate: Expr) -> None:
         """A rate has the frame and space of its state, and its unit per second; that of a pose is a twist."""
@@ -179,7 +184,7 @@ class Inference:
             a, b = self._slot(state, state, -1), self._slot(state, rate, -1)
             self._refuse(place, self._frames.link(a, b, False))
             if rate.shape == (6,):
-                self._fix(self._spaces, state, rate, -1, Fixed(Space.MOTION, rate, place))
+                self._fix(self._spaces, state, rate, -1, Fixed(Space.MOTION, rate, -1, place))
         of = ONE if state.group.rigid else state.unit
         unit = self._units.get(_token(rate))
         if of is not None and unit is not None and unit != of / SECOND:

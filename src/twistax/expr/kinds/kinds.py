@@ -30,6 +30,7 @@ class Kind:
 
     Attributes:
         unit: what the kind says of units; None where it says nothing.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -164,7 +165,7 @@ class Point(FreeVector):
 
 @dataclasses.dataclass(frozen=True)
 class Rotation(Kind):
-    """A rotation (3, 3), or a quaternion (4,), R_ab: coordinates in frame b become coordinates in frame a.
+    """A rotation (3, 3), or a quaternion (4,), R_ab, without unit: from coordinates in frame b to those in frame a.
 
     Attributes:
         to, source: the frames a and b.
@@ -183,7 +184,7 @@ class Rotation(Kind):
 
 @dataclasses.dataclass(frozen=True)
 class Pose(Rotation):
-    """A pose (4, 4), T_ab: points in frame b become points in frame a. A state has its twist in frame b.
+    """A pose (4, 4), T_ab: points in frame b become points in frame a, in m. A state has its twist in frame b.
 
     Attributes:
         to, source: the frames a and b.

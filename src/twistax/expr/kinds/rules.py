@@ -44,7 +44,12 @@ class Clash(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """A rule that says nothing: frames and units of operands and result stay open."""
+    """A rule that says nothing: frames and units of operands and result stay open, whatever their shapes.
+
+    Subclass it for a node of your own, as a frozen dataclass.
+
+    Raises: a system raises KindError where operands do not fit a rule; `unit` raises `Clash`, which becomes one.
+    """
 
     def links(self, node: Any) -> Iterable[Link]:
         """The axes that have something in common."""
@@ -71,7 +76,7 @@ DECLARED = Rule()
 
 @dataclasses.dataclass(frozen=True)
 class Fixed(Rule):
-    """A function of fixed units, such as the pressure of an altitude.
+    """A function of fixed units, such as the pressure in Pa of an altitude in m; of operands of any shape.
 
     Attributes:
         takes: the unit of each operand, None for any.

@@ -15,10 +15,11 @@ _BASE = ("kg", "m", "s", "K")
 
 @dataclasses.dataclass(frozen=True)
 class Unit:
-    """A product of powers of kg, m, s and K.
+    """A product of powers of kg, m, s and K, one for all entries of an array.
 
     Attributes:
         exponents: the powers, whole numbers or fractions.
+    Raises: ModelError by `Unit.of` for a text that is no unit.
     Example: `tx.kinds.Unit.of("N m")`.
     """
 
