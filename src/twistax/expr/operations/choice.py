@@ -90,6 +90,7 @@ class LogSumExp(Extremum, init=False):
         ModelError: fewer than two operands.
     """
 
+    kinds = rules.NUMBERS
     combine = np.logaddexp
     idempotent = False
 
