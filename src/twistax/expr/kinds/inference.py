@@ -11,8 +11,8 @@ each place.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Mapping, Sequence
-from typing import TypeAlias
+from collections.abc import Hashable, Iterable, Mapping, Sequence
+from typing import NamedTuple, TypeAlias
 
 from ...errors import KindError
 from ..graph import find_path, postorder
@@ -23,14 +23,14 @@ from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
 from .rules import OPEN, Clash, Common, Rule
 from .unit import ONE, SECOND, Unit
 
-_Token: TypeAlias = tuple[object, ...]
+_SIX = 6
+_Token: TypeAlias = Hashable
 #: An axis of a value: what stands for the value, and the axis counted from the last, -1.
 _Slot: TypeAlias = tuple[_Token, int]
 _Fact: TypeAlias = "str | Space"
 
 
-@dataclasses.dataclass(frozen=True)
-class Place:
+class Place(NamedTuple):
     """A node below a named root."""
 
     name: str
@@ -146,19 +146,18 @@ class Inference:
                     self._fix(self._spaces, leaf, leaf, axis, Fixed(kind.space, leaf, axis, place))
 
     def _node(self, place: Place, node: Expr, rule: Rule) -> None:
-        links, spaces = list(rule.links(node)), list(rule.spaces(node))
-        children = node.children()
+        children, links, spaces = node.children(), list(rule.links(node)), list(rule.spaces(node))
+        free = self._free
         sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
-        fixes = any(value is node for value, _, _ in spaces)
-        self._free[id(node)] = not fixes and all(self._free.get(id(value), False) for value in sources)
+        free[id(node)] = all(free.get(id(v), False) for v in sources) and all(v is not node for v, _, _ in spaces)
         for value, axis, space in spaces:
             self._fix(self._spaces, node, value, axis, Fixed(space, value, axis, place))
         for one, axis, other, its_axis, common in links:
             a, b = self._slot(node, one, axis), self._slot(node, other, its_axis)
             self._refuse(place, self._frames.link(a, b, False))
-            if common is not Common.FRAME:
+            if common is not Common.FRAME and one.shape[axis] == _SIX:
                 self._refuse(place, self._spaces.link(a, b, common is Common.DUAL))
-        units = [self._units.get(_token(child)) for child in children]
+        units = [self._units[_token(child)] for child in children]
         try:
             unit = rule.unit(node, units, lambda value, axis: self._space(node, value, axis))
         except Clash as clash:
@@ -193,15 +192,16 @@ class Inference:
 
     def _slot(self, parent: Expr, value: Expr, axis: int) -> _Slot:
         """The axis of a value as its parent sees it."""
-        token = _token(value)
-        return ((*token, id(parent)) if self._free.get(id(value), False) and value is not parent else token), axis
+        if value is not parent and self._free.get(id(value), False):
+            return (id(value), id(parent)), axis
+        return _token(value), axis
 
     def _space(self, node: Expr, value: Expr, axis: int) -> Space | None:
         known = self._spaces.known(self._slot(node, value, axis))
         return known.fact if known and isinstance(known.fact, Space) else None
 
     def _fix(self, classes: _Classes, parent: Expr, value: Expr, axis: int, fixed: Fixed) -> None:
-        if isinstance(fixed.fact, Space) and value.shape[axis] != 6:
+        if isinstance(fixed.fact, Space) and value.shape[axis] != _SIX:
             return
         self._refuse(fixed.place, classes.fix(self._slot(parent, value, axis), fixed))
 
@@ -271,6 +271,8 @@ def infer_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: 
 
 def bodies(node: Expr) -> list[Expr]:
     """The expressions that a node holds besides its children."""
+    if type(node).outline is Expr.outline:
+        return []
     children = {id(child) for child in node.children()}
     return [part for _, part in node.outline() if id(part) not in children]
 
@@ -288,4 +290,4 @@ def _said(value: Expr) -> str:
 
 def _token(value: Expr) -> _Token:
     """What stands for a value: leaves of one name are one, and equal constants of two units are two."""
-    return (value.key(),) if isinstance(value, Leaf) and not isinstance(value, Constant) else (id(value),)
+    return value.key() if value.is_leaf and not isinstance(value, Constant) else id(value)

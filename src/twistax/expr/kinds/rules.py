@@ -117,9 +117,10 @@ def _number(node: Any, value: Any, unit: Unit | None) -> None:
 
 def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
     """Corresponding axes of what is combined entry by entry."""
-    for axis in range(1, node.ndim + 1):
-        for value in values:
-            if value.ndim >= axis and value.shape[-axis] == node.shape[-axis] > 1:
+    shape = node.shape
+    for value in values if shape else ():
+        for axis, (size, whole) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
+            if size == whole > 1:
                 yield value, -axis, node, -axis, how
 
 

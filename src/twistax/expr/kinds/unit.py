@@ -23,7 +23,7 @@ class Unit:
     Example: `tx.kinds.Unit.of("N m")`.
     """
 
-    exponents: tuple[Fraction, ...] = (Fraction(0),) * len(_BASE)
+    exponents: tuple[Fraction | int, ...] = (0,) * len(_BASE)
 
     @staticmethod
     def of(text: str) -> Unit:
@@ -37,7 +37,8 @@ class Unit:
         return Unit(tuple(a - b for a, b in zip(self.exponents, other.exponents)))
 
     def __pow__(self, power: Fraction | int) -> Unit:
-        return Unit(tuple(a * power for a in self.exponents))
+        powers = (a * power for a in self.exponents)
+        return Unit(tuple(int(n) if n == int(n) else n for n in powers))
 
     def __str__(self) -> str:
         parts = [name + ("" if n == 1 else str(n)) for name, n in zip(_BASE, self.exponents) if n]
@@ -47,7 +48,7 @@ class Unit:
 
 
 def _of(**powers: int) -> Unit:
-    return Unit(tuple(Fraction(powers.get(name, 0)) for name in _BASE))
+    return Unit(tuple(powers.get(name, 0) for name in _BASE))
 
 
 ONE, KILOGRAM, METRE, SECOND, KELVIN = Unit(), _of(kg=1), _of(m=1), _of(s=1), _of(K=1)
@@ -71,7 +72,7 @@ _FACTOR = re.compile(r"(1|[A-Za-z]+)\^?\*{0,2}(-?\d+)?$")
 def unit_of_quantity(quantity: Quantity) -> Unit:
     """The unit of a quantity of `tx.units`; its radians count as 1."""
     kilograms, metres, seconds, _, kelvins = quantity.exponents
-    return Unit(tuple(map(Fraction, (kilograms, metres, seconds, kelvins))))
+    return Unit((kilograms, metres, seconds, kelvins))
 
 
 def parsed(name: str, unit: Any) -> Unit:
