@@ -128,6 +128,7 @@ SOUND: dict[str, dict[str, Any]] = {
     "parts": {"y": lie.linear(V) + R.T @ v, "z": lie.angular(W) + torque, "f": lie.linear(far) - push},
     "a constant in two frames": {"y": v + np.ones(3), "z": w + np.ones(3)},
     "plain numbers": {"y": x + 1.0, "z": tx.Sin(2 * angle + 0.3), "a": tx.Max(x, 0.0), "b": 0.5 * x - speed},
+    "a sine of time": {"y": tx.Sin(tx.Time()) + 0.5 * angle},
     "powers": {"y": tx.Sqrt(x**2 + tx.Square(x)) + x, "z": x**3 / (x * x) - x},
     "a logarithm of a pose": {"y": lie.SE3Log(g), "z": lie.SE3Exp(V * tx.Time())},
     "branches": {"y": tx.Cond(x <= 2.0, v, R @ (R.T @ v)), "z": tx.Where(x <= 1.0, x, 2 * x)},
@@ -203,3 +204,14 @@ def test_a_changed_copy_and_a_pickle_keep_the_kind() -> None:
     for leaf in (V.replace(name="other"), pickle.loads(pickle.dumps(V))):
         assert leaf.kind == V.kind
         assert leaf.unit == V.unit
+
+
+def test_one_leaf_of_a_name_may_leave_its_kind_open_and_two_kinds_are_refused() -> None:
+    typed = tx.State("V", shape=(6,), kind=tx.Twist("body"))
+    plain, other = tx.State("V", shape=(6,)), tx.State("V", shape=(6,), kind=tx.Wrench("body"))
+    for state, used in ((typed, plain), (plain, typed)):
+        tx.System(rates={state: -1.0 * state}, outputs={"y": used})
+        with pytest.raises(tx.KindError, match="a twist meets"):
+            tx.System(rates={state: -1.0 * state}, outputs={"y": used + W}, controls=[W])
+    with pytest.raises(tx.ModelError, match="two leaves are named 'V'.*differ in kind"):
+        tx.System(rates={typed: -1.0 * typed}, outputs={"y": other})

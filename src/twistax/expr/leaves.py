@@ -18,7 +18,7 @@ from ..units import Quantity
 from .fields import freeze
 from .kinds import rules
 from .kinds.kinds import Kind, declared
-from .kinds.unit import SECOND, Unit, unit_of_quantity
+from .kinds.unit import Unit, unit_of_quantity
 from .node import Expr, Shape
 from .printing.text import matrix_latex, name_latex, number_latex
 from .spellings import Bounded
@@ -153,7 +153,6 @@ class Constant(Leaf):
 class Time(Leaf):
     """The time t, a scalar in s."""
 
-    unit = SECOND
     cases = ((lambda cls, t: cls(), {"t": 0.7}),)
 
     def __init__(self) -> None:

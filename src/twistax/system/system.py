@@ -399,4 +399,6 @@ def _differences(one: Leaf, other: Leaf) -> list[str]:
     if one.shape != other.shape:
         return ["shape"]
     fields = [name for name in one.__dict__ if not name.startswith("_")]
+    # One of both may leave its kind or unit open.
+    fields = [name for name in fields if name not in ("kind", "unit") or getattr(other, name) is not None]
     return [name for name in fields if freeze(getattr(one, name)) != freeze(getattr(other, name))]
