@@ -213,5 +213,5 @@ def test_one_leaf_of_a_name_may_leave_its_kind_open_and_two_kinds_are_refused() 
         tx.System(rates={state: -1.0 * state}, outputs={"y": used})
         with pytest.raises(tx.KindError, match="a twist meets"):
             tx.System(rates={state: -1.0 * state}, outputs={"y": used + W}, controls=[W])
-    with pytest.raises(tx.ModelError, match="two leaves are named 'V'.*differ in kind"):
+    with pytest.raises(tx.ModelError, match=r"two leaves are named 'V'.*differ in kind"):
         tx.System(rates={typed: -1.0 * typed}, outputs={"y": other})
