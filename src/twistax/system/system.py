@@ -135,9 +135,9 @@ class System:
         self._check_corrections()
         self.slopes = self._known_slopes(slopes or {})
         self.labels = checked_labels(labels, (*self.states, *self.controls))
-        rates = {state: self.rates[state.name] for state in self.states}
-        check_orders(self._roots, rates)
-        check_kinds(self._roots, rates, leaves)
+        rate_of = {state: self.rates[state.name] for state in self.states}
+        check_orders(self._roots, rate_of)
+        check_kinds(self._roots, rate_of, leaves)
 
     def __repr__(self) -> str:
         kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))

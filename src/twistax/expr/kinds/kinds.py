@@ -62,7 +62,7 @@ class _OfSix(Kind):
     """Base of six-vectors in one frame."""
 
     frame: str
-    shapes = ((6,),)
+    shapes: ClassVar[tuple[Shape, ...]] = ((6,),)
 
     def frames(self) -> dict[int, str]:
         return {-1: self.frame}
@@ -175,8 +175,8 @@ class Rotation(Kind):
 
     to: str
     source: str
-    shapes = ((3, 3), (4,))
-    unit = ONE
+    shapes: ClassVar[tuple[Shape, ...]] = ((3, 3), (4,))
+    unit: ClassVar[Unit | None] = ONE
 
     def frames(self) -> dict[int, str]:
         return {-2: self.to, -1: self.source}

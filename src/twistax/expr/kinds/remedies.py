@@ -11,7 +11,7 @@ from .unit import Unit
 def remedy_of_frames(leaves: Iterable[Any], one: str, other: str, first: Any, second: Any) -> str:
     """The operator between two frames, made of a rotation or pose that a leaf declares, where there is one."""
     for leaf in leaves:
-        frames = getattr(leaf.kind, "frames", dict)()
+        frames: dict[int, str] = {} if leaf.kind is None else leaf.kind.frames()
         to, source = frames.get(-2), frames.get(-1)
         if {to, source} != {one, other} or to == source:
             continue

@@ -119,8 +119,8 @@ def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
     """Corresponding axes of what is combined entry by entry."""
     shape = node.shape
     for value in values if shape else ():
-        for axis, (size, whole) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
-            if size == whole > 1:
+        for axis, (size, wanted) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
+            if size == wanted > 1:
                 yield value, -axis, node, -axis, how
 
 
