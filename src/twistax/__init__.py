@@ -19,11 +19,12 @@ import difflib
 import importlib.util
 from typing import TYPE_CHECKING
 
-from . import expr, lie, linalg, spatial
+from . import expr, kinds, lie, linalg, spatial
 from .errors import (
     ImmutableError,
     InputError,
     IntegrationError,
+    KindError,
     ModelError,
     OperationError,
     OrderError,
@@ -35,6 +36,7 @@ from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .expr import tables
 from .expr.lie import pose
 from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
+from .kinds import FreeVector, Momentum, Point, Twist, Wrench
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
@@ -79,15 +81,14 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-    "Crossings", "Dynamics",
-    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
-    "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
-    "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
-    "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
-    "diffrax", "fast", "integrate",
-    "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
-    "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
+    "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "FreeVector",
+    "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError", "Magnus", "Maximize",
+    "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError", "Order", "OrderError", "Phase",
+    "PhasedSolution", "PiecewisePolynomial", "Point", "Product", "Result", "ShapeError", "Simulator", "Solution",
+    "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError",
+    "Wrench", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
+    "integrate_phases", "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial",
+    "sweep", "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -138,8 +139,20 @@ def _where_else(name: str) -> str:
     if importlib.util.find_spec(f"{__name__}.{name}"):
         return f".\n  fix: import {__name__}.{name}"
     known = {public.lower(): public for public in __all__}
-    faces = ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics", "testing")
-    for home in faces:
+    faces = (
+        "kinds",
+        "lie",
+        "linalg",
+        "spatial",
+        "tables",
+        "tableaus",
+        "charts",
+        "units",
+        "trajectory",
+        "mechanics",
+        "testing",
+    )
+    for home in (*faces, "testing"):
         for public in importlib.import_module(f"{__name__}.{home}").__all__:
             known.setdefault(public.lower(), f"{home}.{public}")
     if expr.operators.takes_expressions(name.lower()):

@@ -102,6 +102,13 @@ class OrderError(ModelError):
     by_part = False
 
 
+class KindError(ModelError):
+    """Two values of different kind, frame or unit meet where they must agree; the message names what joins them."""
+
+    page = "docs/kinds.md"
+    by_part = False
+
+
 class InputError(TwistaxError, ValueError):
     """Values given at call time do not fit what was declared."""
 

@@ -37,6 +37,11 @@ def test_a_node_is_immutable(case: nodes.Case) -> None:
     nodes.immutability(case)
 
 
+@by_case
+def test_a_rule_of_kinds_is_stated(case: nodes.Case) -> None:
+    nodes.rule_of_kinds(case)
+
+
 def test_no_law_is_left_out() -> None:
     """Each law of `check_node` has a test of its own above, so that a failure names its case."""
     called = {name for test in globals().values() for name in getattr(getattr(test, "__code__", None), "co_names", ())}

@@ -9,10 +9,10 @@ from twistax.expr import lie
 
 NODES = {cls.__name__: cls for cls in tx.all_nodes()}
 LEAVES = {
-    "State": ["name", "shape", "group", "order", "min", "max", "initial", "final", "guess", "scale"],
-    "Control": ["name", "shape", "min", "max", "guess", "scale"],
-    "Parameter": ["name", "shape", "value"],
-    "Constant": ["value"],
+    "State": ["name", "shape", "group", "order", "min", "max", "initial", "final", "guess", "scale", "kind", "unit"],
+    "Control": ["name", "shape", "min", "max", "guess", "scale", "kind", "unit"],
+    "Parameter": ["name", "shape", "value", "kind", "unit"],
+    "Constant": ["value", "kind", "unit"],
     "Time": [],
 }
 

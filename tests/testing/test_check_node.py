@@ -18,6 +18,7 @@ class SquaredDistance(tx.Expr):
     b: tx.expr.fields.Operand
     takes = ((3,), (3,))
     gives = ()
+    kinds = tx.kinds.OPEN
     cases = ({"a": [0.5, -1.0, 2.0], "b": [1.0, 2.0, 3.0]},)
 
     def evaluate(self, *values: Any) -> Any:
@@ -94,6 +95,10 @@ class Counted(SquaredDistance):
         return super().evaluate(*values) if float(np.asarray(values[0])[0]) > 0.0 else values[0][0]
 
 
+class WithoutRule(SquaredDistance):
+    kinds = None
+
+
 BROKEN: list[tuple[type[tx.Expr], str]] = [
     (AnotherShape, r"infer_shape says \(3,\), the value has \(\)"),
     (WithoutCases, "a node class has cases': there are none.*fix: give the class cases"),
@@ -104,6 +109,7 @@ BROKEN: list[tuple[type[tx.Expr], str]] = [
     (Cancelling, "float32 is float64 to 100 round-offs"),
     (WrongError, "shapes that do not fit give ShapeError.*KeyError"),
     (Unbalanced, "the formula has pairs of parentheses"),
+    (WithoutRule, "a node states a rule of kinds"),
     (Counted, "TracerArrayConversionError"),
 ]
 

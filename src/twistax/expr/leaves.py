@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import dataclasses
+import numbers
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, ClassVar
 
 import jax
 import numpy as np
@@ -13,7 +14,11 @@ from ..checks import reals, short
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SE3, SO3, Euclidean, Group, Order
 from ..groups.arrays import element_defect
+from ..units import Quantity
 from .fields import freeze
+from .kinds import rules
+from .kinds.kinds import Kind, declared
+from .kinds.unit import Unit, unit_of_quantity
 from .node import Expr, Shape
 from .printing.text import matrix_latex, name_latex, number_latex
 from .spellings import Bounded
@@ -36,6 +41,10 @@ class Leaf(Expr):
     name: str
     abstract = True
     is_leaf = True
+    kinds = rules.DECLARED
+    #: What it says of its frame and space, and of its unit, for the check of a system. No program depends on them.
+    kind: ClassVar[Kind | None] = None
+    unit: ClassVar[Unit | None] = None
 
     def _declare(self, name: str, shape: Shape, **fields: Any) -> None:
         if not isinstance(name, str) or not name:
@@ -43,8 +52,15 @@ class Leaf(Expr):
         for value in fields.values():
             if isinstance(value, np.ndarray):
                 value.setflags(write=False)
+        facts = declared(name, shape, fields.pop("kind", None), fields.pop("unit", None))
+        fields |= {what: value for what, value in facts.items() if value is not None}
         self.__dict__.update(name=name, _shape=shape, **fields)
         self._seal()
+
+    @property
+    def declares(self) -> bool:
+        """Whether it says something of its kind or unit."""
+        return "kind" in self.__dict__ or "unit" in self.__dict__
 
     def static_key(self) -> tuple[Any, ...]:
         return (self.name, self.shape)
@@ -66,6 +82,9 @@ class Leaf(Expr):
 class Constant(Leaf):
     """A number or an array. Read-only; takes the precision of the states when evaluated.
 
+    Args:
+        value: numbers. A value of `tx.units` brings its unit.
+        kind, unit: see `State`.
     Raises:
         ModelError: not numeric, or a traced JAX value (use a Parameter for what changes between calls).
     """
@@ -73,9 +92,18 @@ class Constant(Leaf):
     value: np.ndarray
     cases = ((lambda cls: cls([1.0, -2.0]), {}),)
 
-    def __init__(self, value: Any) -> None:
+    def __init__(self, value: Any, *, kind: Kind | None = None, unit: Any = None) -> None:
         array = reals("a Constant", value, ModelError).copy()
-        self._declare("constant", array.shape, value=array)
+        if unit is None and kind is None:
+            unit = _common_unit(value)
+        self._declare("constant", array.shape, value=array, kind=kind, unit=unit)
+        if isinstance(value, numbers.Integral):
+            self.__dict__["_whole"] = True
+
+    @property
+    def whole(self) -> bool:
+        """Whether it was written as a whole number, which counts and has no unit."""
+        return self.__dict__.get("_whole", False)
 
     def static_key(self) -> tuple[Any, ...]:
         return (freeze(self.value),)
@@ -163,9 +191,12 @@ class State(Variable):
         min, max: bounds, Euclidean states only.
         initial, final: boundary values; None (or a None entry) leaves free.
         guess, scale: see `Variable`.
+        kind: what it is and in which frames, such as `tx.Twist("body")`, for the check of a system.
+        unit: of all entries, such as "m/s" or `tx.units.metres`; of a six-vector that of its angular part.
     Raises:
         ShapeError: a value does not fit the shape.
-        ModelError: bounds on a group, an order without a pose, a value that is not in the group.
+        ModelError: bounds on a group, an order without a pose, a value that is not in the group, a kind of another
+            shape, no unit.
     """
 
     group: Group
@@ -186,6 +217,8 @@ class State(Variable):
         final: Any = None,
         guess: Any = None,
         scale: Any = None,
+        kind: Kind | None = None,
+        unit: Any = None,
     ) -> None:
         group = _group(name, shape, group, order)
         if not group.flat and (min is not None or max is not None):
@@ -194,7 +227,8 @@ class State(Variable):
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
             )
         ends = {"initial": _boundary(name, "initial", initial, group), "final": _boundary(name, "final", final, group)}
-        self._declare(name, group.shape, group=group, **ends, **_choice(name, group, min, max, guess, scale))
+        choice = _choice(name, group, min, max, guess, scale)
+        self._declare(name, group.shape, group=group, **ends, **choice, kind=kind, unit=unit)
 
     def replace(self, **changes: Any) -> State:
         # The group of a Euclidean state follows from its shape; shape and order of another from its group.
@@ -227,6 +261,7 @@ class Control(Variable):
         name: unique among the controls of a system.
         shape: shape of the value; () if left out.
         min, max, guess, scale: see `Variable`.
+        kind, unit: see `State`.
     """
 
     cases = ((lambda cls, u: cls("u", shape=(3,)), {"u": [0.3, -1.0, 2.0]}),)
@@ -240,9 +275,11 @@ class Control(Variable):
         max: Any = None,
         guess: Any = None,
         scale: Any = None,
+        kind: Kind | None = None,
+        unit: Any = None,
     ) -> None:
         group = Euclidean(_shape_of(name, shape))
-        self._declare(name, group.shape, **_choice(name, group, min, max, guess, scale))
+        self._declare(name, group.shape, **_choice(name, group, min, max, guess, scale), kind=kind, unit=unit)
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.u[self.name]
@@ -256,7 +293,8 @@ class Parameter(Leaf):
     Args:
         name: unique among the parameters of a system.
         shape: shape of the value; taken from `value` if left out.
-        value: used when a call gives none.
+        value: used when a call gives none. A value of `tx.units` brings its unit.
+        kind, unit: see `State`.
     Raises:
         ModelError, ShapeError: a value that is not made of real numbers, or that has another shape.
     """
@@ -264,13 +302,23 @@ class Parameter(Leaf):
     value: np.ndarray | None
     cases = ((lambda cls, p: cls("p", value=[1.0, 2.0]), {"p": [0.5, 4.0]}),)
 
-    def __init__(self, name: str, shape: Shape | int | None = None, *, value: Any = None) -> None:
+    def __init__(
+        self,
+        name: str,
+        shape: Shape | int | None = None,
+        *,
+        value: Any = None,
+        kind: Kind | None = None,
+        unit: Any = None,
+    ) -> None:
+        if unit is None and kind is None:
+            unit = _common_unit(value)
         if value is not None:
             value = reals(f"{name!r}: value", value, ModelError).astype(np.float64)
         shape = _shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
         if value is not None and value.shape != shape:
             raise ShapeError(f"{name!r}: value expects shape {shape}, got {value.shape}")
-        self._declare(name, shape, value=value)
+        self._declare(name, shape, value=value, kind=kind, unit=unit)
 
     def read(self, inputs: Inputs) -> jax.Array:
         if self.name in inputs.params:
@@ -281,6 +329,16 @@ class Parameter(Leaf):
                 f"  fix: pass params={{{self.name!r}: ...}} of shape {self.shape}, or declare it with value=..."
             )
         return jax.numpy.asarray(self.value, inputs.dtype)
+
+
+def _common_unit(value: Any) -> Unit | None:
+    """The unit of a quantity, or the one that all quantities of a list have."""
+    if isinstance(value, Quantity):
+        return unit_of_quantity(value)
+    if not isinstance(value, (list, tuple)) or not value:
+        return None
+    units = {_common_unit(entry) for entry in value}
+    return units.pop() if len(units) == 1 else None
 
 
 # ---- what leaves are given, checked ------------------------------------------------------------------------------

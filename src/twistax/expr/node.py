@@ -19,6 +19,7 @@ from .canonical import canonicalize_all
 from .declaring import Field, bind_fields, declare_fields, digest, freeze
 from .examples import Case, Example, example_of
 from .graph import bottom_up, find_path
+from .kinds.rules import Rule
 from .operators import NODES, Operators, as_node
 from .packing import pack, unpack
 from .printing.printed import Printed
@@ -83,6 +84,8 @@ class Expr(Printed, Operators):
     associative: ClassVar[bool] = False
     #: True when entries keep their places (sums, entrywise products): operands and result share their twist order.
     keeps_order: ClassVar[bool] = False
+    #: What the node makes of kinds, frames and units; the conformance suite wants one, `tx.kinds.OPEN` at least.
+    kinds: ClassVar[Rule | None] = None
     #: True where truth values of entries make no sense as operands.
     of_numbers: ClassVar[bool] = False
     #: True where `evaluate` needs nothing but operators, indices and methods that NumPy's arrays have too.

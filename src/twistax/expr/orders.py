@@ -20,6 +20,7 @@ from typing import TypeAlias
 from ..errors import OrderError
 from ..groups import Order
 from .graph import find_path, postorder
+from .kinds.inference import bodies, short
 from .leaves import Constant, Leaf, State
 from .node import Expr
 
@@ -41,7 +42,7 @@ class _Place:
 
     def __str__(self) -> str:
         path = "" if self.node is self.root else f" {find_path(self.root, self.node)},"
-        return f"{self.name}:{path} {_short(self.value)} is {self.order!r}"
+        return f"{self.name}:{path} {short(self.value)} is {self.order!r}"
 
 
 class _Classes:
@@ -113,7 +114,7 @@ class _Flow:
         for node in postorder(below):
             if _token(scope, node) in self._free:
                 continue
-            for body in _bodies(node):
+            for body in bodies(node):
                 self._read(name, root, body, _body_scope(scope, node))
             self._free[_token(scope, node)] = self._is_free(scope, node)
             operands, result = node.twist_orders()
@@ -146,7 +147,7 @@ class _Flow:
             known, place = (self._classes.place_of((token, axis)) for axis in (-1, -2))
             # Writing a value out takes as long as all the rest.
             if known and place and known.order != place.order:
-                _agree(known, place, f" on the two sides of {name}: {_short(value)}")
+                _agree(known, place, f" on the two sides of {name}: {short(value)}")
 
     def _is_free(self, scope: _Scope, node: Expr) -> bool:
         """Whether no part of the value has an order."""
@@ -188,18 +189,7 @@ def _body_scope(scope: _Scope, node: Expr) -> _Scope:
     return _Scope(f"{scope.key}/{node.key()}", scope, captured)
 
 
-def _bodies(node: Expr) -> list[Expr]:
-    """The expressions that a node holds besides its children."""
-    children = {id(child) for child in node.children()}
-    return [part for _, part in node.outline() if id(part) not in children]
-
-
 def _axes(value: Expr) -> list[int]:
     """The axes of a vector (6,) or an operator (6, 6), counted from the last."""
     shape = value.shape
     return [-1 - i for i in range(len(shape))] if shape in ((_SIX,), (_SIX, _SIX)) else []
-
-
-def _short(value: Expr, longest: int = 60) -> str:
-    text = repr(value)
-    return text if len(text) <= longest else f"{text[:longest]}..."

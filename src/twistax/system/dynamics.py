@@ -17,7 +17,7 @@ from ..progress import watched
 from ..scalar.backends import Backend, chosen
 from ..scalar.targets.llvm.backend import Auto
 from ..scalar.walk import uncollected
-from .explain import Dependence, Explanation, explain, explain_one
+from .explain import Dependence, Explanation, KindsExplanation, explain, explain_kinds, explain_one
 from .export import CFiles
 from .functions import Arrays, Functions
 from .hessian import hessian, hessian_pattern
@@ -179,15 +179,22 @@ class Dynamics:
     @overload
     def explain(self, of: str) -> Dependence: ...
 
-    def explain(self, of: str | None = None) -> Explanation | Dependence:
+    @overload
+    def explain(self, *, kinds: Literal[True]) -> KindsExplanation: ...
+
+    def explain(self, of: str | None = None, *, kinds: bool = False) -> Explanation | Dependence | KindsExplanation:
         """What is computed, what was left out, and the counts before and after. Compiles the rates once to time it.
 
         Args:
             of: a rate or an output, "V", or one entry of it, "V[3]", "speed": what it depends on instead.
+            kinds: the kinds, frames and units of leaves, rates and outputs instead, and which are open.
         Raises:
             InputError: no rate and no output of that name, or no such entry.
             ModelError: the rates, or what was asked for, take too many scalars to count.
+            KindError: values do not fit each other, where no leaf declares anything.
         """
+        if kinds:
+            return explain_kinds(self.system)
         return explain(self.functions) if of is None else explain_one(self.functions, of)
 
     # ---- in other forms --------------------------------------------------------------------------------------------

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 
 from ..checks import listed
 from ..errors import InputError, ModelError
-from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
+from ..expr import Constant, Expr, Inputs, evaluate_all, infer_kinds, leaves_of, postorder
 from ..jax_inside import all_equations, inner_jaxprs
 from ..scalar.backends import array_operations
 from ..scalar.graph import TooLarge
 from ..scalar.reader import scalarize
 from .functions import Functions
+from .system import System
 
 _LEFT_OUT = "the Jacobian is left out: it takes too many scalars"
 
@@ -127,6 +128,39 @@ class Dependence:
         kinds = ", ".join(f"{count} {kind}" for kind, count in self.operations.items())
         lines = [f"{self.name} depends on: {', '.join(self.reads) or 'nothing'}"]
         return "\n".join([*lines, f"operations: {sum(self.operations.values())} ({kinds or 'none'})"])
+
+
+@dataclasses.dataclass(frozen=True)
+class KindsExplanation:
+    """What is known of kinds, frames and units: declared by leaves, inferred from operators, or open. Print it.
+
+    Attributes:
+        leaves, rates, outputs: name -> what is known of the value.
+    """
+
+    leaves: dict[str, str]
+    rates: dict[str, str]
+    outputs: dict[str, str]
+
+    def __str__(self) -> str:
+        families = (("", self.leaves), ("rate of ", self.rates), ("output ", self.outputs))
+        return "\n".join(f"{what}{name}: {text}" for what, values in families for name, text in values.items())
+
+
+def explain_kinds(system: System) -> KindsExplanation:
+    """Implements `Dynamics.explain(kinds=True)`. Raises KindError where values do not fit each other."""
+    roots = {
+        **{f"rates[{name!r}]": rate for name, rate in system.rates.items()},
+        **{f"outputs[{name!r}]": expr for name, expr in system.outputs.items()},
+        **{f"constraints[{name!r}]": expr for name, expr in system.constraints.items()},
+    }
+    leaves = (*system.states, *system.controls, *system.parameters)
+    known = infer_kinds(roots, {state: system.rates[state.name] for state in system.states}, leaves)
+    return KindsExplanation(
+        leaves={leaf.name: known.description(leaf) for leaf in leaves},
+        rates={name: known.description(rate) for name, rate in system.rates.items()},
+        outputs={name: known.description(expr) for name, expr in system.outputs.items()},
+    )
 
 
 def explain(functions: Functions) -> Explanation:

@@ -29,6 +29,7 @@ from ..expr import (
     State,
     Sub,
     Vstack,
+    check_kinds,
     check_orders,
     find_path,
     leaves_of,
@@ -80,6 +81,7 @@ class System:
         ModelError: a missing, unknown, duplicate or undeclared name; leaves of one name that differ; no expression.
         ShapeError: a rate of the wrong shape, or a shape that does not fit inside an expression.
         OrderError: a [v; w] quantity meets a [w; v] one.
+        KindError: values that must agree differ in kind, frame or unit, as leaves declare them.
     """
 
     def __init__(
@@ -133,7 +135,9 @@ class System:
         self._check_corrections()
         self.slopes = self._known_slopes(slopes or {})
         self.labels = checked_labels(labels, (*self.states, *self.controls))
-        check_orders(self._roots, {state: self.rates[state.name] for state in self.states})
+        rate_of = {state: self.rates[state.name] for state in self.states}
+        check_orders(self._roots, rate_of)
+        check_kinds(self._roots, rate_of, leaves)
 
     def __repr__(self) -> str:
         kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
@@ -395,4 +399,6 @@ def _differences(one: Leaf, other: Leaf) -> list[str]:
     if one.shape != other.shape:
         return ["shape"]
     fields = [name for name in one.__dict__ if not name.startswith("_")]
+    # One of both may leave its kind or unit open.
+    fields = [name for name in fields if name not in ("kind", "unit") or getattr(other, name) is not None]
     return [name for name in fields if freeze(getattr(one, name)) != freeze(getattr(other, name))]

@@ -29,7 +29,7 @@ def check_node(node_class: type[Expr]) -> None:
     float32 stays float32, within 100 round-offs of its size and of what its operands' round-off makes of it; jit =
     eager = vmap; derivatives forward = reverse = by differences, where a case is smooth, and finite at `kinks`;
     `canonicalize` keeps the value and is stable; equal trees have equal keys; texts and formulas are whole; nodes never
-    change. No units are checked.
+    change; a rule of kinds is stated. No units are checked.
 
     Args:
         node_class: a subclass of `Expr` with `cases`.
@@ -256,6 +256,12 @@ def _raises(call: Callable[[], Any], error: type[Exception]) -> bool:
     return False
 
 
+def rule_of_kinds(case: Case) -> None:
+    """The class says what it makes of kinds, frames and units."""
+    fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.Fixed(takes, gives) has units"
+    case.check.holds("a node states a rule of kinds", case.node.kinds is not None, "kinds is None", fix)
+
+
 #: What holds of every case.
 LAWS: tuple[Callable[[Case], None], ...] = (
     shape_and_precision,
@@ -263,6 +269,7 @@ LAWS: tuple[Callable[[Case], None], ...] = (
     canonical_form,
     structure_and_printing,
     immutability,
+    rule_of_kinds,
 )
 
 

@@ -18,6 +18,7 @@ from ...errors import OperationError
 from ...groups import LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import multiply
 from ..fields import Operand
+from ..kinds import lie_rules
 from ..matrices.linalg import Cross, cross_columns
 from ..node import Expr, Shape, expect
 from ..operations.arithmetic import Add, MatMul, is_constant, is_identity, zeros_of
@@ -56,6 +57,7 @@ class Adjoint(TwistNode):
     twist1: Operand
     twist2: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.BRACKET
     label = "ad"
     takes, gives = ((6,), (6,)), (6,)
     function = se3.bracket
@@ -88,6 +90,7 @@ class AdjointDual(TwistNode):
     twist: Operand
     momentum: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.DUAL_BRACKET
     label = "ad_dual"
     takes, gives = ((6,), (6,)), (6,)
     function = se3.coad
@@ -135,6 +138,7 @@ class SE3Adjoint(_FrameMatrix):
     Raises: ShapeError if transform is not of shape (4, 4).
     """
 
+    kinds = lie_rules.TWISTS_CHANGE_FRAME
     label = "Ad"
     function = se3.Ad
     formula = r"\mathrm{Ad}_{<0>}"
@@ -159,6 +163,7 @@ class SE3AdjointDual(_FrameMatrix):
     Raises: ShapeError if transform is not of shape (4, 4).
     """
 
+    kinds = lie_rules.WRENCHES_CHANGE_FRAME
     label = "Ad_dual"
     function = se3.Ad_dual
     formula = r"\mathrm{Ad}^*_{<0>}"
@@ -180,6 +185,7 @@ class SO3Adjoint(Expr):
     """
 
     rotation: Operand
+    kinds = lie_rules.SAME_ROTATION
     label = "Ad"
     takes, gives = ((3, 3),), (3, 3)
     function = so3.Ad
@@ -300,6 +306,7 @@ class AdjointAction(_Action):
     twist: Operand
     order: Order = LINEAR_FIRST
     inverse: bool = False
+    kinds = lie_rules.TWISTS_CARRIED
     label = "Ad"
     cases = _cases("twist")
     symbol = r"\mathrm{Ad}"
@@ -322,6 +329,7 @@ class CoadjointAction(_Action):
     wrench: Operand
     order: Order = LINEAR_FIRST
     inverse: bool = False
+    kinds = lie_rules.WRENCHES_CARRIED
     label = "Ad_dual"
     cases = _cases("wrench")
     symbol = r"\mathrm{Ad}^*"

@@ -17,6 +17,7 @@ from ...groups import quaternion as quaternion_of_numbers
 from ...groups.euler_angles import ROLL_PITCH_YAW
 from ...groups.pose import one_attitude
 from ..fields import ExprLike, Operand
+from ..kinds import rules
 from ..node import Expr, to_expr
 from ..operations.array import Stack
 from .base import check_element
@@ -40,6 +41,7 @@ class EulerRotation(Expr):
 
     angles: Operand
     sequence: str = ROLL_PITCH_YAW
+    kinds = rules.NUMBERS
     takes, gives = ((3,),), (3, 3)
     cases = ({"angles": [0.4, -1.1, 2.0]}, {"angles": [0.4, 1.1, -2.0], "sequence": "ZXZ"})
 
@@ -77,6 +79,7 @@ class EulerAngles(Expr):
 
     rotation: Operand
     sequence: str = ROLL_PITCH_YAW
+    kinds = rules.NUMBERS
     takes, gives = ((3, 3),), (3,)
     # Off the group the map is an arbitrary extension, so the cases are elements of it: they go through Exp.
     cases = (

@@ -14,6 +14,7 @@ from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ...groups.arrays import element_defect
 from ..canonical import fold
 from ..fields import ExprLike, Operand
+from ..kinds import lie_rules
 from ..leaves import Constant, State
 from ..node import Expr, Shape, expect
 from ..operations.arithmetic import is_constant
@@ -154,6 +155,7 @@ class _Part(ColumnsNode):
 
     vector: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.HALF
     abstract = True
     cases = (*both_orders(vector=TWIST), {"vector": COLUMNS})
     #: Which operand of JoinedParts it is.
@@ -209,6 +211,7 @@ class JoinedParts(ColumnsNode):
     linear: Operand
     angular: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.HALVES
     label = "join"
     cases = (*both_orders(linear=TWIST[:3], angular=TWIST[3:]), {"linear": COLUMNS[:3], "angular": COLUMNS[3:]})
 
@@ -248,6 +251,7 @@ class Reorder(TwistNode):
 
     value: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.REORDERED
     label = "reorder"
     cases = (*both_orders(value=TWIST), {"value": np.outer(TWIST, OTHER_TWIST)})
 

@@ -15,6 +15,7 @@ import numpy as np
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..canonical import fold
 from ..fields import ExprLike, Operand
+from ..kinds import lie_rules, rules
 from ..leaves import Constant
 from ..matrices.linalg import Cross
 from ..node import Expr, Shape, expect
@@ -48,6 +49,7 @@ class SO3Exp(Expr):
     """
 
     omega: Operand
+    kinds = lie_rules.EXPONENTIAL
     takes, gives = ((3,),), (3, 3)
     function = so3.exp
     latex_name = r"\operatorname{Exp}"
@@ -73,6 +75,7 @@ class SO3Log(Expr):
     """
 
     rotation: Operand
+    kinds = lie_rules.LOGARITHM
     takes, gives = ((3, 3),), (3,)
     function = so3.unchecked_log
     latex_name = r"\operatorname{Log}"
@@ -94,6 +97,7 @@ class SE3Exp(TwistNode):
 
     twist: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.EXPONENTIAL
     takes, gives = ((6,),), (4, 4)
     function = se3.exp
     latex_name = r"\operatorname{Exp}"
@@ -123,6 +127,7 @@ class SE3Log(TwistNode):
 
     transform: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.LOGARITHM
     takes, gives = ((4, 4),), (6,)
     function = se3.unchecked_log
     latex_name = r"\operatorname{Log}"
@@ -142,6 +147,7 @@ class Compose(Expr):
 
     left: Operand
     right: Operand
+    kinds = lie_rules.COMPOSE
     label = "compose"
     function = of_group("compose")
     formula = r"<0:20> \circ <1:20>"
@@ -185,6 +191,7 @@ class Inverse(Expr):
     """
 
     element: Operand
+    kinds = lie_rules.INVERSE_ELEMENT
     label = "inverse"
     function = of_group("inverse")
     formula = "{<0:60>}^{-1}"
@@ -230,6 +237,7 @@ class Act(Expr):
 
     element: Operand
     point: Operand
+    kinds = lie_rules.ACT
     label = "act"
     function = of_group("act")
     formula = r"<0:20> \cdot <1:21>"
@@ -272,6 +280,7 @@ class Pose(Expr):
 
     rotation: Operand
     position: Operand
+    kinds = lie_rules.POSE
     label = "pose"
     takes, gives = ((3, 3), (3,)), (4, 4)
     function = se3.transform
@@ -319,6 +328,7 @@ class Hat(TwistNode):
 
     vector: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.ALGEBRA
     label = "hat"
     function = of_group("hat")
     formula = r"{<0>}^\wedge"
@@ -343,6 +353,7 @@ class Vee(TwistNode):
 
     matrix: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.ALGEBRA
     label = "vee"
     function = of_group("vee")
     formula = r"\left(<0>\right)^\vee"
@@ -377,6 +388,7 @@ class AxisRotation(Expr):
 
     angle: Operand
     axis: Any
+    kinds = rules.NUMBERS
     takes, gives, takes_hint = ((),), (3, 3), "take the entry of a vector: angle[0]"
     cases = ({"angle": 0.7, "axis": (1.0, -2.0, 2.0)}, {"angle": 0.0, "axis": (0.0, 0.0, 1.0)})
 

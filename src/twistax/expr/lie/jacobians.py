@@ -9,6 +9,7 @@ import numpy as np
 
 from ...groups import LINEAR_FIRST, Order
 from ..fields import Operand
+from ..kinds import lie_rules
 from ..node import Shape
 from .base import TANGENTS, TWIST, TwistNode, both_orders, expect_one_of, of_group
 
@@ -18,6 +19,7 @@ class _Jacobian(TwistNode):
 
     tangent: Operand
     order: Order = LINEAR_FIRST
+    kinds = lie_rules.EXPONENTIAL
     abstract = True
     cases = (*both_orders(tangent=TWIST), {"tangent": TWIST[3:]}, {"tangent": np.zeros(6)})
 

@@ -9,6 +9,7 @@ from ...groups import quaternion_product, rotation_from_quaternion, so3
 from ...groups.arrays import matrix, unpack
 from ...groups.quaternions import from_rotation
 from ..fields import Operand
+from ..kinds import lie_rules
 from ..node import Expr
 from .base import check_element
 
@@ -25,6 +26,7 @@ class QDCM(Expr):
     """
 
     q: Operand
+    kinds = lie_rules.SAME_ROTATION
     takes, gives, takes_hint = ((4,),), (3, 3), _HINT
     function = rotation_from_quaternion
     latex_name = "R"
@@ -48,6 +50,7 @@ class SSM(Expr):
     """
 
     w: Operand
+    kinds = lie_rules.SKEW
     takes, gives = ((3,),), (3, 3)
     function = so3.hat
     formula = r"\left[<0>\right]_\times"
@@ -65,6 +68,7 @@ class SSMP(Expr):
     """
 
     w: Operand
+    kinds = lie_rules.OF_QUATERNIONS
     takes, gives = ((3,),), (4, 4)
     latex_name = r"\Omega"
     cases = ({"w": [1.0, -2.0, 0.5]},)
@@ -83,6 +87,7 @@ class QuaternionProduct(Expr):
 
     p: Operand
     q: Operand
+    kinds = lie_rules.COMPOSE
     takes, gives, takes_hint = ((4,), (4,)), (4,), _HINT
     function = quaternion_product
     formula = r"<0> \otimes <1>"
@@ -105,6 +110,7 @@ class Quaternion(Expr):
     """
 
     rotation: Operand
+    kinds = lie_rules.SAME_ROTATION
     takes, gives = ((3, 3),), (4,)
     function = from_rotation
     cases = ((lambda cls, w: cls(QDCM(w)), {"w": [0.9, -0.2, 0.4, 0.3]}),)

@@ -11,6 +11,7 @@ import numpy as np
 from ...errors import ModelError, ShapeError
 from ..bases import expect_square
 from ..fields import Operand
+from ..kinds import rules
 from ..node import Expr, Shape
 
 #: The smallest pivot that a matrix of n rows can be trusted with, and the largest that may be round-off alone, both in
@@ -68,6 +69,7 @@ class IndependentRows(Expr):
     Source: N. Higham, Accuracy and Stability of Numerical Algorithms (2002), section 10.3, complete pivoting.
     """
 
+    kinds = rules.OPEN
     of_numbers = True
     operand: Operand
     tolerance: float = 1e-5

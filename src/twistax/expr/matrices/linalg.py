@@ -12,6 +12,7 @@ from ...errors import ModelError, ShapeError
 from ...groups.arrays import cross, unpack, vector
 from ..bases import expect_square
 from ..fields import ExprLike, Operand
+from ..kinds import rules
 from ..node import Expr, Numbers, Shape, expect
 from ..operations.arithmetic import Div, Neg, is_constant, zeros_of
 from ..operations.elementwise import Abs, absolute
@@ -23,6 +24,7 @@ class Transpose(Expr):
     """Transpose: the last two axes change places. Scalars and vectors stay as they are."""
 
     operand: Operand
+    kinds = rules.TRANSPOSE
     by_operators = True
     formula = r"{<0:60>}^{\top}"
     cases = ({"operand": np.arange(6.0).reshape(2, 3)}, {"operand": np.arange(12.0).reshape(2, 2, 3)})
@@ -62,6 +64,7 @@ class Diag(Expr):
     """
 
     operand: Operand
+    kinds = rules.DIAGONAL
     cases = ({"operand": _A},)
 
     def shared_orders(self) -> list[list[tuple[Expr, int]]]:
@@ -89,6 +92,7 @@ class Diag(Expr):
 class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
+    kinds = rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.sum
@@ -109,6 +113,7 @@ class Trace(Expr):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    kinds = rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.trace
@@ -160,6 +165,7 @@ class Norm(Expr):
         ShapeError: the order is not defined for the operand's rank.
     """
 
+    kinds = rules.REDUCED
     of_numbers = True
     operand: Operand
     ord: Any = "fro"
@@ -213,6 +219,7 @@ class Dot(Expr):
     Raises: ShapeError for no vectors, or of different length.
     """
 
+    kinds = rules.MATRIX_PRODUCT
     of_numbers = True
     left: Operand
     right: Operand
@@ -246,6 +253,7 @@ class Cross(Expr):
     Raises: ShapeError for an operand of another shape.
     """
 
+    kinds = rules.CROSS
     of_numbers = True
     left: Operand
     right: Operand
@@ -280,6 +288,7 @@ class Outer(Expr):
     Raises: ShapeError if an operand is no vector.
     """
 
+    kinds = rules.OUTER
     of_numbers = True
     left: Operand
     right: Operand

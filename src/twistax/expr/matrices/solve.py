@@ -16,6 +16,7 @@ from ...groups.arrays import multiply
 from ..bases import expect_square
 from ..fields import Operand
 from ..graph import leaves_of
+from ..kinds import rules
 from ..leaves import Constant, Parameter
 from ..node import Expr, Shape
 from ..operations.arithmetic import Div, MatMul, is_identity
@@ -112,6 +113,7 @@ class Inv(Expr):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    kinds = rules.INVERSE
     of_numbers = True
     operand: Operand
     function = inverse
@@ -145,6 +147,7 @@ class LinearSystem(Expr):
         b: the right-hand side, one or several columns.
     """
 
+    kinds = rules.SOLVE
     abstract = True
     of_numbers = True
     A: Operand

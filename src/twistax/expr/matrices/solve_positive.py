@@ -14,6 +14,7 @@ import numpy as np
 
 from ..bases import expect_square
 from ..fields import Operand
+from ..kinds import rules
 from ..node import Expr, Shape
 from .solve import LinearSystem
 
@@ -100,6 +101,7 @@ class InversePositive(_OfPositive):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    kinds = rules.INVERSE
     function = inverse_positive
     formula = "{<0:60>}^{-1}"
 
@@ -112,5 +114,6 @@ class InverseFactor(_OfPositive):
     Raises: ShapeError if the operand is no square matrix.
     """
 
+    kinds = rules.OPEN
     function = inverse_factor
     formula = "{<0:60>}^{-1/2}"

@@ -15,6 +15,7 @@ from ...errors import ShapeError
 from ...groups.arrays import multiply
 from ..bases import Chained, Entrywise, align, broadcast
 from ..fields import Operand, Operands
+from ..kinds import rules
 from ..leaves import Constant
 from ..node import Expr, Numbers, Shape
 from ..printing.text import wrap_latex
@@ -60,6 +61,7 @@ class Add(Chained, init=False):
     """
 
     terms: Operands
+    kinds = rules.SUM
     function = operator.add
     infix = "+"
     cases = ({"terms": [_VECTOR, _MATRIX, Constant(2.0)]}, (lambda cls, a: cls(a, a), {"a": _VECTOR}))
@@ -94,6 +96,7 @@ class Sub(Entrywise):
 
     left: Operand
     right: Operand
+    kinds = rules.SUM
     function = operator.sub
     infix = "-"
     formula = "<0> - <1:11>"
@@ -127,6 +130,7 @@ class Mul(Chained, init=False):
     """
 
     factors: Operands
+    kinds = rules.PRODUCT
     function = operator.mul
     infix = "*"
     cases = ({"factors": [_VECTOR, -0.5, Constant(3.0)]},)
@@ -194,6 +198,7 @@ class Div(Entrywise):
 
     left: Operand
     right: Operand
+    kinds = rules.QUOTIENT
     function = quotient
     infix = "/"
     formula = r"\frac{<0>}{<1>}"
@@ -219,6 +224,7 @@ class Neg(Entrywise):
     """Negative -x, entry by entry."""
 
     operand: Operand
+    kinds = rules.SUM
     function = operator.neg
     formula = "-<0:15>"
     cases = ({"operand": _VECTOR},)
@@ -244,6 +250,7 @@ class Power(Entrywise):
 
     base: Operand
     exponent: Operand
+    kinds = rules.POWER
     precedence = 40
     infix = "**"
     formula = "{<0:50>}^{<1>}"
@@ -294,6 +301,7 @@ class MatMul(Expr):
     Raises: ShapeError for a scalar operand, or inner sizes that differ.
     """
 
+    kinds = rules.MATRIX_PRODUCT
     of_numbers = True
     left: Operand
     right: Operand

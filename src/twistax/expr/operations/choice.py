@@ -14,6 +14,7 @@ import numpy as np
 from ...errors import OperationError, ShapeError
 from ..bases import Chained, Entrywise, Variadic, align, broadcast
 from ..fields import ExprLike, Operand, Operands
+from ..kinds import rules
 from ..leaves import Constant
 from ..node import Expr, Shape, to_expr
 from .arithmetic import rebuilt, zeros_of
@@ -26,6 +27,7 @@ class Extremum(Chained, init=False):
     """Base of Max, Min and their smooth relative."""
 
     operands: Operands
+    kinds: ClassVar[rules.Rule | None] = rules.SUM
     abstract = True
     cases = (
         {"operands": [[1.0, -2.0, 0.5], 0.25]},
@@ -88,6 +90,7 @@ class LogSumExp(Extremum, init=False):
         ModelError: fewer than two operands.
     """
 
+    kinds = rules.NUMBERS
     combine = np.logaddexp
     idempotent = False
 
@@ -111,6 +114,7 @@ class Reduction(Variadic, init=False):
     """Base of All and Any: one truth value from the entries of one or more predicates."""
 
     predicates: Operands
+    kinds = rules.OPEN
     abstract = True
     associative = True
     listed = True
@@ -189,6 +193,7 @@ class Not(Entrywise):
         TypeError: something that is neither true nor false.
     """
 
+    kinds = rules.OPEN
     of_numbers = False
     condition: Operand
     function = jnp.logical_not
@@ -224,6 +229,7 @@ class Where(Entrywise):
         ShapeError: the shapes do not broadcast.
     """
 
+    kinds = rules.CHOICE
     of_numbers = False
     condition: Operand
     x: Operand
@@ -273,6 +279,7 @@ class Cond(Expr):
     predicate: Operand
     true_branch: Operand
     false_branch: Operand
+    kinds = rules.CHOICE
     keeps_order = True
     formula = _CASES
     cases = (

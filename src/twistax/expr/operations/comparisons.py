@@ -10,6 +10,7 @@ import jax.numpy as jnp
 from ...errors import ModelError, OperationError
 from ..bases import Entrywise
 from ..fields import Operand
+from ..kinds import rules
 from ..leaves import Constant
 from ..node import Expr
 
@@ -26,6 +27,7 @@ class Comparison(Entrywise):
 
     lhs: Operand
     rhs: Operand
+    kinds = rules.COMPARISON
     precedence = 5
     abstract = True
 

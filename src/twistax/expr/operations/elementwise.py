@@ -9,6 +9,7 @@ import jax.numpy as jnp
 
 from ..bases import Entrywise, align
 from ..fields import Operand, positive
+from ..kinds import rules
 from ..node import Expr
 from .arithmetic import Neg
 
@@ -45,6 +46,7 @@ class Square(Entrywise):
     """$x^2$, entry by entry; the unit of x squared."""
 
     x: Operand
+    kinds = rules.SQUARE
     formula = r"\left(<0>\right)^{2}"
     precedence = 40
     cases = ({"x": [1.0, -2.0, 0.0]},)
@@ -60,6 +62,7 @@ class Square(Entrywise):
 class Sqrt(Function):
     """Square root sqrt(x), entry by entry. At x = 0 the derivative is taken as 0; below 0 the value is NaN."""
 
+    kinds = rules.ROOT
     function = square_root
     formula = r"\sqrt{<0>}"
     cases = (_POSITIVE,)
@@ -69,6 +72,7 @@ class Sqrt(Function):
 class Exp(Function):
     """Exponential $e^x$, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
 
+    kinds = rules.NUMBERS
     function = jnp.exp
     latex_name = r"\exp"
 
@@ -80,6 +84,7 @@ class Exp(Function):
 class Log(Function):
     """Natural logarithm log(x), entry by entry; x > 0 without unit. Of a pose: `tx.lie.SE3Log`."""
 
+    kinds = rules.NUMBERS
     function = jnp.log
     latex_name = r"\log"
     cases = (_POSITIVE,)
@@ -92,6 +97,7 @@ class Log(Function):
 class Abs(Function):
     """Absolute value |x|, entry by entry. The derivative at 0 is taken as 0."""
 
+    kinds = rules.SIZE
     function = absolute
     even = True
     formula = r"\left|<0>\right|"
@@ -106,6 +112,7 @@ class Abs(Function):
 class Sign(Function):
     """Sign of x, entry by entry: 1, 0 or -1, without unit. The derivative is 0 everywhere, at the jump too."""
 
+    kinds = rules.SIGN
     function = jnp.sign
     keeps_order = False
     cases = (_NOT_ZERO,)
@@ -115,6 +122,7 @@ class Sign(Function):
 class Sin(Function):
     """Sine of an angle in rad, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.sin
     latex_name = r"\sin"
 
@@ -122,6 +130,7 @@ class Sin(Function):
 class Cos(Function):
     """Cosine of an angle in rad, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.cos
     even = True
     latex_name = r"\cos"
@@ -130,6 +139,7 @@ class Cos(Function):
 class Tan(Function):
     """Tangent of an angle in rad, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.tan
     latex_name = r"\tan"
 
@@ -145,6 +155,7 @@ class Asin(Function):
     At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
     """
 
+    kinds = rules.NUMBERS
     latex_name = r"\arcsin"
     cases = ({"operand": [0.9, -0.3, 0.0]},)
     kinks = ({"operand": [1.0, -1.0]},)
@@ -159,6 +170,7 @@ class Acos(Function):
     At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
     """
 
+    kinds = rules.NUMBERS
     latex_name = r"\arccos"
     cases = ({"operand": [0.9, -0.3, 0.0]},)
     kinks = ({"operand": [1.0, -1.0]},)
@@ -170,6 +182,7 @@ class Acos(Function):
 class Atan(Function):
     """Arctangent in rad, entry by entry, in [-pi/2, pi/2]."""
 
+    kinds = rules.NUMBERS
     function = jnp.arctan
     latex_name = r"\arctan"
     cases = ({"operand": [1.0, -20.0, 0.0]},)
@@ -187,6 +200,7 @@ class Atan2(Entrywise):
 
     y: Operand
     x: Operand
+    kinds = rules.RATIO
     keeps_order = False
     cases = ({"y": [1.0, -2.0, 0.0], "x": 0.7}, {"y": [1.0, -2.0, 0.5], "x": -0.7})
     kinks = ({"y": [0.0, 0.0, 0.0], "x": 0.0},)
@@ -200,6 +214,7 @@ class Atan2(Entrywise):
 class Sinh(Function):
     """Hyperbolic sine, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.sinh
     latex_name = r"\sinh"
 
@@ -207,6 +222,7 @@ class Sinh(Function):
 class Cosh(Function):
     """Hyperbolic cosine, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.cosh
     latex_name = r"\cosh"
 
@@ -214,6 +230,7 @@ class Cosh(Function):
 class Tanh(Function):
     """Hyperbolic tangent, entry by entry."""
 
+    kinds = rules.NUMBERS
     function = jnp.tanh
     latex_name = r"\tanh"
 
@@ -222,6 +239,7 @@ class PositivePart(Entrywise):
     """max(x, 0), entry by entry. The derivative at 0 is taken as 1/2."""
 
     x: Operand
+    kinds = rules.SUM
     formula = r"\left(<0>\right)_+"
     cases = ({"x": [1.0, -2.0, 0.5]},)
     kinks = ({"x": [0.0]},)
@@ -241,6 +259,7 @@ class Huber(Entrywise):
 
     x: Operand
     delta: float = 0.25
+    kinds = rules.SQUARE
     cases = ({"x": [0.1, -0.2, 2.0, -3.0], "delta": 0.5},)
     keeps_order = False
 
@@ -265,6 +284,7 @@ class SmoothReLU(Entrywise):
 
     x: Operand
     c: float = 1e-8
+    kinds = rules.SUM
     cases = ({"x": [0.3, -0.2, 2.0, 0.05], "c": 0.1},)
     kinks = ({"x": [0.0, 0.0]},)
 

@@ -13,6 +13,7 @@ from ...checks import short
 from ...errors import ModelError, ShapeError
 from ..bases import Variadic, broadcast
 from ..fields import ExprLike, Operand, Operands
+from ..kinds import rules
 from ..leaves import Constant
 from ..node import Expr, Shape
 from .kinds import BSpline, Clamped, Extrapolated, Linear, Lookup, MonotoneCubic, Refused, linear, pieces
@@ -53,6 +54,7 @@ class Interp(Variadic, init=False):
             self, *at: ExprLike | Sequence[ExprLike], axes: Any, values: Any, kind: Any = ..., outside: Any = ...
         ) -> None: ...
 
+    kinds = rules.OPEN
     cases = (
         {"at": [[0.5, 5.0, -0.5]], "axes": _KNOTS, "values": _TABLE},
         {
@@ -135,6 +137,7 @@ def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
 class _OnGrid(Expr):
     """Base of piecewise linear tables: its operands are the coordinates, the points of their axes, and the values."""
 
+    kinds = rules.OPEN
     abstract = True
 
     def validate(self) -> None:
@@ -221,6 +224,7 @@ class Cinterp(Expr):
     xp: np.ndarray
     fp: np.ndarray
     method: str = "cubic"
+    kinds = rules.OPEN
     cases = (
         {"x": [0.5, 5.0, -0.5], "xp": _KNOTS, "fp": _TABLE},
         {"x": 0.5, "xp": _KNOTS, "fp": np.stack([_TABLE, -2.0 * _TABLE], axis=1), "method": "akima"},

@@ -13,6 +13,7 @@ from ...errors import ModelError, OperationError, ShapeError
 from ...groups import Group
 from ..fields import ExprLike
 from ..graph import evaluate_all, leaves_of, postorder, substitute
+from ..kinds import rules
 from ..leaves import Constant, Control, Leaf, State, Time
 from ..node import Expr, Shape, expect, to_expr, to_numbers
 
@@ -74,6 +75,7 @@ class Rate(Expr):
     placeholders: tuple[_Placeholder, ...]
     depth: int
     along: tuple[Expr, ...]  # the leaves that move, then their rates
+    kinds = rules.OPEN
     cases = (
         (lambda cls, x, v: cls(x[0] * x[1] ** 2 * x, {x: v}), {"x": [0.3, -0.4, 0.8], "v": [1.0, 2.0, -0.5]}),
         (

@@ -14,6 +14,7 @@ from ...checks import callable_with, whole
 from ...errors import ModelError, OperationError, ShapeError
 from ..fields import Operands
 from ..graph import evaluate_all, leaves_of, substitute
+from ..kinds import rules
 from ..leaves import Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
 from ..operations.comparisons import Constraint
@@ -77,6 +78,7 @@ class Vmap(Expr):
     axis: int
     body: Expr
     placeholders: tuple[Expr, ...]
+    kinds = rules.OPEN
     cases = (
         (lambda cls, x, points: cls(lambda p: p * x - 2.0, points), {"x": [0.3, -0.4], "points": _POINTS}),
         (

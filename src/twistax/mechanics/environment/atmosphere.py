@@ -13,6 +13,8 @@ from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
+from ...expr.kinds.rules import Fixed
+from ...expr.kinds.unit import KELVIN, METRE, NEWTON
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
 
@@ -168,6 +170,8 @@ class Temperature(_OfAltitude):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
+    kinds = Fixed((METRE,), KELVIN)
+
     def evaluate(self, *values: Array) -> Array:
         return profile(self.air, values[0])[0]
 
@@ -181,6 +185,8 @@ class Pressure(_OfAltitude):
         altitude: geometric, m.
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
+
+    kinds = Fixed((METRE,), NEWTON / METRE**2)
 
     def evaluate(self, *values: Array) -> Array:
         return self.air.pressure_at_base * jnp.exp(profile(self.air, values[0])[1])

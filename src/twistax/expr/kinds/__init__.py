@@ -1,0 +1,1 @@
+"""Kinds, frames, duals and units of values: what leaves declare, and what the nodes of a system make of it."""

@@ -1,0 +1,210 @@
+"""The kinds that a leaf may declare: in which frames it is, and whether it is a motion or what is dual to one."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Any, ClassVar
+
+from ...errors import ModelError
+from .unit import JOULE, KILOGRAM, METRE, ONE, SECOND, Unit, parsed
+
+Shape = tuple[int, ...]
+
+
+class Space(enum.Enum):
+    """The space of an axis of length six: twists, or what is dual to them."""
+
+    MOTION = "a twist"
+    FORCE = "a wrench or momentum"
+
+    @property
+    def dual(self) -> Space:
+        """The space whose pairing with this one is a power or an energy."""
+        return Space.FORCE if self is Space.MOTION else Space.MOTION
+
+
+@dataclasses.dataclass(frozen=True)
+class Kind:
+    """Base of all kinds. The unit of a six-vector is that of its angular part; its linear part has metres more or less.
+
+    Attributes:
+        unit: what the kind says of units; None where it says nothing.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    """
+
+    shapes: ClassVar[tuple[Shape, ...]] = ()
+    unit: ClassVar[Unit | None] = None
+    #: The space of each axis of length six.
+    space: ClassVar[Space | None] = None
+
+    def __str__(self) -> str:
+        names = [repr(getattr(self, field.name)) for field in dataclasses.fields(self) if getattr(self, field.name)]
+        return f"{type(self).__name__}({', '.join(names)})"
+
+    def frames(self) -> dict[int, str]:
+        """The frame of each axis, counted from the last."""
+        raise NotImplementedError
+
+    def check(self, name: str, shape: Shape) -> None:
+        """Raise ModelError for a leaf of another shape, or a frame that is no name."""
+        if shape not in self.shapes:
+            wanted = " or ".join(map(str, self.shapes))
+            raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
+        for field in dataclasses.fields(self):
+            frame = getattr(self, field.name)
+            if not isinstance(frame, str) or (not frame and field.default is dataclasses.MISSING):
+                raise ModelError(f"{name!r}: {type(self).__name__} expects the name of a frame, got {frame!r}")
+
+
+@dataclasses.dataclass(frozen=True)
+class _OfSix(Kind):
+    """Base of six-vectors in one frame."""
+
+    frame: str
+    shapes: ClassVar[tuple[Shape, ...]] = ((6,),)
+
+    def frames(self) -> dict[int, str]:
+        return {-1: self.frame}
+
+
+@dataclasses.dataclass(frozen=True)
+class Twist(_OfSix):
+    """A twist (6,): m/s and rad/s. `unit="1/s2"` makes it the rate of one, `unit="rad"` a displacement.
+
+    Attributes:
+        frame: whose axes and origin its numbers refer to.
+        of, relative_to: which frame moves, and against which; messages show them and nothing checks them.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
+    """
+
+    of: str = ""
+    relative_to: str = ""
+    unit = ONE / SECOND
+    space = Space.MOTION
+
+
+@dataclasses.dataclass(frozen=True)
+class Wrench(_OfSix):
+    """A wrench (6,): force in N and torque in N m. Its pairing with a twist of the same frame is a power.
+
+    Attributes:
+        frame: whose axes and origin its numbers refer to.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
+    """
+
+    unit = JOULE
+    space = Space.FORCE
+
+
+@dataclasses.dataclass(frozen=True)
+class Momentum(_OfSix):
+    """A spatial momentum (6,): linear in N s and angular in N m s. Its rate is a wrench.
+
+    Attributes:
+        frame: whose axes and origin its numbers refer to.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Example: `tx.State("h", (6,), kind=tx.Momentum("body"))`.
+    """
+
+    unit = JOULE * SECOND
+    space = Space.FORCE
+
+
+@dataclasses.dataclass(frozen=True)
+class Inertia(_OfSix):
+    """An inertia, spatial (6, 6) or of rotation (3, 3): it makes a momentum of a twist or rate of the same frame.
+
+    The unit is that of its angular block, kg m2.
+
+    Attributes:
+        frame: whose axes and origin its numbers refer to.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Example: `tx.Parameter("M", (6, 6), kind=tx.kinds.Inertia("body"))`.
+    """
+
+    shapes = ((6, 6), (3, 3))
+    unit = KILOGRAM * METRE**2
+    space = Space.FORCE  # of both axes: what it gives, and the dual of what it takes
+
+    def frames(self) -> dict[int, str]:
+        return {-2: self.frame, -1: self.frame}
+
+
+@dataclasses.dataclass(frozen=True)
+class FreeVector(Kind):
+    """A vector (3,) with a direction and no place: a force, a velocity, an angular rate. `unit=` says which.
+
+    Attributes:
+        frame: whose axes its numbers refer to.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Example: `tx.Control("F", (3,), kind=tx.FreeVector("body"), unit="N")`.
+    """
+
+    frame: str
+    shapes = ((3,),)
+
+    def frames(self) -> dict[int, str]:
+        return {-1: self.frame}
+
+
+@dataclasses.dataclass(frozen=True)
+class Point(FreeVector):
+    """The position (3,) of a point, in m.
+
+    Attributes:
+        frame: whose axes and origin its numbers refer to.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
+    Example: `tx.State("p", (3,), kind=tx.Point("world"))`.
+    """
+
+    unit = METRE
+
+
+@dataclasses.dataclass(frozen=True)
+class Rotation(Kind):
+    """A rotation (3, 3), or a quaternion (4,), R_ab, without unit: from coordinates in frame b to those in frame a.
+
+    Attributes:
+        to, source: the frames a and b.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Example: `tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))`.
+    """
+
+    to: str
+    source: str
+    shapes: ClassVar[tuple[Shape, ...]] = ((3, 3), (4,))
+    unit: ClassVar[Unit | None] = ONE
+
+    def frames(self) -> dict[int, str]:
+        return {-2: self.to, -1: self.source}
+
+
+@dataclasses.dataclass(frozen=True)
+class Pose(Rotation):
+    """A pose (4, 4), T_ab: points in frame b become points in frame a, in m. A state has its twist in frame b.
+
+    Attributes:
+        to, source: the frames a and b.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Example: `tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))`.
+    """
+
+    shapes = ((4, 4),)
+    unit = None
+
+
+def declared(name: str, shape: Shape, kind: Any, unit: Any) -> dict[str, Any]:
+    """The kind and the unit that a leaf says of itself, checked. Raises ModelError."""
+    if kind is not None:
+        if not isinstance(kind, Kind):
+            made = f"; did you mean {kind.__name__}(...)?" if isinstance(kind, type) else ""
+            raise ModelError(f"{name!r} expects a kind such as tx.Twist('body'), got {kind!r}{made}")
+        kind.check(name, shape)
+    if unit is not None:
+        unit = parsed(name, unit)
+    if kind is not None and unit is None:
+        unit = kind.unit
+    return {"kind": kind, "unit": unit}

@@ -1,0 +1,358 @@
+"""What nodes make of kinds, frames and units: one rule for each class, `Expr.kinds`.
+
+An axis has a frame, and an axis of length six a space as well: that of twists, or its dual. Rules say which axes have
+one frame and space (SAME), which have one frame and are dual to each other because they are summed over (DUAL), and
+which have no more than a frame in common (FRAME). `Expr.shared_orders` says which axes correspond. The unit of a value
+is one for all entries; that of a six-vector is the unit of its angular part.
+
+This module knows nodes by their fields and methods alone, so that nodes can name their rules.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from collections.abc import Callable, Iterable, Sequence
+from fractions import Fraction
+from typing import Any, TypeAlias
+
+from .kinds import Space
+from .unit import METRE, ONE, Unit
+
+#: Two axes and what they have in common.
+Link: TypeAlias = "tuple[Any, int, Any, int, Common]"
+Units: TypeAlias = Sequence[Unit | None]
+#: The space of an axis of a value, as far as it is known.
+SpaceOf: TypeAlias = Callable[[Any, int], Space | None]
+
+
+class Common(enum.Enum):
+    """What two axes have in common."""
+
+    SAME = "frame and space"
+    DUAL = "frame, with dual spaces"
+    FRAME = "frame"
+
+
+class Clash(Exception):
+    """Two operands whose units do not fit, or one whose unit does not fit the node; `values` names one or two."""
+
+    def __init__(self, sentence: str, *values: tuple[Any, Unit]) -> None:
+        super().__init__(sentence)
+        self.values = values
+
+
+@dataclasses.dataclass(frozen=True)
+class Rule:
+    """A rule that says nothing: frames and units of operands and result stay open, whatever their shapes.
+
+    Subclass it for a node of your own, as a frozen dataclass.
+
+    Raises: a system raises KindError where operands do not fit a rule; `unit` raises `Clash`, which becomes one.
+    """
+
+    def links(self, node: Any) -> Iterable[Link]:
+        """The axes that have something in common."""
+        return ()
+
+    def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
+        """The axes whose space the node fixes."""
+        return ()
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        """The unit of the result from those of the operands, None for an open one. Raises Clash."""
+        return None
+
+    def made(self, node: Any, units: Units) -> Space | None:
+        """The space of the result, where the units of the operands decide it."""
+        return None
+
+
+#: Stated by nodes that can be anything: tables, maps over batches, functions of users.
+OPEN = Rule()
+#: Stated by leaves: what they declare.
+DECLARED = Rule()
+
+
+@dataclasses.dataclass(frozen=True)
+class Fixed(Rule):
+    """A function of fixed units, such as the pressure in Pa of an altitude in m; of operands of any shape.
+
+    Attributes:
+        takes: the unit of each operand, None for any.
+        gives: the unit of the result, None for an open one.
+        one_frame: whether operands and result are vectors in one frame.
+    Raises: a system raises KindError where an operand is known to have another unit.
+    Example: `kinds = tx.kinds.Fixed((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
+    """
+
+    takes: tuple[Unit | None, ...] = ()
+    gives: Unit | None = None
+    one_frame: bool = False
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return [(value, -1, node, -1, Common.FRAME) for value in node.children()] if self.one_frame else []
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        for value, unit, wanted in zip(node.children(), units, self.takes, strict=True):
+            if unit is not None and wanted is not None and unit != wanted:
+                raise Clash(f"{type(node).__name__} takes {wanted}", (value, unit))
+        return self.gives
+
+
+def _common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
+    """The unit that all known units are equal to. Raises Clash."""
+    known = [(value, unit) for value, unit in zip(values, units, strict=True) if unit is not None]
+    for value, unit in known[1:]:
+        if unit != known[0][1]:
+            raise Clash(what, known[0], (value, unit))
+    return known[0][1] if known else None
+
+
+def _number(node: Any, value: Any, unit: Unit | None) -> None:
+    """Raise Clash for an operand that must have no unit."""
+    if unit is not None and unit != ONE:
+        raise Clash(f"{type(node).__name__} takes radians or a number without unit", (value, unit))
+
+
+def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
+    """Corresponding axes of what is combined entry by entry."""
+    shape = node.shape
+    for value in values if shape else ():
+        for axis, (size, wanted) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
+            if size == wanted > 1:
+                yield value, -axis, node, -axis, how
+
+
+def _groups(node: Any, *how: Common) -> Iterable[Link]:
+    """The groups of `shared_orders`; the first ones as said, the others SAME."""
+    for k, axes in enumerate(node.shared_orders()):
+        for value, axis in axes[1:]:
+            yield *axes[0], value, axis, how[k] if k < len(how) else Common.SAME
+
+
+def _six(value: Any, space: SpaceOf) -> bool:
+    """Whether a value is known to be made of six-vectors, whose entries differ in unit."""
+    return any(size == 6 and space(value, k - value.ndim) is not None for k, size in enumerate(value.shape))
+
+
+def _product(values: Sequence[Any], units: Units) -> Unit | None:
+    """The product of units; a whole number counts, and has none."""
+    total = ONE
+    for value, unit in zip(values, units, strict=True):
+        if unit is None and not getattr(value, "whole", False):
+            return None
+        total *= unit or ONE
+    return total
+
+
+@dataclasses.dataclass(frozen=True)
+class Terms(Rule):
+    """Operands and result agree in everything; the first `conditions` operands are apart from that."""
+
+    conditions: int = 0
+    compares: bool = False
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return _entries(node, node.children()[self.conditions :], Common.SAME)
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        values = node.children()[self.conditions :]
+        unit = _common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
+        return None if self.compares else unit
+
+
+@dataclasses.dataclass(frozen=True)
+class Power(Rule):
+    """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
+
+    power: Fraction | None = None
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return _entries(node, node.children()[:1], Common.FRAME)
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        if _six(node.children()[0], space):
+            return None
+        if self.power is not None:
+            return None if units[0] is None else units[0] ** self.power
+        base, exponent = node.children()
+        _number(node, exponent, units[1])
+        value = getattr(exponent, "value", None)
+        if not exponent.is_leaf or value is None or value.ndim:
+            _number(node, base, units[0])
+            return units[0]
+        return None if units[0] is None else units[0] ** Fraction(float(value)).limit_denominator(64)
+
+
+@dataclasses.dataclass(frozen=True)
+class Numbers(Rule):
+    """Takes angles in rad and numbers without unit, and gives one; `of_one_unit`: takes operands of one unit."""
+
+    of_one_unit: bool = False
+    gives: Unit | None = ONE
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        if self.of_one_unit:
+            _common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
+        else:
+            for value, unit in zip(node.children(), units, strict=True):
+                _number(node, value, unit)
+        return self.gives
+
+
+class _Product(Rule):
+    """Entry by entry: one frame; the units multiply."""
+
+    def links(self, node: Any) -> Iterable[Link]:
+        values = node.children()
+        vectors = [value for value in values if value.ndim]
+        return _entries(node, vectors, Common.SAME if len(vectors) == 1 else Common.FRAME)
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        if sum(_six(value, space) for value in node.children()) > 1:
+            return None
+        return self.combined(node, units)
+
+    def combined(self, node: Any, units: Units) -> Unit | None:
+        return _product(node.children(), units)
+
+
+class _Quotient(_Product):
+    """Entry by entry: one frame; the unit of the left over that of the right."""
+
+    def combined(self, node: Any, units: Units) -> Unit | None:
+        left, right = (_product([value], [unit]) for value, unit in zip(node.children(), units, strict=True))
+        return None if left is None or right is None else left / right
+
+
+@dataclasses.dataclass(frozen=True)
+class Matrices(Rule):
+    """Products, inverses and the like: the axes of `shared_orders`, of which some groups are dual; powers of units."""
+
+    how: tuple[Common, ...] = ()
+    powers: tuple[int, ...] = (1,)
+
+    def links(self, node: Any) -> Iterable[Link]:
+        return _groups(node, *self.how)
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        total = ONE
+        for unit, power in zip(units, self.powers, strict=True):
+            if unit is None:
+                return None
+            total *= unit**power
+        return total
+
+
+class _Pairing(Matrices):
+    """A product of matrices and vectors. A vector with itself is the square of its length, and no power."""
+
+    def links(self, node: Any) -> Iterable[Link]:
+        left, right = node.children()
+        if left.ndim == right.ndim == 1 and left.key() == right.key():
+            return ()
+        return super().links(node)
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        left, right = node.children()
+        if left.ndim == 1 and left.key() == right.key() and _six(left, space):
+            return None
+        return super().unit(node, units, space)
+
+
+@dataclasses.dataclass(frozen=True)
+class Reduced(Rule):
+    """A sum or a norm of all entries: in their unit."""
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        return None if _six(node.children()[0], space) else units[0]
+
+
+@dataclasses.dataclass(frozen=True)
+class Joined(Rule):
+    """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
+
+    rows: bool = False
+
+    def links(self, node: Any) -> Iterable[Link]:
+        values = node.children()
+        halves = node.shape == (6,) and all(value.shape == (3,) for value in values)
+        if halves or (self.rows and node.shape[-1:] == (3,)):
+            for value in values:
+                if value.shape[-1:] == (3,):
+                    yield value, -1, node, -1, Common.FRAME
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        distinct = set(units)
+        return distinct.pop() if len(distinct) == 1 else None
+
+
+SUM, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
+PRODUCT, QUOTIENT = _Product(), _Quotient()
+POWER, SIGN, SIZE = Power(), Power(Fraction(0)), Power(Fraction(1))
+SQUARE, ROOT = Power(Fraction(2)), Power(Fraction(1, 2))
+NUMBERS, RATIO = Numbers(), Numbers(of_one_unit=True)
+MATRIX_PRODUCT = _Pairing((Common.DUAL,), (1, 1))
+TRANSPOSE, OUTER = Matrices(), Matrices((), (1, 1))
+INVERSE = Matrices((Common.DUAL, Common.DUAL), (-1,))
+SOLVE = Matrices((Common.SAME, Common.DUAL), (-1, 1))
+DIAGONAL = Matrices((Common.FRAME,), (1,))
+REDUCED, PIECES, ROWS = Reduced(), Joined(), Joined(rows=True)
+
+
+@dataclasses.dataclass(frozen=True)
+class OneFrame(Rule):
+    """All these axes have one frame; the units multiply. `axes`: of each operand, then of the result."""
+
+    axes: tuple[tuple[int, ...], ...]
+
+    def links(self, node: Any) -> Iterable[Link]:
+        values = [*node.children(), node]
+        slots = [(value, axis) for value, axes in zip(values, self.axes, strict=True) for axis in axes]
+        for value, axis in slots[1:]:
+            yield *slots[0], value, axis, Common.FRAME
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        return _product(node.children(), units)
+
+
+class _Cross(Rule):
+    """A vector product: one frame, units multiply."""
+
+    def links(self, node: Any) -> Iterable[Link]:
+        left, right = node.children()
+        for value in (right, node):
+            yield left, -1, value, -value.ndim, Common.FRAME
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        return _product(node.children(), units)
+
+
+class _Part(Rule):
+    """A part of an array: whole axes keep their frame; the rotation and the position of a pose have its frames."""
+
+    def links(self, node: Any) -> Iterable[Link]:
+        base, index = node.base, node.index
+        if base.shape == (4, 4) and isinstance(index, tuple) and len(index) == 2:
+            if index[0] == slice(None, 3) or index[0] == slice(0, 3):
+                yield base, -2, node, -node.ndim, Common.FRAME
+                if node.shape == (3, 3):
+                    yield base, -1, node, -1, Common.FRAME
+        elif base.shape == (3, 3) and node.shape == (3,):
+            parts = index if isinstance(index, tuple) else (index,)
+            kept = -1 if isinstance(parts[0], int) else -2
+            yield base, kept, node, -1, Common.FRAME
+        elif node.shape in ((3,), (6,)) and base.shape == (6,) and isinstance(index, slice):
+            yield base, -1, node, -1, Common.FRAME
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        base, index = node.base, node.index
+        if base.shape == (4, 4) and base.is_group_element and isinstance(index, tuple) and len(index) == 2:
+            if isinstance(index[1], int) and index[1] in (3, -1):
+                return METRE
+            return ONE if index[1] == slice(None, 3) else None
+        return None if _six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
+
+
+CROSS, PART = _Cross(), _Part()

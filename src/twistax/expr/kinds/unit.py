@@ -1,0 +1,105 @@
+"""Units as exponents of kg, m, s and K. An angle is a number, so a radian is 1."""
+
+from __future__ import annotations
+
+import dataclasses
+import re
+from fractions import Fraction
+from typing import Any
+
+from ...errors import ModelError
+from ...units import Quantity
+
+_BASE = ("kg", "m", "s", "K")
+
+
+@dataclasses.dataclass(frozen=True)
+class Unit:
+    """A product of powers of kg, m, s and K, one for all entries of an array.
+
+    Attributes:
+        exponents: the powers, whole numbers or fractions.
+    Raises: ModelError by `Unit.of` for a text that is no unit.
+    Example: `tx.kinds.Unit.of("N m")`.
+    """
+
+    exponents: tuple[Fraction | int, ...] = (0,) * len(_BASE)
+
+    @staticmethod
+    def of(text: str) -> Unit:
+        """The unit of a text such as "kg m2/s". Raises ModelError for another text."""
+        return parsed("a unit", text)
+
+    def __mul__(self, other: Unit) -> Unit:
+        return Unit(tuple(a + b for a, b in zip(self.exponents, other.exponents)))
+
+    def __truediv__(self, other: Unit) -> Unit:
+        return Unit(tuple(a - b for a, b in zip(self.exponents, other.exponents)))
+
+    def __pow__(self, power: Fraction | int) -> Unit:
+        powers = (a * power for a in self.exponents)
+        return Unit(tuple(int(n) if n == int(n) else n for n in powers))
+
+    def __str__(self) -> str:
+        parts = [name + ("" if n == 1 else str(n)) for name, n in zip(_BASE, self.exponents) if n]
+        return " ".join(parts) or "1"
+
+    __repr__ = __str__
+
+
+def _of(**powers: int) -> Unit:
+    return Unit(tuple(powers.get(name, 0) for name in _BASE))
+
+
+ONE, KILOGRAM, METRE, SECOND, KELVIN = Unit(), _of(kg=1), _of(m=1), _of(s=1), _of(K=1)
+NEWTON, JOULE, WATT = _of(kg=1, m=1, s=-2), _of(kg=1, m=2, s=-2), _of(kg=1, m=2, s=-3)
+_NAMES = {
+    "1": ONE,
+    "rad": ONE,
+    "kg": KILOGRAM,
+    "m": METRE,
+    "s": SECOND,
+    "K": KELVIN,
+    "N": NEWTON,
+    "J": JOULE,
+    "W": WATT,
+    "Pa": NEWTON / METRE**2,
+    "Hz": ONE / SECOND,
+}
+_FACTOR = re.compile(r"(1|[A-Za-z]+)\^?\*{0,2}(-?\d+)?$")
+
+
+def unit_of_quantity(quantity: Quantity) -> Unit:
+    """The unit of a quantity of `tx.units`; its radians count as 1."""
+    kilograms, metres, seconds, _, kelvins = quantity.exponents
+    return Unit((kilograms, metres, seconds, kelvins))
+
+
+def parsed(name: str, unit: Any) -> Unit:
+    """The unit that a leaf declares: a text such as "kg m2/s", or a value of `tx.units` that is 1 in SI.
+
+    Raises: ModelError for another text, or a unit that is not SI, in whose numbers no leaf is.
+    """
+    if isinstance(unit, Unit):
+        return unit
+    if isinstance(unit, Quantity):
+        if float(unit) != 1.0:
+            raise ModelError(
+                f"{name!r} expects a unit of kg, m, s, rad and K, got {unit!r}.\n"
+                "  fix: leaves have SI units; multiply the numbers by the unit instead"
+            )
+        return unit_of_quantity(unit)
+    if not isinstance(unit, str):
+        raise ModelError(f'{name!r} expects a unit such as "m/s" or tx.units.metres, got {unit!r}')
+    total, text = ONE, unit.strip()
+    for place, part in enumerate(text.split("/")):
+        for factor in part.replace("*", " ").split():
+            match = _FACTOR.match(factor)
+            if match is None or match[1] not in _NAMES:
+                raise ModelError(
+                    f'{name!r} expects a unit such as "m/s", "kg m2" or "N m", got {unit!r}: {factor!r} is none of '
+                    f"{', '.join(_NAMES)}"
+                )
+            power = int(match[2] or 1)
+            total *= _NAMES[match[1]] ** (-power if place else power)
+    return total
