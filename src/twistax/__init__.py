@@ -39,6 +39,8 @@ from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
+    from .expr.functions.function import Function
+    from .expr.functions.parameter_tree import ParameterTree
     from .integrators import (
         RKMK,
         AtStart,
@@ -80,10 +82,10 @@ __version__ = "0.2.0.dev0"
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
     "Crossings", "Dynamics",
-    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
+    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "Function", "ImmutableError", "ImplicitRKMK",
     "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
-    "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
+    "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution",
+    "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
     "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
     "diffrax", "fast", "integrate",
     "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
@@ -105,6 +107,8 @@ _LATER = {
         "Simulator", "Solution", "Splitting", "StepControl", "ZeroOrderHold", "integrate", "integrate_phases",
         "simulator",
     ),
+    ".expr.functions.function": ("Function",),
+    ".expr.functions.parameter_tree": ("ParameterTree",),
     ".scalar.backends": ("JAX", "XLA"),
     ".scalar.fast": ("fast",),
     ".scalar.targets.llvm.backend": ("Native",),

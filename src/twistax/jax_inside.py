@@ -40,6 +40,7 @@ _set_xla_metadata = _found("jax.experimental.xla_metadata", "set_xla_metadata")
 _weak_types = _found("jax._src.util", "weakref_cache_key_types", set())
 _need_devices = _found("jax._src.dispatch", "prim_requires_devices_during_lowering", set())
 _nothing_traced = _found("jax._src.core", "trace_state_clean")
+_argument_handlers = _found("jax._src.dtypes", "canonicalize_value_handlers", {})
 _varying_checked = _found("jax._src.config", "_check_vma")
 
 #: Messages that were given, each once for a process.
@@ -57,6 +58,11 @@ def makes_an_array(frame: FrameType) -> bool:
     """
     module = str(frame.f_globals.get("__name__", ""))
     return module.startswith("jax.") and not module.endswith(".array_methods")
+
+
+def refuse_as_argument(cls: type, refuse: Callable[[Any], Any]) -> None:
+    """Have JAX call `refuse`, which raises, where an operation gets an object of a class, or of one below it."""
+    _argument_handlers[cls] = refuse
 
 
 def jax_versions() -> tuple[str, str]:
