@@ -337,8 +337,9 @@ def take_steps(
 
     Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
     blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. Of up to
-    64 steps all that derivatives need is kept, and nothing is computed again. What a step closes over is copied for every block, so it should be small. Blocks beyond the count are passed over, also for a
-    whole batch at once under vmap. `record`: also return the values before each step, and after the last one, on a
+    64 steps all that derivatives need is kept, and nothing is computed again. What a step closes over is copied for
+    every block, so it should be small. Blocks beyond the count are passed over, also for a whole batch at once under
+    vmap. `record`: also return the values before each step, and after the last one, on a
     leading axis of bound + 1; entries beyond the count repeat the end.
     """
 
