@@ -72,6 +72,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .scalar.fast import fast
     from .scalar.targets.llvm.backend import Native
     from .system.dynamics import Dynamics, compile, load
+    from .system.join import join
     from .system.lower import lower
     from .trajectory import Maximize, Minimize
     from .trimming import Trim, trim
@@ -81,15 +82,14 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-    "Crossings", "Dynamics",
-    "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "Function", "ImmutableError", "ImplicitRKMK",
-    "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
-    "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution",
-    "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep",
-    "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
-    "diffrax", "fast", "integrate",
-    "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
-    "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
+    "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "Function",
+    "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode",
+    "ModelError", "Native", "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution",
+    "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics",
+    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
+    "compile", "compositions", "diffrax", "fast", "integrate", "integrate_phases", "join", "lie", "linalg", "load",
+    "lower", "mechanics", "pose", "simulator", "spatial", "sweep", "tableaus", "tables", "tangent_grad",
+    "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -113,6 +113,7 @@ _LATER = {
     ".scalar.fast": ("fast",),
     ".scalar.targets.llvm.backend": ("Native",),
     ".system.dynamics": ("Dynamics", "compile", "load"),
+    ".system.join": ("join",),
     ".system.lower": ("lower",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".linear": ("Mode",),
