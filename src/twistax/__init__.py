@@ -74,6 +74,7 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .system.dynamics import Dynamics, compile, load
     from .system.join import join
     from .system.lower import lower
+    from .system.repeat import repeat
     from .trajectory import Maximize, Minimize
     from .trimming import Trim, trim
 
@@ -88,7 +89,7 @@ __all__ = [
     "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics",
     "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
     "compile", "compositions", "diffrax", "fast", "integrate", "integrate_phases", "join", "lie", "linalg", "load",
-    "lower", "mechanics", "pose", "simulator", "spatial", "sweep", "tableaus", "tables", "tangent_grad",
+    "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables", "tangent_grad",
     "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
@@ -115,6 +116,7 @@ _LATER = {
     ".system.dynamics": ("Dynamics", "compile", "load"),
     ".system.join": ("join",),
     ".system.lower": ("lower",),
+    ".system.repeat": ("repeat",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".linear": ("Mode",),
     ".trajectory": ("Maximize", "Minimize"),
