@@ -67,9 +67,8 @@ def test_the_jacobian_has_a_block_for_each_copy() -> None:
 
 def test_the_program_does_not_grow_with_the_count() -> None:
     def length(count: int) -> int:
-        functions = tx.compile(tx.repeat(BODY, count)).functions
-        x, u = starts(count)
-        return len(jax.make_jaxpr(lambda x, u: functions.as_written("rates", 0.0, x, u, {"m": m.value}))(x, u).eqns)
+        rates = tx.lower(tx.repeat(BODY, count).rates)
+        return len(jax.make_jaxpr(lambda x, u: rates(0.0, x, u))(*starts(count)).eqns)
 
     assert length(2) == length(50)
 

@@ -10,8 +10,7 @@ import numpy as np
 
 from ..checks import listed, short, whole
 from ..errors import ModelError
-from ..expr import Concat, Control, Expr, Leaf, Parameter, State, Vmap, leaves_of, substitute
-from ..expr.operations.array import Reshaped
+from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, substitute
 from ..expr.operations.soft import Soft
 from ..groups.power import Power
 from .composable import named_leaves

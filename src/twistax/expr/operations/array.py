@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -371,30 +370,3 @@ def _part_of_concat(node: Index, base: Concat, index: Any) -> Expr:
         return Index(piece, as_slice(chosen - offset))
     is_range = np.array_equal(chosen, np.arange(starts[first], starts[last + 1]))
     return Concat(*base.exprs[first : last + 1]) if is_range and len(chosen) < starts[-1] else node
-
-
-class Reshaped(Expr):
-    """The entries of an array, row by row, in another shape.
-
-    Shapes: any with as many entries -> `target`.
-
-    Attributes:
-        target: the shape of the result.
-    Raises:
-        ShapeError: an operand with another number of entries.
-    """
-
-    operand: Operand
-    target: Shape
-    by_operators = True
-    cases = ({"operand": [[1.0, 2.0, 3.0], [4.0, 5.0, -6.0]], "target": (3, 2)},)
-
-    def infer_shape(self, *shapes: Shape) -> Shape:
-        if math.prod(shapes[0]) != math.prod(self.target):
-            raise ShapeError(
-                f"Reshaped expects an operand with {math.prod(self.target)} entries, got shape {shapes[0]}"
-            )
-        return self.target
-
-    def evaluate(self, *values: Numbers) -> Numbers:
-        return values[0].reshape(self.target)
