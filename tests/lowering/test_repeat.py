@@ -74,7 +74,7 @@ def test_the_program_does_not_grow_with_the_count() -> None:
 
 
 def test_declarations_become_those_of_all_copies() -> None:
-    fleet = tx.repeat(BODY, 2, each=["m"])
+    fleet = tx.repeat(BODY, 2, per_copy=["m"])
     assert [leaf.shape for leaf in (fleet.g, fleet.V, fleet.F, fleet.m)] == [(2, 4, 4), (2, 6), (2, 6), (2, 6)]
     np.testing.assert_array_equal(fleet.V.min, np.full((2, 6), -9.0))
     np.testing.assert_array_equal(fleet.F.max, np.full((2, 6), 5.0))
@@ -112,7 +112,7 @@ def test_a_fleet_is_joined_and_planned() -> None:
     ("build", "match"),
     [
         (lambda: tx.repeat(BODY, 0), "count"),
-        (lambda: tx.repeat(BODY, 2, each=["F"]), "each names 'F'"),
+        (lambda: tx.repeat(BODY, 2, per_copy=["F"]), "per_copy names 'F'"),
         (lambda: tx.repeat(BODY, 2, shared=["m"]), "shared names 'm'"),
         (lambda: tx.repeat(3.0, 2), "expects a System, got 3.0"),
     ],

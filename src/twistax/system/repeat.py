@@ -17,7 +17,7 @@ from .composable import named_leaves
 from .system import System
 
 
-def repeat(system: Any, count: Any, *, shared: Any = (), each: Any = ()) -> System:
+def repeat(system: Any, count: Any, *, shared: Any = (), per_copy: Any = ()) -> System:
     """A fleet: n copies of a system that do not act on each other, as arrays with a leading axis n.
 
     $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s), states on a group G
@@ -29,9 +29,9 @@ def repeat(system: Any, count: Any, *, shared: Any = (), each: Any = ()) -> Syst
         system: of one copy.
         count: how many copies, n.
         shared: names of controls that all copies have in common.
-        each: names of parameters of which each copy has one, (n, *s); others are common to all.
+        per_copy: names of parameters of which each copy has one, (n, *s); others are common to all.
     Raises:
-        ModelError: a count below one; a name in `shared` that is no control, or in `each` that is no parameter.
+        ModelError: a count below one; a name in `shared` that is no control, or in `per_copy` that is no parameter.
 
     Units are those of the system. Source: R. Frostig, M. Johnson, C. Leary, Compiling machine learning programs via
     high-level tracing (2018), of functions mapped over a leading axis.
@@ -41,12 +41,12 @@ def repeat(system: Any, count: Any, *, shared: Any = (), each: Any = ()) -> Syst
     if not isinstance(system, System):
         raise ModelError(f"repeat expects a System, got {short(system)}")
     count = whole("repeat: count", count, 1, ModelError)
-    for names, leaves, argument in ((shared, system.controls, "shared"), (each, system.parameters, "each")):
+    for names, leaves, argument in ((shared, system.controls, "shared"), (per_copy, system.parameters, "per_copy")):
         known = {leaf.name for leaf in leaves}
         for name in [names] if isinstance(names, str) else names:
             if name not in known:
                 raise ModelError(f"repeat: {argument} names {name!r}; it expects some of: {listed(known, str(name))}")
-    common = {p.name for p in system.parameters} - set(each) | set(shared)
+    common = {p.name for p in system.parameters} - set(per_copy) | set(shared)
     fleet = _Fleet(
         count, {name: (leaf, _many(leaf, count)) for name, leaf in named_leaves(system).items() if name not in common}
     )
@@ -85,11 +85,11 @@ class _Fleet:
         result: Expr = Vmap(one, [many for _, many in pairs])
         return result
 
-    def constraint(self, asked: Any) -> Any:
-        if not isinstance(asked, Soft):
-            return self.copies(asked)
-        weights = {"l1": asked.l1, "l2": asked.l2}
-        return Soft(self.copies(asked.constraint), **{key: self._weight(w) for key, w in weights.items()})
+    def constraint(self, constraint: Any) -> Any:
+        if not isinstance(constraint, Soft):
+            return self.copies(constraint)
+        weights = {"l1": constraint.l1, "l2": constraint.l2}
+        return Soft(self.copies(constraint.constraint), **{key: self._weight(w) for key, w in weights.items()})
 
     def _weight(self, weight: Expr | None) -> Expr | None:
         if weight is None or not (weight.shape or any(leaf.name in self.leaves for leaf in leaves_of(weight))):
