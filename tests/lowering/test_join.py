@@ -9,7 +9,11 @@ import pytest
 
 import twistax as tx
 
-p, v, F = tx.State("p", shape=(2,)), tx.State("v", shape=(2,)), tx.Control("F", shape=(2,), min=[-2.0, None])
+p, v, F = (
+    tx.State("p", shape=(2,)),
+    tx.State("v", shape=(2,)),
+    tx.Control("F", shape=(2,), min=[-2.0, None], max=[None, 5.0]),
+)
 m = tx.Parameter("m", value=2.0)
 BODY = tx.System(
     rates={p: v, v: F / m},
@@ -32,7 +36,8 @@ def test_a_renamed_system_computes_the_same_under_other_names() -> None:
     assert left.parameters == BODY.parameters
     assert set(left.constraints) == {"left_near", "left_slow"}
     assert left.labels == {"left_v": BODY.labels["v"]}
-    assert left.soft["left_slow"].l1 is not None
+    assert [leaf.name for leaf in BODY.renamed("b_").parameters] == ["b_m"]
+    assert repr(BODY.renamed("b_").soft["b_slow"].l1) == "(10. * b_m)"
     np.testing.assert_array_equal(left.left_F.min, BODY.F.min)
     force = np.array([3.0, 4.0])
     got = tx.compile(left)(0.0, {f"left_{name}": value for name, value in AT.items()}, {"left_F": force})
@@ -66,9 +71,9 @@ def test_an_output_takes_the_place_of_a_control() -> None:
     np.testing.assert_allclose(rates["v"], [3.0 * 0.7 / 2.0, 0.0], rtol=1e-12)
     np.testing.assert_allclose(rates["T"], (1.5 - 0.7) / 0.1, rtol=1e-12)
     held = tx.compile(whole).constraints(0.0, start, cmd)["inequality"]
-    assert {"near", "slow", "F min"} == set(whole.constraints)
-    assert held.shape == (3,)
-    np.testing.assert_allclose(held[2], -2.0 - 3.0 * 0.7, rtol=1e-12)  # F[0] >= -2; F[1] has no limit
+    assert {"near", "slow", "F min", "F max"} == set(whole.constraints)
+    # F[0] >= -2, and F[1], which is zero, <= 5.
+    np.testing.assert_allclose(held[2:], [-2.0 - 3.0 * 0.7, -5.0], rtol=1e-12)
 
 
 def test_connections_read_connections() -> None:
