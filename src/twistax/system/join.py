@@ -58,20 +58,24 @@ def join(
     links = _checked_links(connect, leaves)
     exchange = _resolved(links, leaves)
     parts = [_part(system, links, exchange) for system in systems]
-    merged = {key: {n: e for part in parts for n, e in part[key].items()} for key in parts[0] if key not in _LISTS}
+    merged: dict[str, Any] = {
+        key: {n: e for part in parts for n, e in part[key].items()} for key in parts[0] if key not in _LISTS
+    }
     limits = {key: c for name in links if isinstance(leaf := leaves[name], Control) for key, c in _limits(leaf)}
     further = {"outputs": dict(outputs or {}), "constraints": {**limits, **(constraints or {})}}
-    for kind, new in further.items():
+    for family, new in further.items():
         for name, expr in new.items():
-            if name in merged[kind]:
-                raise ModelError(f"join: {kind} has {name!r} twice.\n  fix: give the further one another name")
-            merged[kind][name] = exchanged(expr, exchange)
-    lists = {key: list({id(leaf): leaf for part in parts for leaf in part[key]}.values()) for key in _LISTS}
-    written = [*exchange.values(), *(part for kind in further for e in merged[kind].values() for part in _exprs(e))]
+            if name in merged[family]:
+                raise ModelError(f"join: {family} has {name!r} twice.\n  fix: give the further one another name")
+            merged[family][name] = exchanged(expr, exchange)
+    lists: dict[str, Any] = {
+        key: list({id(leaf): leaf for part in parts for leaf in part[key]}.values()) for key in _LISTS
+    }
+    written = [*exchange.values(), *(part for family in further for e in merged[family].values() for part in _exprs(e))]
     for leaf in leaves_of(*written):
-        for key, kind in _LISTS.items():
-            if isinstance(leaf, kind) and leaf.name not in {other.name for other in lists[key]}:
-                lists[key].append(leaf)
+        for argument, kind in _LISTS.items():
+            if isinstance(leaf, kind) and leaf.name not in {other.name for other in lists[argument]}:
+                lists[argument].append(leaf)
     return System(**merged, **lists)
 
 

@@ -70,7 +70,7 @@ def lower(expr: Any) -> Lowered:
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
         inputs = arguments.prepare(required, t, x, u, params, spare=True)
         arrays, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
-        run = functools.partial(values, structure, inputs.dtype)
+        run: Callable[..., list[jax.Array]] = functools.partial(values, structure, inputs.dtype)
         if is_traced(arrays):
             run = as_arrays(jax.make_jaxpr(run)(*arrays)) if count > _LARGE else run
         elif count in _COMPILED:

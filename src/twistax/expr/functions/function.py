@@ -65,7 +65,7 @@ class Function:
         if name is not None and (not isinstance(name, str) or not name):
             raise ModelError(f"Function expects name to be a non-empty string, got {name!r}")
         self.f, self.shape = f, None if shape is None else _shape(shape)
-        self.name = name or getattr(f, "__name__", type(f).__name__)
+        self.name = str(name or getattr(f, "__name__", type(f).__name__))
 
     def __repr__(self) -> str:
         shape = "" if self.shape is None else f", shape={self.shape}"
@@ -80,7 +80,7 @@ class Function:
         return call
 
 
-class Call(Expr):
+class Call(Expr, init=False):
     """The value of a `tx.Function` at its operands; the function makes it.
 
     Shapes: those that the function takes -> that which it gives.
