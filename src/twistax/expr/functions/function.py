@@ -11,7 +11,8 @@ import numpy as np
 
 from ...checks import short
 from ...errors import ModelError, ShapeError
-from ..fields import Operands, freeze
+from ...jax_inside import is_traced
+from ..fields import Operands
 from ..node import Expr, Shape, to_expr
 from .parameter_tree import ParameterTree
 
@@ -57,7 +58,7 @@ class Function:
             )
         if isinstance(f, type):
             raise ModelError(f"Function expects a function of arrays, got the class {f.__name__}; give an object of it")
-        if any(isinstance(leaf, jax.core.Tracer) for leaf in jax.tree.leaves(f)):
+        if is_traced(f):
             raise ModelError(
                 f"Function expects a function with known numbers, got {type(f).__name__} with an array that JAX "
                 "traces.\n  fix: make the arrays a tx.ParameterTree, an operand of the function, and pass params"
@@ -102,17 +103,13 @@ class Call(Expr, init=False):
     trees: tuple[ParameterTree | None, ...]
     of_numbers = True
     cases = (
-        (lambda cls, x: Function(jnp.sin, name="sine")(x), {"x": [0.3, -2.0]}),
+        (lambda cls, x: Function(_sine, name="sine")(x), {"x": [0.3, -2.0]}),
         (lambda cls, A, x: Function(_product, (2,))(A, x), {"A": [[1.0, 2.0], [0.5, -1.0]], "x": [0.3, -2.0]}),
         (
             lambda cls, x, **_: Function(_affine, (2,))(ParameterTree("p", {"A": np.ones((2, 2)), "b": np.ones(2)}), x),
             {"x": [0.3, -2.0], "p['A']": [[1.0, 2.0], [0.5, -1.0]], "p['b']": [0.1, 0.2]},
         ),
     )
-
-    def static_key(self) -> tuple[Any, ...]:
-        trees = tuple(None if tree is None else tree.key() for tree in self.trees)
-        return (freeze(self.f), self.result_shape, trees)
 
     def infer_shape(self, *shapes: Shape) -> Shape:
         dtype = jax.dtypes.canonicalize_dtype(float)
@@ -169,6 +166,10 @@ class Call(Expr, init=False):
     def to_latex(self, *operands: str) -> str:
         name = self.name.replace("_", r"\_")
         return rf"\mathrm{{{name}}}\left({', '.join(operands)}\right)"
+
+
+def _sine(x: jax.Array) -> jax.Array:
+    return jnp.sin(x)
 
 
 def _product(A: jax.Array, x: jax.Array) -> jax.Array:

@@ -10,6 +10,7 @@ import jax.numpy as jnp
 import numpy as np
 
 from ...errors import InputError, ModelError, ShapeError
+from ...jax_inside import is_traced
 from ..leaves import Parameter
 
 
@@ -47,7 +48,7 @@ class ParameterTree:
                 f"ParameterTree {name!r} expects a pytree with arrays of real numbers, got {type(value).__name__}.\n"
                 f"  fix: arrays of JAX or NumPy in it; tx.Parameter({name!r}, value=...) is one number"
             )
-        if any(isinstance(array, jax.core.Tracer) for array in arrays.values()):
+        if is_traced(arrays):
             raise ModelError(
                 f"ParameterTree {name!r} expects arrays with known numbers, got one that JAX is tracing.\n"
                 "  fix: build the system outside of the transformation, and pass params=weights.values(tree) inside"
