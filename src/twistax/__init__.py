@@ -41,6 +41,8 @@ from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
+    from .expr.functions.function import Function
+    from .expr.functions.parameter_tree import ParameterTree
     from .integrators import (
         RKMK,
         AtStart,
@@ -72,7 +74,9 @@ if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
     from .scalar.fast import fast
     from .scalar.targets.llvm.backend import Native
     from .system.dynamics import Dynamics, compile, load
+    from .system.join import join
     from .system.lower import lower
+    from .system.repeat import repeat
     from .trajectory import Maximize, Minimize
     from .trimming import Trim, trim
 
@@ -81,6 +85,7 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
+<<<<<<< HEAD
     "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "FreeVector",
     "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError", "Magnus", "Maximize",
     "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError", "Order", "OrderError", "Phase",
@@ -89,6 +94,16 @@ __all__ = [
     "Wrench", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
     "integrate_phases", "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial",
     "sweep", "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
+=======
+    "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "Function",
+    "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode",
+    "ModelError", "Native", "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution",
+    "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics",
+    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
+    "compile", "compositions", "diffrax", "fast", "integrate", "integrate_phases", "join", "lie", "linalg", "load",
+    "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables", "tangent_grad",
+    "testing", "trajectory", "trim", "units", "view",
+>>>>>>> w-terms
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -106,11 +121,15 @@ _LATER = {
         "Simulator", "Solution", "Splitting", "StepControl", "ZeroOrderHold", "integrate", "integrate_phases",
         "simulator",
     ),
+    ".expr.functions.function": ("Function",),
+    ".expr.functions.parameter_tree": ("ParameterTree",),
     ".scalar.backends": ("JAX", "XLA"),
     ".scalar.fast": ("fast",),
     ".scalar.targets.llvm.backend": ("Native",),
     ".system.dynamics": ("Dynamics", "compile", "load"),
+    ".system.join": ("join",),
     ".system.lower": ("lower",),
+    ".system.repeat": ("repeat",),
     ".monte_carlo": ("Statistics", "Sweep", "sweep"),
     ".linear": ("Mode",),
     ".trajectory": ("Maximize", "Minimize"),

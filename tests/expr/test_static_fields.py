@@ -49,6 +49,10 @@ OTHER: dict[str, Callable[[Any], Any]] = {
     "operand": lambda operand: (
         operand.replace(name=f"{operand.name}_") if isinstance(operand, tx.State) else operand + 1.0
     ),
+    "Call.f": lambda f: lambda *arguments: f(*arguments),
+    "result_shape": lambda shape: (*(shape or ()), 1),
+    "trees": lambda trees: (*trees, tx.ParameterTree("other", {"a": np.ones(2)})),
+    "target": lambda target: (*target, 1),
     "ellipsoid": lambda ellipsoid: dataclasses.replace(ellipsoid, radius=np.nextafter(ellipsoid.radius, 9e9)),
 }
 #: A leaf is its kind, name and shape; what else it declares a system compares where two of a name meet. The names of

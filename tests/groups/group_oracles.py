@@ -6,6 +6,7 @@ from scipy.linalg import block_diag, expm
 from oracles import skew
 from registered import concrete_classes
 from twistax.groups import ANGULAR_FIRST, SE3, SO3, Euclidean, Group, Product, SpecialEuclidean, SpecialOrthogonal
+from twistax.groups.power import Power
 
 #: Every class of groups of the package, as it makes examples of itself, and products of all kinds.
 CLASSES = concrete_classes(Group)
@@ -33,6 +34,8 @@ def hat(group, xi):
         return np.block([[skew(w), v[:, None]], [np.zeros((1, 4))]])
     if isinstance(group, Euclidean):
         return translation(xi)
+    if isinstance(group, Power):
+        return block_diag(*(hat(group.group, row) for row in xi.reshape(group.count, -1)))
     if not isinstance(group, Product):
         raise NotImplementedError(f"write hat and represent of {group.name} here, independently of the group")
     blocks, start = [], 0
@@ -48,6 +51,8 @@ def represent(group, g):
         return translation(np.asarray(g)) + np.eye(group.dimension + 1)
     if isinstance(group, Product):
         return block_diag(*(represent(factor, g[name]) for name, factor in group.factors.items()))
+    if isinstance(group, Power):
+        return block_diag(*(represent(group.group, row) for row in g))
     return np.asarray(g)
 
 

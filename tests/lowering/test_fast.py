@@ -378,3 +378,16 @@ def test_other_values_compile_nothing_anew() -> None:
         own(X + k)
     assert len(traced) == 1
     assert math.isfinite(float(own(X)[0]))
+
+
+def test_a_batch_of_factors_is_scalars() -> None:
+    """As a solve inside of vmap is, which would be a call of a library."""
+    draw = np.random.default_rng(0)
+    matrices, right = draw.normal(size=(3, 4, 4)) + 4.0 * np.eye(4), draw.normal(size=(3, 4))
+    solved = tx.fast(jax.vmap(jnp.linalg.solve))
+    assert "operations" in solved.explain(matrices, right)
+    np.testing.assert_allclose(solved(matrices, right), np.linalg.solve(matrices, right[..., None])[..., 0], rtol=1e-12)
+    lower = np.tril(matrices)
+    substituted = tx.fast(jax.vmap(lambda a, b: jax.scipy.linalg.solve_triangular(a, b, lower=True)))
+    assert "operations" in substituted.explain(lower, right)
+    np.testing.assert_allclose(substituted(lower, right), np.linalg.solve(lower, right[..., None])[..., 0], rtol=1e-12)

@@ -208,3 +208,26 @@ def test_chains_that_end_the_process_in_xla_are_refused_where_they_are_compiled(
         expected = np.sin(expected) if k % 2 else np.cos(expected)
     np.testing.assert_allclose(jax.jit(lambda s: shorter(0.0, {"s": s}))(0.3), expected, rtol=1e-12)
     np.testing.assert_allclose(function(0.0, {"s": 0.3}), np.cos(expected), rtol=1e-12)
+
+
+def test_a_large_expression_is_compiled_by_itself() -> None:
+    """Its nodes run once, when it is traced; a small one runs node by node in each call."""
+    calls = []
+
+    def counted(y: jax.Array) -> jax.Array:
+        calls.append(None)
+        return jnp.sin(y)
+
+    def runs(length: int) -> int:
+        x = tx.State("x")
+        expr = tx.Function(counted, ())(x)
+        for k in range(length):
+            expr = tx.Cos(expr) + x * float(k)
+        function = tx.lower(expr)
+        function(0.0, {"x": 0.3})
+        first = len(calls)
+        function(0.0, {"x": 0.4})
+        return len(calls) - first
+
+    assert runs(2) == 1
+    assert runs(150) == 0

@@ -37,6 +37,7 @@ from .operations.elementwise import (
     Tan,
     Tanh,
 )
+from .operations.reshaped import Reshaped
 from .operations.soft import Soft
 from .orders import check_orders
 from .tables.interpolation import Bilerp, Cinterp, Interp, Linterp

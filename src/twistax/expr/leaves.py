@@ -21,7 +21,7 @@ from .kinds.kinds import Kind, declared
 from .kinds.unit import Unit, unit_of_quantity
 from .node import Expr, Shape
 from .printing.text import matrix_latex, name_latex, number_latex
-from .spellings import Bounded
+from .spellings import Bounded, refuse_in_jax
 
 
 @dataclasses.dataclass(frozen=True)
@@ -93,6 +93,13 @@ class Constant(Leaf):
     cases = ((lambda cls: cls([1.0, -2.0]), {}),)
 
     def __init__(self, value: Any, *, kind: Kind | None = None, unit: Any = None) -> None:
+        if isinstance(value, jax.Array):  # of a function of JAX, perhaps, that was called with expressions
+            refuse_in_jax(Expr)
+        if callable(value) and not isinstance(value, type):
+            raise ModelError(
+                f"a Constant expects real numbers, got the function {getattr(value, '__name__', type(value).__name__)}"
+                ".\n  fix: apply it to expressions: tx.Function(f, shape)(x)"
+            )
         array = reals("a Constant", value, ModelError).copy()
         if unit is None and kind is None:
             unit = _common_unit(value)

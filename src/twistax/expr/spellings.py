@@ -6,6 +6,7 @@ Methods and attributes of arrays, functions of `jax.numpy` and `math`, and funct
 from __future__ import annotations
 
 import dis
+import functools
 import inspect
 import sys
 from types import FrameType
@@ -176,10 +177,24 @@ def for_jax() -> property:
 
         if not makes_an_array(sys._getframe(1)):
             raise AttributeError("__jax_array__", name="__jax_array__", obj=expr)
-        raise ModelError(
-            f"a function of jax or jax.numpy expects arrays, got the expression {repr(expr)[:60]}.\n"
-            "  fix: write np for jnp, np.sin(x), np.linalg.norm(x), or the node, tx.Sin(x), tx.linalg.Norm(x); "
-            "or lower first, tx.lower(x)"
-        )
+        _refuse(expr)
 
     return property(refuse)
+
+
+def _refuse(expr: Any) -> NoReturn:
+    raise ModelError(
+        f"a function of jax or jax.numpy expects arrays, got the expression {repr(expr)[:60]}.\n"
+        "  fix: write np for jnp, np.sin(x), np.linalg.norm(x), or the node, tx.Sin(x), tx.linalg.Norm(x); "
+        "wrap a function of arrays or a network, tx.Function(f, shape)(x); or lower first, tx.lower(x)"
+    )
+
+
+@functools.cache
+def refuse_in_jax(cls: type) -> None:
+    """Raise that error too where an operation of JAX gets an expression that no function of JAX has converted before,
+    as in a layer of a network: `weight @ x` is an expression, its activation an operation of JAX.
+    """
+    from ..jax_inside import refuse_as_argument
+
+    refuse_as_argument(cls, _refuse)

@@ -21,6 +21,7 @@ from .compiling import (
     needs_devices,
     on_axes,
     quick_compile,
+    refuse_as_argument,
     shared_out,
     small_calls_exist,
     wrapped_terms,

@@ -18,6 +18,7 @@ from jax.extend.core import ClosedJaxpr, Primitive, jaxpr_as_fun
 from .tracing import has_explicit_axes, is_traced, is_tracing, shaped_array, undocumented
 
 _set_xla_metadata = undocumented("jax.experimental.xla_metadata", "set_xla_metadata")
+_argument_handlers = undocumented("jax._src.dtypes", "canonicalize_value_handlers", {})
 _need_devices = undocumented("jax._src.dispatch", "prim_requires_devices_during_lowering", set())
 
 
@@ -80,6 +81,11 @@ def makes_an_array(frame: FrameType) -> bool:
     """
     module = str(frame.f_globals.get("__name__", ""))
     return module.startswith("jax.") and not module.endswith(".array_methods")
+
+
+def refuse_as_argument(cls: type, refuse: Callable[[Any], Any]) -> None:
+    """Have JAX call `refuse`, which raises, where an operation gets an object of a class, or of one below it."""
+    _argument_handlers[cls] = refuse
 
 
 def any_of_batch(condition: jax.Array) -> jax.Array:

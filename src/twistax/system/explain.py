@@ -43,6 +43,7 @@ class Explanation:
             where the Jacobian takes too many scalars.
         backend: how the rates run, and why.
         compile_seconds: how long XLA took for one call of the rates.
+        without_kernel: the name of each `tx.Function` that no native kernel can hold, with the reason.
     """
 
     leaves: dict[str, list[str]]
@@ -55,6 +56,7 @@ class Explanation:
     patterns: dict[str, NDArray[Any]]
     backend: str
     compile_seconds: float
+    without_kernel: dict[str, str]
 
     def as_dict(self) -> dict[str, Any]:
         """Plain data; patterns as nested lists of truth values."""
@@ -101,6 +103,8 @@ class Explanation:
         if not self.patterns:
             lines.append(_LEFT_OUT)
         lines.append(f"runs as {self.backend}; compiled in {self.compile_seconds:.2f} s")
+        for name, reason in self.without_kernel.items():
+            lines.append(f"Function {name!r} runs by XLA, without a native kernel: {reason}")
         if self.baked:
             lines.append(f"baked in: {', '.join(self.baked)}")
         return "\n".join(lines + self.unused)
@@ -196,6 +200,7 @@ def explain(functions: Functions) -> Explanation:
         patterns=patterns,
         backend=emission.reason,
         compile_seconds=seconds,
+        without_kernel=functions.without_kernel,
     )
 
 

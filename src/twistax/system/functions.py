@@ -23,8 +23,10 @@ from ..expr import (
     State,
     evaluate_all,
     leaves_of,
+    postorder,
 )
-from ..jax_inside import is_traced
+from ..expr.functions.function import Call
+from ..jax_inside import is_traced, say_once
 from ..progress import watched
 from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
@@ -111,6 +113,7 @@ class Functions:
         self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
         self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
         self._made, self._beside = Kept(64), False
+        self.without_kernel = _without_kernel(self.families["rates"], backend)
         self.jitted, self._called = _for_calls(self), set[str]()
 
     # ---- the same functions otherwise --------------------------------------------------------------------------------
@@ -359,6 +362,18 @@ class Functions:
         for (kind, name), array in zip(places[1:], arrays[1:], strict=True):
             values[kind][name] = array
         return arrays[0], values["x"], values["u"], values["params"]
+
+
+def _without_kernel(rates: Mapping[str, list[Expr]], backend: Backend) -> dict[str, str]:
+    """The names of each `tx.Function` that cannot be part of a kernel, with the reasons; warns once of each."""
+    reasons: dict[str, str] = {}
+    for node in postorder(*(expr for exprs in rates.values() for expr in exprs)):
+        if isinstance(node, Call):
+            shapes = [jax.ShapeDtypeStruct(child.shape, jnp.zeros(()).dtype) for child in node.children()]
+            reason = backend.without_kernel(lambda *values, node=node: [node.evaluate(*values)], shapes)
+            if reason is not None and reasons.setdefault(node.name, reason) is reason:
+                say_once(f"rates that call the Function {node.name!r} run by XLA, without native kernels: {reason}")
+    return reasons
 
 
 def _for_calls(functions: Functions) -> Callable[..., Arrays]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
@@ -20,15 +21,18 @@ Lowered = Callable[..., Any]
 
 #: More nodes may be a chain that XLA ends the process on.
 _LARGE = 1000
+#: So many nodes are compiled where the function is called outside of `jit`: one by one they take 30 us each.
+_COMPILED = range(200, 20_000)
 
 
 def lower(expr: Any) -> Lowered:
     """Turn an expression, or a tuple, list or dict of them, into a function `f(t, x, u, params)`.
 
-    The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. x, u and params
-    are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have states
-    that the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once. Precision
-    is that of x.
+    The function is pure and untransformed: jit, grad, jacfwd, jacrev, hessian, vmap and scan apply. Called outside of
+    them, an expression of 200 nodes and more is compiled at its first call, smaller ones run node by node. x, u and
+    params are dicts by leaf name; u and params may be left out, missing parameters take their own value. x may have
+    states that the expression does not read, such as all of a mechanism. Every distinct subtree is evaluated once.
+    Precision is that of x.
 
     Returns:
         f(t, x, u=None, params=None) -> array, or a tuple, list or dict of arrays like `expr`.
@@ -54,19 +58,24 @@ def lower(expr: Any) -> Lowered:
     no_elements(leaves_of(*nodes))
     leaves = _distinct(leaves_of(*nodes))
     required, arguments = {leaf.name for leaf in leaves}, CallArguments(leaves)
-    large = len(postorder(*nodes)) > _LARGE
+    count = len(postorder(*nodes))
+
+    def values(structure: Any, dtype: Any, *arrays: Any) -> list[jax.Array]:
+        t, x, u, params = jax.tree.unflatten(structure, arrays)
+        inputs = Inputs(t, x, u, params, dtype)
+        return evaluate_all(nodes, lambda leaf: leaf.read(inputs))
+
+    compiled = jax.jit(values, static_argnums=(0, 1))
 
     def function(t: Any, x: Values | None = None, u: Values | None = None, params: Values | None = None) -> Any:
         inputs = arguments.prepare(required, t, x, u, params, spare=True)
-
-        def values(*arguments: Any) -> list[jax.Array]:
-            t, x, u, params = jax.tree.unflatten(structure, arguments)
-            traced_inputs = Inputs(t, x, u, params, inputs.dtype)
-            return evaluate_all(nodes, lambda leaf: leaf.read(traced_inputs))
-
         arrays, structure = jax.tree.flatten((inputs.t, inputs.x, inputs.u, inputs.params))
-        results = (as_arrays(jax.make_jaxpr(values)(*arrays)) if large and is_traced(arrays) else values)(*arrays)
-        return jax.tree_util.tree_unflatten(treedef, results)
+        run: Callable[..., list[jax.Array]] = functools.partial(values, structure, inputs.dtype)
+        if is_traced(arrays):
+            run = as_arrays(jax.make_jaxpr(run)(*arrays)) if count > _LARGE else run
+        elif count in _COMPILED:
+            run = functools.partial(compiled, structure, inputs.dtype)
+        return jax.tree_util.tree_unflatten(treedef, run(*arrays))
 
     function.__name__ = "lowered"
     function.__doc__ = f"Lowered from {expr!r}" if not isinstance(expr, Mapping | Constraint) else "Lowered expression."

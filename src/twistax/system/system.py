@@ -44,6 +44,7 @@ from ..expr.printing.picture import Picture, svg
 from ..expr.printing.text import name_latex
 from ..expr.transformations.vmap import no_elements
 from ..groups import Product
+from .composable import Composable
 from .labels import Labels, checked_labels
 
 L = TypeVar("L", bound=Leaf)
@@ -53,7 +54,7 @@ Slopes: TypeAlias = Mapping[State | str, Iterable[tuple[ExprLike, ExprLike]]]
 _PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
-class System:
+class System(Composable):
     """Dynamics $x' = f(t, x, u, p)$ on a product of Lie groups, with outputs and constraints.
 
     Args:

@@ -326,6 +326,8 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
 _BLOCK = 16
 #: Blocks are nested where there would be more of them than this.
 _NEST = 64
+#: Fewer steps than this are one block, of which nothing is computed again.
+_UNNESTED = 64
 
 
 def take_steps(
@@ -334,9 +336,10 @@ def take_steps(
     """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
 
     Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
-    blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. What a step
-    closes over is copied for every block, so it should be small. Blocks beyond the count are passed over, also for a
-    whole batch at once under vmap. `record`: also return the values before each step, and after the last one, on a
+    blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. Of up to
+    64 steps all that derivatives need is kept, and nothing is computed again. What a step closes over is copied for
+    every block, so it should be small. Blocks beyond the count are passed over, also for a whole batch at once under
+    vmap. `record`: also return the values before each step, and after the last one, on a
     leading axis of bound + 1; entries beyond the count repeat the end.
     """
 
@@ -346,7 +349,8 @@ def take_steps(
         def taken(y: Any) -> Any:
             return jax.tree.map(lambda new, old: jnp.where(k < count, new, old), step(y, inputs), y)
 
-        return jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y), y if record else None
+        after = taken(y) if len(sizes) == 1 else jax.lax.cond(any_of_batch(k < count), taken, lambda y: y, y)
+        return after, y if record else None
 
     def block_of(level: Any) -> Any:
         """Runs of a level, computed again on the way back, and passed over where the count is reached."""
@@ -386,7 +390,7 @@ def take_steps(
 
 def _sizes(bound: int) -> list[int]:
     """Sizes of the nested blocks, outermost first, whose product is at least the bound."""
-    if bound <= _BLOCK:
+    if bound <= _UNNESTED:
         return [max(bound, 1)]
     rest = math.ceil(bound / _BLOCK)
     if rest <= _NEST:

@@ -266,11 +266,16 @@ def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
     The first of the largest entries on or below the diagonal becomes the pivot; entries that are structurally zero are
     never compared.
     """
-    g = reader.graph
-    if a.ndim != 2 or a.shape[0] != a.shape[1] or a.shape[0] > g.limits.pivoted:
+    if a.shape[-2] != a.shape[-1] or a.shape[-1] > reader.graph.limits.pivoted:
         return None
+    index, batch = np.dtype(eqn.outvars[1].aval.dtype), a.shape[:-2]
+    every = [_lu_of(reader.graph, a[at], index) for at in np.ndindex(*batch)]
+    return [np.array(parts, int).reshape(*batch, *parts[0].shape) for parts in zip(*every, strict=True)]
+
+
+def _lu_of(g: Graph, a: Nodes, index: np.dtype[Any]) -> tuple[Nodes, Nodes, Nodes]:
+    """Those of one matrix."""
     n, A = a.shape[0], a.copy()
-    index = np.dtype(eqn.outvars[1].aval.dtype)
     rows = [g.constant(i, index) for i in range(n)]
     pivots, order = list(rows), list(rows)
     for k in range(n):
@@ -292,14 +297,21 @@ def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
             A[i, k] = g.div(int(A[i, k]), int(A[k, k]))
             for j in range(k + 1, n):
                 A[i, j] = g.sub(int(A[i, j]), g.mul(int(A[i, k]), int(A[k, j])))
-    return [A, np.array(pivots), np.array(order)]
+    return A, np.array(pivots), np.array(order)
 
 
 def _triangular_solve(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | None:
-    g, p, n = reader.graph, eqn.params, a.shape[-1]
-    if n > _LARGEST or a.ndim != 2:
+    if a.shape[-1] > _LARGEST:
         return None
-    A, B, lower = a, b, p["lower"]
+    result = np.empty_like(b)
+    for at in np.ndindex(*a.shape[:-2]):
+        result[at] = _triangle_solved(reader.graph, eqn.params, a[at], b[at])
+    return [result]
+
+
+def _triangle_solved(g: Graph, p: Mapping[str, Any], a: Nodes, b: Nodes) -> Nodes:
+    """The solution for one matrix."""
+    A, B, lower, n = a, b, p["lower"], a.shape[-1]
     if not p["left_side"]:
         A, B, lower = A.T, B.T, not lower
     if p["transpose_a"]:
@@ -312,7 +324,7 @@ def _triangular_solve(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Node
             for j in range(i) if lower else range(i + 1, n):
                 rest = g.sub(rest, g.mul(int(A[i, j]), int(X[j, column])))
             X[i, column] = rest if p["unit_diagonal"] else g.div(rest, int(A[i, i]))
-    return [X if p["left_side"] else X.T]
+    return X if p["left_side"] else X.T
 
 
 def _cubic(eqn: Any) -> Mapping[str, int]:

@@ -131,6 +131,18 @@ class Native(Backend):
             return self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
 
+    def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
+        if not installed():
+            return None
+        closed = pure(function, shapes)
+        if closed is None:
+            return "it has effects, random keys or more than 1,000 numbers of its own"
+        try:
+            native_form(self.scalars.scalarised(closed))
+        except (NotNative, TooLarge) as error:
+            return str(error).splitlines()[0]
+        return None
+
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
 

@@ -1,0 +1,1 @@
+"""Functions of arrays as nodes, and parameters that are trees of arrays."""

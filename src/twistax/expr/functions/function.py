@@ -1,0 +1,203 @@
+"""Any function of arrays as a node."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ...checks import short
+from ...errors import ModelError, ShapeError
+from ...jax_inside import is_traced
+from ..fields import Operands
+from ..node import Expr, Shape, to_expr
+from .parameter_tree import ParameterTree
+
+#: Errors of functions that need the numbers of their arguments. These are TypeErrors too.
+_NEEDS_NUMBERS = (
+    jax.errors.ConcretizationTypeError,
+    jax.errors.TracerArrayConversionError,
+    jax.errors.TracerIntegerConversionError,
+    jax.errors.NonConcreteBooleanIndexError,
+)
+
+
+class Function:
+    """Any JAX function of arrays, to be applied to expressions: `tx.Function(net, (3,))(x, u)` is an expression.
+
+    $y = f(a_1, \\ldots, a_n)$, where f is a neural network, a table of another library, a function with derivatives of
+    its own (`jax.custom_jvp`, `jax.custom_vjp`), or calls Python outside of JAX (`jax.pure_callback`). f is called with
+    one array of the operand's shape for each operand, and with a pytree for a `tx.ParameterTree`; it returns one array.
+    It must be pure: the same arguments give the same values. Values and derivatives are those of JAX. Arrays of real
+    numbers in f, such as the weights of an `equinox.Module`, take the precision of the operands and are constants; a
+    `tx.ParameterTree` makes them parameters. Units are those that f gives. Source: JAX's documentation, "Custom
+    derivative rules" and "External callbacks".
+
+    Args:
+        f: the function, or an object that can be called. An `equinox.Module` may be one.
+        shape: the shape of its value; if left out it is that which f gives.
+        name: what messages, formulas and `explain` call it; unless given the name of f.
+    Raises:
+        ModelError: f cannot be called, has weights that JAX is tracing, needs the numbers of its arguments, or returns
+            something that is no array of real numbers.
+        ShapeError: f fails for operands of these shapes, or its value has another shape than `shape`.
+
+    Example:
+        drag = tx.Function(lambda v: -0.3 * jnp.linalg.norm(v) * v, shape=(3,), name="drag")
+        system = tx.System(rates={p: v, v: drag(v) / m + g})
+    """
+
+    def __init__(self, f: Any, shape: Any = None, name: Any = None) -> None:
+        if not callable(f) or isinstance(f, Expr):
+            raise ModelError(
+                f"Function expects a function of arrays, got {short(f)}.\n"
+                "  fix: tx.Function(f, shape)(x) calls f with the arrays of the operands"
+            )
+        if isinstance(f, type):
+            raise ModelError(f"Function expects a function of arrays, got the class {f.__name__}; give an object of it")
+        if is_traced(f):
+            raise ModelError(
+                f"Function expects a function with known numbers, got {type(f).__name__} with an array that JAX "
+                "traces.\n  fix: make the arrays a tx.ParameterTree, an operand of the function, and pass params"
+            )
+        if name is not None and (not isinstance(name, str) or not name):
+            raise ModelError(f"Function expects name to be a non-empty string, got {name!r}")
+        self.f, self.shape = f, None if shape is None else _shape(shape)
+        self.name = str(name or getattr(f, "__name__", type(f).__name__))
+
+    def __repr__(self) -> str:
+        shape = "" if self.shape is None else f", shape={self.shape}"
+        return f"Function({self.name!r}{shape})"
+
+    def __call__(self, *operands: Any) -> Call:
+        """The expression f(operands). Its shape is checked at once. Raises as `Function` says."""
+        exprs = [e for operand in operands for e in (operand.parameters if _is_tree(operand) else [to_expr(operand)])]
+        trees = tuple(operand if _is_tree(operand) else None for operand in operands)
+        call = Call(*exprs, f=self.f, result_shape=self.shape, name=self.name, trees=trees)
+        call.check_shape()
+        return call
+
+
+class Call(Expr, init=False):
+    """The value of a `tx.Function` at its operands; the function makes it.
+
+    Shapes: those that the function takes -> that which it gives.
+
+    Attributes:
+        operands: the expressions that it is called with.
+        f: the function of arrays.
+        result_shape: the shape that its value must have; None: any.
+        name: that of the function.
+        trees: for each argument of f its `ParameterTree`, whose arrays are operands; None for one operand.
+    Raises:
+        ModelError, ShapeError: as `tx.Function` says.
+    """
+
+    operands: Operands
+    f: Callable[..., Any]
+    result_shape: Shape | None
+    name: str
+    trees: tuple[ParameterTree | None, ...]
+    of_numbers = True
+    cases = (
+        (lambda cls, x: Function(_sine, name="sine")(x), {"x": [0.3, -2.0]}),
+        (lambda cls, A, x: Function(_product, (2,))(A, x), {"A": [[1.0, 2.0], [0.5, -1.0]], "x": [0.3, -2.0]}),
+        (
+            lambda cls, x, **_: Function(_affine, (2,))(ParameterTree("p", {"A": np.ones((2, 2)), "b": np.ones(2)}), x),
+            {"x": [0.3, -2.0], "p['A']": [[1.0, 2.0], [0.5, -1.0]], "p['b']": [0.1, 0.2]},
+        ),
+    )
+
+    def infer_shape(self, *shapes: Shape) -> Shape:
+        dtype = jax.dtypes.canonicalize_dtype(float)
+        got = self._traced([jax.ShapeDtypeStruct(shape, dtype) for shape in shapes])
+        if not isinstance(got, jax.ShapeDtypeStruct) or jnp.issubdtype(got.dtype, jnp.complexfloating):
+            raise ModelError(
+                f"Function {self.name!r} expects a function that returns one array of real numbers, got "
+                f"{got.dtype if isinstance(got, jax.ShapeDtypeStruct) else short(got)}.\n"
+                "  fix: return one array, as jnp.concatenate makes it of several; tx.Function of each part otherwise"
+            )
+        if self.result_shape is not None and got.shape != self.result_shape:
+            raise ShapeError(
+                f"Function {self.name!r} expects a value of shape {self.result_shape}, got {got.shape} for operands of "
+                f"shapes {_listed(shapes)}",
+                hint="give the shape that the function has, or another function",
+            )
+        return tuple(got.shape)
+
+    def _traced(self, structs: Sequence[jax.ShapeDtypeStruct]) -> Any:
+        """What the function returns of abstract arrays."""
+        try:
+            return jax.eval_shape(self._applied, *structs)
+        except _NEEDS_NUMBERS as error:
+            raise ModelError(
+                f"Function {self.name!r} needs the numbers of its arguments, which JAX does not know when it traces: "
+                f"{_first_line(error)}\n"
+                "  fix: write it in jax.numpy and jax.lax; what cannot be is called by jax.pure_callback, with "
+                "derivatives by jax.custom_jvp"
+            ) from error
+        except (TypeError, ValueError, IndexError) as error:
+            shapes = _listed([struct.shape for struct in structs])
+            raise ShapeError(
+                f"Function {self.name!r} fails for operands of shapes {shapes}: {type(error).__name__}: "
+                f"{_first_line(error)}",
+                hint="look at the shapes that it takes, one array for each operand",
+            ) from error
+
+    def _applied(self, *values: Any) -> Any:
+        dtype = jnp.result_type(*values)
+        f = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if _is_real(leaf) else leaf, self.f)
+        rest = iter(values)
+        arguments = [next(rest) if t is None else t.filled([next(rest) for _ in t.parameters]) for t in self.trees]
+        return f(*arguments)
+
+    def evaluate(self, *values: Any) -> Any:
+        return jnp.asarray(self._applied(*map(jnp.asarray, values)), jnp.result_type(*values))
+
+    def details(self) -> list[str]:
+        return []
+
+    def to_text(self, *operands: str) -> str:
+        return f"{self.name}({', '.join(operands)})"
+
+    def to_latex(self, *operands: str) -> str:
+        name = self.name.replace("_", r"\_")
+        return rf"\mathrm{{{name}}}\left({', '.join(operands)}\right)"
+
+
+def _sine(x: jax.Array) -> jax.Array:
+    return jnp.sin(x)
+
+
+def _product(A: jax.Array, x: jax.Array) -> jax.Array:
+    return jnp.tanh(A @ x)
+
+
+def _affine(p: Any, x: jax.Array) -> jax.Array:
+    return p["A"] @ x + p["b"]
+
+
+def _is_tree(value: Any) -> bool:
+    return isinstance(value, ParameterTree)
+
+
+def _is_real(leaf: Any) -> bool:
+    return isinstance(leaf, (np.ndarray, jax.Array)) and jnp.issubdtype(leaf.dtype, jnp.floating)
+
+
+def _shape(shape: Any) -> Shape:
+    sizes = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
+    if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 1 for n in sizes):
+        raise ModelError(f"Function: shape expects a tuple of positive whole numbers, got {shape!r}")
+    return tuple(int(n) for n in sizes)
+
+
+def _listed(shapes: Sequence[Shape]) -> str:
+    return ", ".join(map(str, shapes))
+
+
+def _first_line(error: Exception) -> str:
+    return (str(error).splitlines() or [""])[0]
