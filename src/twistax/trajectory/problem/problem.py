@@ -17,6 +17,7 @@ from ...expr import Parameter, leaves_of
 from ...scalar.walk import uncollected
 from ...system import free_name, name_of
 from ...system.dynamics import need_compiled
+from ..controllers.controller import Controller
 from ..result.many import TrajectoryResults
 from ..result.result import TrajectoryResult
 from ..strategy.accuracy import MESH
@@ -378,6 +379,42 @@ class Problem:
         arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
         return solved_many(self, arguments | {"free": free}, options)
+
+    @known_arguments("controller", TrajectoryError, _ELSEWHERE)
+    def controller(
+        self,
+        warm: Any = None,
+        *,
+        max_iterations: int = 2,
+        max_seconds: float | None = None,
+        hessian: Any = None,
+        tolerance: float = 1e-4,
+        log: int = 10_000,
+    ) -> Controller:
+        """A controller for this problem: solves from measured states, each from the plan of the last one.
+
+        Args:
+            warm: a result of this problem, the first plan; solved for when left out.
+            max_iterations: the most steps of the solver in a call. Two make a real-time iteration: one alone is cut
+                short by limits that become active at once, for example after a kick.
+            max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each
+                step.
+            hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
+            tolerance: of the scaled first-order conditions; a call that meets it ends.
+            log: how many calls the log keeps.
+        Raises:
+            TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free
+                initial state; numbers without meaning.
+        Example:
+            controller = problem.controller(max_iterations=2)
+            for x in measured_states:
+                u = controller.feedback(x)
+                controller.shift()
+        """
+        problem = self if hessian is None else self.with_phases([{"hessian": hessian}] * len(self.parts))
+        return Controller(
+            problem, warm, max_iterations=max_iterations, max_seconds=max_seconds, tolerance=tolerance, log=log
+        )
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
         """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
