@@ -41,7 +41,8 @@ NO_ERRORS = {
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
-        trajectory.Accuracy trajectory.Controller trajectory.ControllerLog trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
+        trajectory.Accuracy trajectory.Controller trajectory.ControllerLog
+        trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
         trajectory.Solution trajectory.Status trajectory.StepRecord trajectory.Strategy trajectory.TrajectoryResult
         trajectory.TrajectoryResults
         trajectory.WarmStart view.Body view.Scene""",

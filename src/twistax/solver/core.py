@@ -137,7 +137,10 @@ class ProblemStructure(ctypes.Structure):
 
 
 #: Numbers of `twx_statistics`, in its order.
-MEASURES = ("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale", "minimum")
+MEASURES = (
+    *("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale", "minimum"),
+    *("excess", "worth"),
+)
 COUNTS = (
     *("status", "iterations", "evaluations", "factorizations", "corrections", "restorations"),
     *("restoration_iterations", "filter_resets", "inertia_corrections"),

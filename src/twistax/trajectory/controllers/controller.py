@@ -29,8 +29,6 @@ from .shift import Shift, need_shiftable
 #: The first barrier parameter of a step over the largest move of the measured state, in units of the states, and the
 #: limits of that parameter. Multipliers may be so many times off the central path.
 _BARRIER_SHARE, _BARRIER_LEAST, _BARRIER_MOST = 1e-2, 1e-7, 1e-1
-#: Complementarity of a step over that of a solve from a guess.
-_NEAR = 10.0
 
 Values = dict[str, Array]
 
@@ -76,8 +74,7 @@ class Controller:
             solver = problem.core(tolerance, start.point, instance).alone(instance)
             self._staged = staged = solver.staged
             self._units = units = solver.units(start.point, instance) if start.units is None else start.units
-            options = solver.options(max_iterations)
-            options |= {"complementarity": _NEAR * options["complementarity"], "warm_start": 1.0}
+            options = solver.options(max_iterations) | {"warm_start": 1.0}
             self._core_units = Units(units.v, units.rows, units.equalities, COST * units.cost)
             bounds = staged.limits(start.point, instance)
             self._solve = PreparedSolve(

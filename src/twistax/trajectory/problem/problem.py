@@ -388,7 +388,7 @@ class Problem:
         max_iterations: int = 2,
         max_seconds: float | None = None,
         hessian: Any = None,
-        tolerance: float = 1e-4,
+        tolerance: float = 1e-6,
         log: int = 10_000,
     ) -> Controller:
         """A controller for this problem: solves from measured states, each from the plan of the last one.
