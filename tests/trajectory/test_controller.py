@@ -172,8 +172,8 @@ def test_a_plan_outlives_a_solve_that_is_not_finite() -> None:
     before = controller.feedback({p: 2.0})
     assert controller.feedback({p: -1.0}) == before
     assert controller.status is Status.NON_FINITE
-    controller.feedback({p: 2.0})
-    assert controller.status is Status.SOLVED
+    assert controller.feedback({p: 2.0})["u"] == pytest.approx(before["u"], abs=1e-3)
+    assert controller.status in (Status.SOLVED, Status.MAX_ITERATIONS)
 
 
 def test_two_iterations_control_nearly_as_well_as_full_solves() -> None:
