@@ -89,9 +89,18 @@ class PreparedSolve:
         self._transcription.check()
         return CoreStatus(status)
 
-    def restore(self) -> None:
-        """Go back to the iterate before the last call."""
-        np.copyto(self._memory, self._before)
+    def saved(self) -> tuple[Array, Array, Array]:
+        """Copies of the iterate and of both bounds."""
+        return self._memory.copy(), self.lower.copy(), self.upper.copy()
+
+    def load(self, saved: tuple[Array, Array, Array]) -> None:
+        """Go back to what was saved."""
+        self._memory[:], self.lower[:], self.upper[:] = saved
+
+    @property
+    def workspace_doubles(self) -> int:
+        """Doubles of the core's workspace."""
+        return len(self._workspace)
 
     def measure(self, name: str) -> float:
         """A number of the last solve, as `CoreSolution.statistics` names it."""

@@ -49,7 +49,7 @@ def write_c(
     tolerance: float | None,
 ) -> CFiles:
     """Implements `Dynamics.to_c`, which documents the arguments."""
-    _check_name(name)
+    check_name(name)
     real = _real(dtype)
     exporter = Exporter(dynamics, real.dtype, checked)
     functions = _functions(exporter, jacobian, step)
@@ -64,11 +64,12 @@ def write_c(
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
     test = _test_main(code, chosen_points, allowed)
     texts = {files.header: code.header(), files.source: code.source(), files.test: test}
-    _write(folder, texts)
+    write_files(folder, texts)
     return files
 
 
-def _check_name(name: str) -> None:
+def check_name(name: str) -> None:
+    """Raise InputError for a name that C files cannot have."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
     if name.lower() in _STANDARD.split():
@@ -99,7 +100,7 @@ def _functions(exporter: Exporter, jacobian: Sequence[str], step: Any) -> list[E
     return functions
 
 
-def _write(folder: Path, texts: dict[Path, str]) -> None:
+def write_files(folder: Path, texts: dict[Path, str]) -> None:
     """Write the files. Files of an earlier call are replaced; other files are refused."""
     try:
         for path in texts:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -18,17 +19,16 @@ from ...solver.kernels import Argument
 from ...solver.options import Options
 from ...solver.prepared import PreparedSolve
 from ...system import name_of
+from ...system.export import CFiles
 from ..hessians.options import by_updates
 from ..strategy.measure import COST
 from ..strategy.status import Status
 from ..strategy.warm import warm_start, with_ends
+from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
+from .export import write_controller
 from .gains import Gains
 from .log import ControllerLog, StepRecord
 from .shift import Shift, need_shiftable
-
-#: The first barrier parameter of a step over the largest move of the measured state, in units of the states, and the
-#: limits of that parameter. Multipliers may be so many times off the central path.
-_BARRIER_SHARE, _BARRIER_LEAST, _BARRIER_MOST = 1e-2, 1e-7, 1e-1
 
 Values = dict[str, Array]
 
@@ -49,47 +49,73 @@ class Controller:
     A controller has memory of its own, so different controllers may run in different threads; a call holds Python's
     lock only before and after the solve. One controller serves one thread at a time.
 
+    Args:
+        problem: of one phase, with held controls and a fixed initial state.
+        warm: a result of it, the first plan; solved for when left out.
+        max_iterations: the most steps of the solver in a call. One alone is cut short by limits that become active at
+            once, for example after a kick.
+        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each step.
+        hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
+        tolerance: of the scaled first-order conditions; a call that meets it ends.
+        log: how many calls the log keeps.
+
     Attributes:
-        log: a `ControllerLog` of all calls.
+        log: a `ControllerLog` of the last calls.
         status: how the last solve ended, a `Status`; SOLVED means that the first-order conditions hold on the mesh.
+        params: values of the parameters by name, as the next solve has them.
+
+    Raises:
+        TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free initial
+            state; numbers without meaning.
 
     Source: Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback control,
     SIAM J. Control Optim. 43 (2005).
     """
 
     def __init__(
-        self, problem: Any, warm: Any, *, max_iterations: int, max_seconds: float | None, tolerance: float, log: int
+        self,
+        problem: Any,
+        warm: Any = None,
+        *,
+        max_iterations: int = 2,
+        max_seconds: float | None = None,
+        hessian: Any = None,
+        tolerance: float = 1e-6,
+        log: int = 10_000,
     ) -> None:
+        if hessian is not None:
+            problem = problem.with_phases([{"hessian": hessian}] * len(problem.parts))
         whole("max_iterations", max_iterations, 1, TrajectoryError)
         whole("log", log, 1, TrajectoryError)
         if max_seconds is not None:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
         _need_controllable(problem)
         self.problem, self._seconds = problem, max_seconds
-        (self._part,) = problem.parts
+        (self.part,) = problem.parts
         with in_double():
             start = warm_start(problem.solve() if warm is None else warm)
             _, instance, _, ends = problem.started(begin=start.point)
             start = with_ends(start, problem, ends, instance)
             solver = problem.core(tolerance, start.point, instance).alone(instance)
-            self._staged = staged = solver.staged
-            self._units = units = solver.units(start.point, instance) if start.units is None else start.units
+            self.staged = staged = solver.staged
+            self.largest_step = solver.largest_step
+            units = solver.units(start.point, instance) if start.units is None else start.units
             options = solver.options(max_iterations) | {"warm_start": 1.0}
-            self._core_units = Units(units.v, units.rows, units.equalities, COST * units.cost)
+            self.units = Units(units.v, units.rows, units.equalities, COST * units.cost)
             bounds = staged.limits(start.point, instance)
-            self._solve = PreparedSolve(
-                staged.transcription, self._core_units, solver.largest_step, bounds, Options(**options)
+            self.prepared = PreparedSolve(
+                staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
             )
             self._load(start)
-        self._params, self._numbers = dict(instance.params), staged.numbers.vector(instance)
-        staged.transcription.set_data(self._numbers)
-        self._shift, self._gains = Shift(staged), Gains(self._solve, staged, self._core_units)
+        self.params, self.numbers = dict(instance.params), staged.numbers.vector(instance)
+        staged.transcription.set_data(self.numbers)
+        self.moves_on, self._gains = Shift(staged), Gains(self.prepared, staged, self.units)
         self._place_leaves()
         self.log, self.status = ControllerLog(log), Status.STOPPED
 
     def _load(self, start: Any) -> None:
         """Write a warm start into the memory of the solve."""
-        solve, staged = self._solve, self._staged
+        solve, staged = self.prepared, self.staged
         solve.z[:], solve.v[:] = staged.flat(start.point), staged.coordinates(start.point)
         solve.lam[:] = staged.unpadded(start.dynamics)
         solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
@@ -98,29 +124,29 @@ class Controller:
 
     @property
     def _x_size(self) -> int:
-        return int(self._staged.parts[0].point.size)
+        return int(self.staged.parts[0].point.size)
 
     def _base(self, point: Any) -> Array:
         first = {name: np.asarray(values)[0] for name, values in point.xs.items()}
-        return np.asarray(self._staged.parts[0].point.joined(first))
+        return np.asarray(self.staged.parts[0].point.joined(first))
 
     def _place_leaves(self) -> None:
         """Where states and controls stand in z and v."""
-        shooting, point = self._part.shooting, self._staged.parts[0].point
-        stages = self._staged.transcription.stages
+        shooting, point = self.part.shooting, self.staged.parts[0].point
+        stages = self.staged.transcription.stages
         self._states = {}
-        for state in self._part.dynamics.states:
+        for state in self.part.dynamics.states:
             places, columns = point.places(state.name), shooting.dynamics.group.slices[state.name]
             here = slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
             self._states[state.name] = (here, columns, state.shape, state.group)
-        self._controls, user = {}, {control.name for control in self._part.phase.dynamics.controls}
-        for control in self._part.dynamics.controls:
+        self.controls, user = {}, {control.name for control in self.part.phase.dynamics.controls}
+        for control in self.part.dynamics.controls:
             if control.name in user:
-                self._controls[control.name] = (shooting.local.controls.slices[control.name], control.shape)
-        self._flat = all(state.group.flat for state in self._part.dynamics.states)
+                self.controls[control.name] = (shooting.local.controls.slices[control.name], control.shape)
+        self._flat = all(state.group.flat for state in self.part.dynamics.states)
         self._n, self._first = shooting.n, stages.first
-        self._x_units = self._units.v[: shooting.n]
-        self._gap = self._staged.parts[0].phase.kernels.gap.kernels[0]
+        self._x_units = np.asarray(self.units.size)[: shooting.n]
+        self._gap = self.staged.parts[0].phase.kernels.gap.kernels[0]
 
     # ---- the three calls --------------------------------------------------------------------------------------------
 
@@ -152,39 +178,39 @@ class Controller:
     def _set_numbers(self, params: Mapping[Any, Any], final: Mapping[Any, Any] | None) -> None:
         if not isinstance(params, Mapping):
             raise InputError(f"prepare: params must be a dict from parameters to values, got {short(params)}")
-        numbers, by_node = self._staged.numbers, self._part.by_node
+        numbers, by_node = self.staged.numbers, self.part.by_node
         rows = False
         for key, value in params.items():
             name = name_of(key)
-            if name not in self._params:
-                raise InputError(f"unknown key {name!r} in params; expected: {listed(self._params, name)}")
+            if name not in self.params:
+                raise InputError(f"unknown key {name!r} in params; expected: {listed(self.params, name)}")
             if name in by_node.leaves:
-                self._params[name], rows = by_node.values(name, value), True
+                self.params[name], rows = by_node.values(name, value), True
                 continue
             array = reals(f"params[{name!r}]", value, InputError)
-            if array.shape != np.shape(self._params[name]):
-                raise ShapeError(f"params[{name!r}] expects shape {np.shape(self._params[name])}, got {array.shape}")
+            if array.shape != np.shape(self.params[name]):
+                raise ShapeError(f"params[{name!r}] expects shape {np.shape(self.params[name])}, got {array.shape}")
             if not np.isfinite(array).all():
                 raise InputError(f"params[{name!r}] expects finite numbers, got {short(array)}")
-            self._params[name] = array
-            self._numbers[numbers.places([name], [])] = array.ravel()
-        self._part.check_weights(self._params)
+            self.params[name] = array
+            self.numbers[numbers.places([name], [])] = array.ravel()
+        self.part.check_weights(self.params)
         if rows:
             begin, _ = numbers.node_rows(0)
-            self._numbers[begin:] = by_node.rows(self._params).ravel()
+            self.numbers[begin:] = by_node.rows(self.params).ravel()
         if final is not None:
-            ends = self._part.other_ends(None, final)
-            for name, value in self._part.filled(ends.final).items():
-                self._numbers[numbers.places([], [name])] = np.ravel(value)
-        self._staged.transcription.set_data(self._numbers)
+            ends = self.part.other_ends(None, final)
+            for name, value in self.part.filled(ends.final).items():
+                self.numbers[numbers.places([], [name])] = np.ravel(value)
+        self.staged.transcription.set_data(self.numbers)
 
     def _limit(self, name: str, sides: Any) -> None:
-        if name not in self._controls:
-            raise InputError(f"limits names {name!r}; the held controls are: {listed(self._controls, name)}")
-        columns, shape = self._controls[name]
+        if name not in self.controls:
+            raise InputError(f"limits names {name!r}; the held controls are: {listed(self.controls, name)}")
+        columns, shape = self.controls[name]
         if not isinstance(sides, (tuple, list)) or len(sides) != 2:
             raise InputError(f"limits[{name!r}] expects (low, high), got {short(sides)}")
-        intervals = self._part.nodes - 1
+        intervals = self.part.nodes - 1
         low, high = (reals(f"limits[{name!r}]", side, InputError) for side in sides)
         for side in (low, high):
             if side.shape not in ((), shape, (intervals, *shape)):
@@ -192,7 +218,7 @@ class Controller:
         if not (low <= high).all():
             raise InputError(f"limits[{name!r}] expects low <= high, got {short(low)} and {short(high)}")
         places = self._first[:-1, None] + self._n + np.arange(columns.start, columns.stop)
-        for bound, side in ((self._solve.lower, low), (self._solve.upper, high)):
+        for bound, side in ((self.prepared.lower, low), (self.prepared.upper, high)):
             bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
 
     def feedback(self, x: Mapping[Any, Any]) -> Values:
@@ -208,8 +234,8 @@ class Controller:
                 element of its group.
         """
         begin = time.perf_counter()
-        solve, options = self._solve, self._solve.options
-        barrier = min(max(_BARRIER_SHARE * self._measured(x), _BARRIER_LEAST), _BARRIER_MOST)
+        solve, options = self.prepared, self.prepared.options
+        barrier = min(max(BARRIER_SHARE * self._measured(x), BARRIER_LEAST), BARRIER_MOST)
         options.barrier_start = barrier
         options.slack_push = options.bound_push = min(barrier**0.5, 1e-2)
         ended = solve(None if self._seconds is None else self._seconds - (time.perf_counter() - begin))
@@ -235,7 +261,7 @@ class Controller:
             TrajectoryError: intervals are not equally long.
         """
         need_shiftable(self.problem)
-        self._shift(self._solve)
+        self.moves_on(self.prepared)
 
     def _base_of(self, x: Mapping[Any, Any]) -> Array:
         """A measured state as a node's point, checked."""
@@ -258,7 +284,7 @@ class Controller:
 
     def _measured(self, x: Mapping[Any, Any]) -> float:
         """Write the measured state into the first node; the largest move of it, in units of the states."""
-        solve, base = self._solve, self._base_of(x)
+        solve, base = self.prepared, self._base_of(x)
         jump = float(np.abs(self._difference(base) / self._x_units).max(initial=0.0))
         solve.z[: self._x_size] = base
         for places, columns, _, group in self._states.values():  # points of manifolds have the coordinates zero
@@ -268,15 +294,15 @@ class Controller:
 
     def _difference(self, base: Array) -> Array:
         """Log(x_0^-1 x) of a state and the first node of the plan."""
-        here = self._solve.z[: self._x_size]
+        here = self.prepared.z[: self._x_size]
         if self._flat:
             return base - here
         arguments = {Argument.Z: np.zeros((1, self._n)), Argument.BASE: base[None], Argument.TARGET: here[None]}
         return self._gap(1, self._n, arguments)[0]
 
     def _first_controls(self) -> Values:
-        here = self._solve.z[self._x_size :]
-        return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self._controls.items()}
+        here = self.prepared.z[self._x_size :]
+        return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
 
     # ---- between solves ---------------------------------------------------------------------------------------------
 
@@ -292,7 +318,7 @@ class Controller:
             TrajectoryError: the plan is no strict minimum.
         """
         columns = self._gains(self._n)
-        return {name: columns[part].reshape(*shape, self._n) for name, (part, shape) in self._controls.items()}
+        return {name: columns[part].reshape(*shape, self._n) for name, (part, shape) in self.controls.items()}
 
     def correct(self, x: Mapping[Any, Any]) -> Values:
         """The first controls, corrected for a newer state by the gains: feedback between solves.
@@ -305,32 +331,88 @@ class Controller:
             InputError, ShapeError: as `feedback` does.
             TrajectoryError: the plan is no strict minimum.
         """
-        solve, begin = self._solve, self._n
+        solve, begin = self.prepared, self._n
         moved = self._gains(self._n) @ self._difference(self._base_of(x))
         here = slice(begin, begin + len(moved))
         flat = np.clip(solve.z[self._x_size :][: len(moved)] + moved, solve.lower[here], solve.upper[here])
-        return {name: flat[columns].reshape(shape) for name, (columns, shape) in self._controls.items()}
+        return {name: flat[columns].reshape(shape) for name, (columns, shape) in self.controls.items()}
 
     @property
     def xs(self) -> Values:
         """The states of the plan, by name, (nodes, ...)."""
-        return dict(self._staged.point(self._solve.z).xs)
+        return dict(self.staged.point(self.prepared.z).xs)
 
     @property
     def us(self) -> Values:
         """The controls of the plan, by name, (intervals, ...)."""
-        us = self._staged.point(self._solve.z).us
-        return {name: us[:, part].reshape(len(us), *shape) for name, (part, shape) in self._controls.items()}
+        us = self.staged.point(self.prepared.z).us
+        return {name: us[:, part].reshape(len(us), *shape) for name, (part, shape) in self.controls.items()}
 
     @property
     def ts(self) -> Array:
         """The times of the nodes, (nodes,), s, from now."""
-        return np.asarray(self._part.mesh.shares * self._staged.point(self._solve.z).border[0])
+        return np.asarray(self.part.mesh.shares * self.staged.point(self.prepared.z).border[0])
+
+    # ---- in C -------------------------------------------------------------------------------------------------------
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "controller",
+        states: Sequence[Mapping[str, Any]] | None = None,
+        tolerance: float = 1e-9,
+    ) -> CFiles:
+        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+
+        The code is the solver's core, the functions of the problem and `name_init`, `name_prepare`, `name_feedback`
+        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates nothing, has no
+        global state, and needs libm only. The header tells the workspace and the operations of an iteration.
+
+        Args:
+            directory: where to; made if it is not there.
+            name: of the files, and what the names of all functions begin with.
+            states: measured states of the test main, which shifts the plan after each; drawn about the plan if left
+                out.
+            tolerance: of that comparison, relative to the largest entry of an iterate.
+        Returns:
+            The paths: `header`, `source`, `test`.
+        Raises:
+            TrajectoryError: a function of the problem has no form in scalars.
+            InputError: a name that C has not; the directory cannot be written to, or holds other files of those names.
+        """
+        return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
+
+    def drawn_states(self, count: int = 5) -> list[Values]:
+        """States near the nodes of the plan, at random."""
+        rng, group, nodes = np.random.default_rng(0), self.part.dynamics.group, self.xs
+        states = []
+        for k in range(min(count, self.part.nodes)):
+            node, step = {name: values[k] for name, values in nodes.items()}, 0.05 * rng.normal(size=self._n)
+            with in_double():
+                moved = group.retract(node, step * self._x_units)
+            states.append({name: np.asarray(value) for name, value in moved.items()})
+        return states
+
+    def rehearsed(self, states: Sequence[Mapping[str, Any]]) -> tuple[Array, Array, Array]:
+        """Points, iterations and statuses of calls, each followed by a shift; nothing of the controller changes."""
+        kept, log, status = self.prepared.saved(), self.log, self.status
+        self.log = ControllerLog(len(states))
+        points, counts = [], []
+        for x in states:
+            self.feedback(x)
+            points.append(self.prepared.z.copy())
+            counts.append([self.prepared.measure("iterations"), self.prepared.measure("status")])
+            self.shift()
+        self.prepared.load(kept)
+        self.log, self.status = log, status
+        iterations, statuses = np.array(counts, np.int32).T
+        return np.array(points), np.ascontiguousarray(iterations), np.ascontiguousarray(statuses)
 
     @property
     def measures(self) -> dict[str, float]:
         """Numbers of the last solve: cost, error, violation, iterations and others, in units of the solver."""
-        return self._solve.measures
+        return self.prepared.measures
 
 
 #: How solves end, by what the core says.

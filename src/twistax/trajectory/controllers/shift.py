@@ -20,6 +20,9 @@ class Shift:
 
     Args:
         staged: of one phase, whose nodes lie at equal distances.
+
+    Attributes:
+        points, variables, defects, rows, equalities: of each entry the place of its later value.
     """
 
     def __init__(self, staged: Staged) -> None:
@@ -27,24 +30,24 @@ class Shift:
         stages, phase = transcription.stages, transcription.phases[0]
         points = stages.point_states or stages.states
         shared = np.arange(stages.parameters)
-        self._z = _stage_after(points, stages.controls, stages.points - stages.parameters + shared)
-        self._v = _stage_after(stages.states, stages.controls, stages.variables - stages.parameters + shared)
-        self._defects = _interval_after(phase.n, phase.intervals)
+        self.points = _stage_after(points, stages.controls, stages.points - stages.parameters + shared)
+        self.variables = _stage_after(stages.states, stages.controls, stages.variables - stages.parameters + shared)
+        self.defects = _interval_after(phase.n, phase.intervals)
         counts = stages.row_counts
         path, places = phase.path, transcription.path_places[0]
-        self._rows, self._equalities = (
+        self.rows, self.equalities = (
             _row_after(np.where(path == kind, places, -1), count)
             for kind, count in zip((INEQUALITY, EQUALITY), counts[1:])
         )
 
     def __call__(self, solve: PreparedSolve) -> None:
-        solve.z[:] = solve.z[self._z]
+        solve.z[:] = solve.z[self.points]
         for array in (solve.v, solve.zl, solve.zu):
-            array[:] = array[self._v]
-        solve.lam[:] = solve.lam[self._defects]
+            array[:] = array[self.variables]
+        solve.lam[:] = solve.lam[self.defects]
         for array in (solve.s, solve.y):
-            array[:] = array[self._rows]
-        solve.ye[:] = solve.ye[self._equalities]
+            array[:] = array[self.rows]
+        solve.ye[:] = solve.ye[self.equalities]
         self._integrate_last(solve)
 
     def _integrate_last(self, solve: PreparedSolve) -> None:

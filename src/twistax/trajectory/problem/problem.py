@@ -380,41 +380,13 @@ class Problem:
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
         return solved_many(self, arguments | {"free": free}, options)
 
-    @known_arguments("controller", TrajectoryError, _ELSEWHERE)
-    def controller(
-        self,
-        warm: Any = None,
-        *,
-        max_iterations: int = 2,
-        max_seconds: float | None = None,
-        hessian: Any = None,
-        tolerance: float = 1e-6,
-        log: int = 10_000,
-    ) -> Controller:
-        """A controller for this problem: solves from measured states, each from the plan of the last one.
+    def controller(self, warm: Any = None, **options: Any) -> Controller:
+        """A controller for this problem, which solves it from measured states; `Controller` has the options."""
+        return Controller(self, warm, **options)
 
-        Args:
-            warm: a result of this problem, the first plan; solved for when left out.
-            max_iterations: the most steps of the solver in a call. Two make a real-time iteration: one alone is cut
-                short by limits that become active at once, for example after a kick.
-            max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each
-                step.
-            hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
-            tolerance: of the scaled first-order conditions; a call that meets it ends.
-            log: how many calls the log keeps.
-        Raises:
-            TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free
-                initial state; numbers without meaning.
-        Example:
-            controller = problem.controller(max_iterations=2)
-            for x in measured_states:
-                u = controller.feedback(x)
-                controller.shift()
-        """
-        problem = self if hessian is None else self.with_phases([{"hessian": hessian}] * len(self.parts))
-        return Controller(
-            problem, warm, max_iterations=max_iterations, max_seconds=max_seconds, tolerance=tolerance, log=log
-        )
+    def to_c(self, directory: Any, *, name: str = "controller", warm: Any = None, **options: Any) -> Any:
+        """A controller for this problem as C99; see `Controller.to_c`, and `Controller` for the options."""
+        return self.controller(warm, **options).to_c(directory, name=name)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
         """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
