@@ -69,12 +69,13 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     values = {"p_reference": reference, "p_weight": weight}
     names = re.findall(r"\*(p_\w+)", order)
     library.loop_prepare(pointer(memory), *(pointer(values[name]) for name in names))
-    state = pointer(np.array([1.2])), pointer(np.array([0.3]))
+    numbers = [np.array([value]) for value in (1.2, 0.3, -3.0, 0.0)]
+    state, far = [pointer(a) for a in numbers[:2]], [pointer(a) for a in numbers[2:]]
     status = library.loop_feedback(pointer(memory), *state, pointer(u), None, None, None)
     controller.prepare({"reference": reference, "weight": 0.3})
     expected = controller.feedback({"p": 1.2, "v": 0.3})["u"]
     assert status == 0
-    assert u[0] == pytest.approx(float(expected), abs=1e-8)
+    assert u[0] == pytest.approx(float(expected), abs=1e-10)
     calls = []
 
     def is_late(clock: Any) -> int:
@@ -82,12 +83,11 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
         return int(len(calls) > 2)
 
     late = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)(is_late)
-    far = pointer(np.array([-3.0])), pointer(np.array([0.0]))
     assert library.loop_feedback(pointer(memory), *far, pointer(u), late, None, None) == 6
     assert len(calls) == 3
     library.loop_init(pointer(memory))
     assert library.loop_feedback(pointer(memory), *state, pointer(u), None, None, None) == 0
-    assert u[0] == pytest.approx(float(full(regulator()).feedback({"p": 1.2, "v": 0.3})["u"]), abs=1e-8)
+    assert u[0] == pytest.approx(float(full(regulator()).feedback({"p": 1.2, "v": 0.3})["u"]), abs=1e-10)
 
 
 def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None:
