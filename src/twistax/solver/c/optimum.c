@@ -33,14 +33,15 @@ int32_t twx_measure_optimum(twx_work *w) {
   const twx_options *o = w->options;
   twx_statistics *t = w->statistics;
   t->minimum = 0, t->excess = INFINITY;
-  t->worth = twx_max(o->excess, twx_max(fabs(w->here.cost), twx_min(1, worth_of_states(w))));
+  t->worth = twx_max(TWX_EPSILON * TWX_EPSILON, twx_max(fabs(w->here.cost), twx_min(1, worth_of_states(w))));
   if (twx_differentiate_twice(w)) return 0;
   twx_right_side(w, 0);
-  if (twx_correct_inertia(w)) {
+  t->minimum = twx_factorize_weighted(w, 0);
+  for (double identity = 1e-12; !(t->minimum > 0) && identity <= o->curvature; identity *= 100) t->minimum = twx_factorize_weighted(w, identity);
+  if (t->minimum > 0 || twx_correct_inertia(w)) {
     twx_solve_system(w, &w->right, &w->step, 1);
     t->excess = fabs(twx_slope(w, &w->step)) + worth_of_violations(w);
   }
-  t->minimum = w->identity == 0 || twx_factorize_weighted(w, o->curvature);
   const int32_t is_close = t->excess <= o->excess * t->worth;
   t->excess /= w->cost_scale, t->worth /= w->cost_scale;
   return is_close;

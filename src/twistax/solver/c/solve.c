@@ -16,7 +16,7 @@ static twx_status update_barrier(twx_work *w, twx_search *search) {
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
     if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
-    const double before = w->barrier, least = w->closer * twx_min(o->tolerance, o->complementarity) / (o->barrier_error + 1);
+    const double before = w->barrier, least = w->closer * o->barrier_least;
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
     w->filter_rows = search->by_filter = search->shortened = 0;
@@ -78,12 +78,22 @@ static double largest_variable(const twx_work *w) {
   return most;
 }
 
-/* Keep the iterate with the smallest error. */
-static void keep_best(twx_work *w, const twx_measures *m) {
-  if (!(m->error < w->best_error)) return;
-  w->best_error = m->error;
+static void keep(twx_work *w) {
   twx_copy_iterate(w, &w->best, &w->iterate);
   memcpy(w->best_z, w->here.z, sizeof(double) * w->points);
+}
+
+/* Keep the iterate with the smallest error, unless one was acceptable. */
+static void keep_best(twx_work *w, const twx_measures *m) {
+  if (m->error < w->best_error) w->best_error = m->error, keep(w);
+}
+
+/* Keep the iterate that meets the conditions with the smallest excess, if that is acceptable. */
+static void keep_acceptable(twx_work *w) {
+  const twx_statistics *t = w->statistics;
+  if (!(t->excess <= w->options->excess_acceptable * t->worth) || (w->nearly > 0 && !(t->excess < w->best_excess))) return;
+  w->best_error = -INFINITY, w->best_excess = t->excess, w->nearly = twx_max(w->nearly, 1);
+  keep(w);
 }
 
 /* How a solve ends that came to no end: with the best iterate, if it is better than the last one. */
@@ -96,13 +106,14 @@ static void end_at_best(twx_work *w) {
 }
 
 /* Whether the optimality conditions hold, and the cost is as close to the minimum as asked for. If the units say the
- * first and the estimate does not agree, the search goes on to a smaller error. */
+ * first and the estimate does not agree, the search goes on to a smaller barrier. */
 static int32_t is_solution(twx_work *w, const twx_measures *m) {
   const twx_options *o = w->options;
-  if (!(m->error <= w->closer * o->tolerance && m->violation <= o->violation)) return 0;
-  if (!(m->complementarity <= w->closer * o->complementarity || m->gap <= o->gap * fabs(w->here.cost))) return 0;
+  if (!(m->error <= o->tolerance && m->violation <= o->violation)) return 0;
+  if (!(m->complementarity <= o->complementarity || m->gap <= o->gap * fabs(w->here.cost))) return 0;
   if (twx_measure_optimum(w)) return 1;
-  w->closer *= o->closer;
+  if (m->error <= w->closer * o->tolerance) w->closer *= o->closer;
+  keep_acceptable(w);
   return 0;
 }
 
@@ -119,6 +130,7 @@ static twx_status iterate(twx_work *w) {
     keep_best(w, &m);
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
+    if (w->nearly > 0 && w->nearly++ > o->acceptable_iterations) return TWX_ACCEPTABLE;
     if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;

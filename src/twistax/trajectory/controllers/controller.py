@@ -51,7 +51,8 @@ class Controller:
 
     Args:
         problem: of one phase, with held controls and a fixed initial state.
-        warm: a result of it, the first plan; solved for when left out.
+        warm: a result of it, the first plan; solved for when left out. Its solver's units are those of all calls, so it
+            should be like the plans to come, and not one at rest.
         max_iterations: the most steps of the solver in a call. One alone is cut short by limits that become active at
             once, for example after a kick.
         max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each step.

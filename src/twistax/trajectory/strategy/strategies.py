@@ -31,6 +31,8 @@ _MOST = 500
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
 _AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
+#: Runs that end so at a lower objective than that of a saddle count; others do where they meet every constraint.
+_BETTER = (Status.SOLVED, Status.UNBOUNDED)
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
 
@@ -173,7 +175,9 @@ def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: 
             other = solve(other_starts.beside(solver, result.point, result.scales, size, seed, controls_alone=True))
             seed += 1
             lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
-            if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):
+            if lower and (
+                other.status in _BETTER or (other.status in _AT_REST and other.violation <= solver.tolerance)
+            ):
                 better = other
                 break
         if better is None:
