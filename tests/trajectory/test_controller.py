@@ -38,7 +38,7 @@ def pointing() -> Problem:
     return Problem(tx.compile(system), cost, nodes=9, final_time=2.0, initial=start, final=final, **HEUN)
 
 
-def full(problem: Problem, tolerance: float = 1e-8, **options: Any) -> Controller:
+def full(problem: Problem, tolerance: float = 1e-10, **options: Any) -> Controller:
     return problem.controller(max_iterations=100, tolerance=tolerance, **options)
 
 
@@ -47,7 +47,7 @@ def test_feedback_is_the_solve_from_the_measured_state() -> None:
     for x in ({"p": 1.0, "v": 0.5}, {"p": 0.6, "v": 0.9}, {"p": -3.0, "v": 0.0}):
         u = controller.feedback(x)
         assert controller.status is Status.SOLVED
-        expected = regulator().solve(initial=x, tolerance=1e-8)
+        expected = regulator().solve(initial=x, tolerance=1e-10)
         np.testing.assert_allclose(u["u"], expected.us["u"][0], atol=1e-6)
         np.testing.assert_allclose(controller.us["u"], expected.us["u"], atol=1e-5)
         np.testing.assert_allclose(controller.xs["v"], expected.xs["v"], atol=1e-5)
@@ -59,7 +59,7 @@ def test_feedback_on_a_manifold_is_the_solve_from_the_measured_state() -> None:
     controller = full(pointing())
     x = {"R": np.asarray(tx.lie.so3.exp(np.array([-0.4, 0.2, 0.9]))), "w": np.array([0.0, 0.5, 0.1])}
     u = controller.feedback(x)
-    expected = pointing().solve(initial=x, tolerance=1e-8)
+    expected = pointing().solve(initial=x, tolerance=1e-10)
     assert controller.status is Status.SOLVED
     np.testing.assert_allclose(u["u"], expected.us["u"][0], atol=1e-6)
     np.testing.assert_allclose(controller.xs["R"], expected.xs["R"], atol=1e-6)
@@ -70,7 +70,7 @@ def test_what_is_prepared_counts_as_in_a_problem_with_it() -> None:
     controller = full(regulator())
     controller.prepare({"reference": reference, "weight": 0.3})
     u = controller.feedback(x)
-    expected = regulator().solve(initial=x, params={"reference": reference, "weight": 0.3}, tolerance=1e-8)
+    expected = regulator().solve(initial=x, params={"reference": reference, "weight": 0.3}, tolerance=1e-10)
     np.testing.assert_allclose(u["u"], expected.us["u"][0], atol=1e-6)
     limits = np.full(12, 0.1)
     limits[6:] = 0.8
@@ -80,7 +80,7 @@ def test_what_is_prepared_counts_as_in_a_problem_with_it() -> None:
     assert controller.us["u"][6] < -0.2
     controller.prepare(limits={"u": (-0.8, 0.8)})
     controller.feedback({"p": 1.0, "v": 0.5})
-    np.testing.assert_allclose(controller.us["u"], regulator().solve(tolerance=1e-8).us["u"], atol=1e-5)
+    np.testing.assert_allclose(controller.us["u"], regulator().solve(tolerance=1e-10).us["u"], atol=1e-5)
 
 
 def test_other_ends_count_as_in_a_problem_with_them() -> None:
@@ -88,7 +88,7 @@ def test_other_ends_count_as_in_a_problem_with_them() -> None:
     controller.prepare(final=final)
     stated = pointing().stated["initial"]
     controller.feedback(stated)
-    expected = pointing().solve(final=final, tolerance=1e-8)
+    expected = pointing().solve(final=final, tolerance=1e-10)
     np.testing.assert_allclose(controller.us["u"], expected.us["u"], atol=1e-5)
     np.testing.assert_allclose(controller.xs["w"][-1][:2], [0.3, -0.2], atol=1e-7)
 

@@ -89,7 +89,7 @@ def cart_pole() -> Case:
     push = tx.Control("push", min=-20.0, max=20.0)
     s, c = -tx.Sin(a), -tx.Cos(a)  # of the angle from hanging, a from upright
     free = M + m * s**2
-    rates = {x: xd, a: ad, xd: (l * m * s * ad**2 + push + m * g * c * s) / free}
+    rates: dict[Any, Any] = {x: xd, a: ad, xd: (l * m * s * ad**2 + push + m * g * c * s) / free}
     rates[ad] = -(l * m * c * s * ad**2 + push * c + (m + M) * g * s) / (l * free)
     stage = 10.0 * (x * x + a * a) + 0.1 * (xd * xd + ad * ad) + 0.01 * push**2
     rest = dict.fromkeys(("x", "a", "xd", "ad"), 0.0)

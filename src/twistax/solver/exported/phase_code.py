@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ctypes
+from typing import Any
 
 import numpy as np
 
@@ -48,7 +49,8 @@ class PhaseCode:
 
     def _field(self, structure: ctypes.Structure, name: str) -> str:
         """A number or an array; nothing for what is no plain field."""
-        kind, value = dict(type(structure)._fields_)[name], getattr(structure, name)  # type: ignore[misc]
+        kinds: Any = type(structure)._fields_
+        kind, value = dict(kinds)[name], getattr(structure, name)
         if kind in (ctypes.c_int32, ctypes.c_int64):
             return "" if name == "node_width" else f".{name} = {value}"
         if kind is ctypes.c_double:
@@ -78,4 +80,4 @@ class PhaseCode:
 
     @staticmethod
     def _node_of(structure: ctypes.Structure, k: int) -> ctypes.Structure:
-        return NodeStructure.from_address(structure.node + k * ctypes.sizeof(NodeStructure))  # type: ignore[attr-defined]
+        return NodeStructure.from_address(structure.node + k * ctypes.sizeof(NodeStructure))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from string import Template
 from typing import Any
@@ -38,7 +38,7 @@ class ControllerCode:
         self._controls = controller.controls
         self._params = self._parameters()
 
-    def files(self, folder: Path, x: Sequence[dict[str, Any]], tolerance: float) -> tuple[CFiles, dict[Path, str]]:
+    def files(self, folder: Path, x: Sequence[Mapping[str, Any]], tolerance: float) -> tuple[CFiles, dict[Path, str]]:
         """Paths, and their texts."""
         name = self._name
         files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
@@ -233,7 +233,7 @@ class ControllerCode:
 
     # ---- the test ---------------------------------------------------------------------------------------------------
 
-    def _test(self, states: Sequence[dict[str, Any]], tolerance: float) -> dict[str, Any]:
+    def _test(self, states: Sequence[Mapping[str, Any]], tolerance: float) -> dict[str, Any]:
         """The iterates that the controller of Python ends at; it is as it was after that."""
         expected, iterations, statuses = self._controller.rehearsed(states)
         columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
@@ -259,7 +259,7 @@ def _c(name: str) -> str:
 
 
 def write_controller(
-    controller: Any, directory: str | Path, *, name: str, states: Sequence[dict[str, Any]] | None, tolerance: float
+    controller: Any, directory: str | Path, *, name: str, states: Sequence[Mapping[str, Any]] | None, tolerance: float
 ) -> CFiles:
     """Implements `Controller.to_c`, which documents the arguments."""
     check_name(name)

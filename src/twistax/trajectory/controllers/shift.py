@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy import ndarray as Array
 
@@ -63,7 +65,7 @@ class Shift:
         solve.v[self._staged.plain[1]] = solve.z[self._staged.plain[0]]
 
 
-def _stage_after(states: list[int], controls: list[int], shared: Array) -> Array:
+def _stage_after(states: Sequence[int], controls: Sequence[int], shared: Array) -> Array:
     """Of each entry (x_0, u_0, ..., x_N, p) that of a stage later."""
     nodes, n, m = len(states), states[0], controls[0]
     places = np.arange(nodes * (n + m)).reshape(nodes, n + m)
