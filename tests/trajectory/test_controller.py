@@ -127,6 +127,20 @@ def test_multipliers_move_on_with_the_plan() -> None:
     assert controller.log[-1].iterations < cold.log[-1].iterations
 
 
+def test_multipliers_of_the_dynamics_move_on() -> None:
+    """A call without time for a step measures the plan as it is; a long horizon hardly changes by an interval."""
+    p, v, u = tx.State("p"), tx.State("v"), tx.Control("u")
+    dynamics = tx.compile(tx.System(rates={p: v, v: u}))
+    of_mesh: dict[str, Any] = {"nodes": 61, "final_time": 15.0, "initial": {p: 1.0, v: 0.5}}
+    problem = Problem(dynamics, tx.Minimize(running=p * p + v * v + u * u), **of_mesh, **HEUN)
+    controller = problem.controller(problem.solve(tolerance=1e-10), max_seconds=1e-9)
+    first = {name: values[1] for name, values in controller.xs.items()}
+    controller.shift()
+    controller.feedback(first)
+    assert controller.measures["iterations"] == 0
+    assert controller.log[-1].error < 1e-4
+
+
 @pytest.mark.parametrize("problem", [regulator, pointing])
 def test_gains_are_derivatives_of_the_first_control(problem: Any) -> None:
     controller, step = full(problem(), tolerance=1e-11), 1e-4
@@ -143,6 +157,13 @@ def test_gains_are_derivatives_of_the_first_control(problem: Any) -> None:
             moved = group.retract(start, sign * step * direction)
             sides.append(np.ravel(controller.feedback({name: np.asarray(a) for name, a in moved.items()})["u"]))
         np.testing.assert_allclose(gains[:, k], (sides[0] - sides[1]) / (2.0 * step), rtol=1e-3, atol=1e-4)
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_a_control_at_its_limit_has_no_gain(sign: float) -> None:
+    controller = full(regulator(), tolerance=1e-11)
+    assert controller.feedback({"p": sign, "v": 0.5 * sign})["u"] == pytest.approx(-0.8 * sign, abs=1e-6)
+    np.testing.assert_allclose(controller.gains["u"], 0.0, atol=1e-4)
 
 
 def test_correct_follows_the_gains_within_limits() -> None:
