@@ -41,8 +41,9 @@ NO_ERRORS = {
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
-        trajectory.Accuracy trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
-        trajectory.Solution trajectory.Status trajectory.Strategy trajectory.TrajectoryResult
+        trajectory.Accuracy trajectory.ControllerLog
+        trajectory.Meshed trajectory.Optimality trajectory.PhasedResult trajectory.PhasedResults
+        trajectory.Solution trajectory.Status trajectory.StepRecord trajectory.Strategy trajectory.TrajectoryResult
         trajectory.TrajectoryResults
         trajectory.WarmStart view.Body view.Scene""",
     "it takes no arguments": """
@@ -76,7 +77,8 @@ KNOWN = {
 NO_ARGUMENTS = {
     "users get these and do not make them": """
         Order Simulator Sweep diffrax.LieTerm mechanics.DaveModel trajectory.PhasedResult trajectory.PhasedResults
-        trajectory.Solution trajectory.TrajectoryResult trajectory.TrajectoryResults Example""",
+        trajectory.ControllerLog trajectory.Solution trajectory.TrajectoryResult
+        trajectory.TrajectoryResults Example""",
     "the base class says it": """
         Maximize Minimize charts.SplitExponential view.Box view.Capsule view.Cone view.Cylinder view.Ellipsoid
         view.Sphere""",

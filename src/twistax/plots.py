@@ -198,8 +198,13 @@ def joints_of(labels: Labels, leaves: Iterable[str]) -> dict[str, dict[str, list
     return joints
 
 
-def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | None = None) -> Any:
+def draw(
+    panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | None = None, over: str = "time, s"
+) -> Any:
     """A matplotlib figure of the panels over time, two in a row, and of bars by name in a last one.
+
+    Args:
+        over: the label of the horizontal axis.
 
     Raises:
         ModelError: matplotlib is not installed.
@@ -214,7 +219,7 @@ def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | N
     figure = Figure(figsize=(5.5 * across, 2.4 * rows + 0.4), layout="constrained")
     places = list(np.ravel(figure.subplots(rows, across, squeeze=False)))
     for axes, panel in zip(places, panels):
-        _draw(axes, panel)
+        _draw(axes, panel, over)
     if bars:
         _draw_bars(places[len(panels)], bars)
     for axes in places[count:]:
@@ -224,7 +229,7 @@ def draw(panels: Sequence[Panel], title: str = "", bars: Mapping[str, float] | N
     return figure
 
 
-def _draw(axes: Any, panel: Panel) -> None:
+def _draw(axes: Any, panel: Panel, over: str) -> None:
     for k, name in enumerate(panel.names):
         color = f"C{k % 10}"
         if panel.curve is not None:
@@ -239,7 +244,7 @@ def _draw(axes: Any, panel: Panel) -> None:
         # Beside the axes: no curve is hidden.
         axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)
     axes.set_title(panel.title, fontsize="medium")
-    axes.set_xlabel("time, s")
+    axes.set_xlabel(over)
     axes.set_ylabel(panel.unit)
     axes.grid(alpha=0.25)
 

@@ -195,6 +195,11 @@ class Method(ABC):
         stored = self.stored(field.dynamics, field.params)
         return stored.value(self.advance(field, t, stored.enter(x), h))
 
+    def step_in_arrays(self, dynamics: Dynamics, t: Any, x: Arrays, u: Arrays, params: Arrays, h: Any) -> Arrays:
+        """The state after one step of length h with constant controls, as arrays all through: for other languages."""
+        field = VectorField(Dynamics(dynamics.functions.run_by(JAX())), lambda _: u, params)
+        return self.step(field, t, x, h)
+
 
 class ChartMethod(Method):
     """Base of methods of a tableau in a chart, the attributes `tableau` and `chart` of a subclass."""

@@ -17,7 +17,7 @@ from .figures import (
 from .foreign import FOREIGN
 from .harness.measurement import Section
 from .harness.report import SectionReport
-from .sections import openscvx, optimal, strategies, trust
+from .sections import latencies, openscvx, optimal, strategies, trust
 from .stability import (
     events,
     failures,
@@ -82,6 +82,7 @@ OPTIMAL: dict[str, Section] = {
     "ratios": optimal.RATIOS,
     "openscvx": openscvx.OPENSCVX,
     "times": optimal.TIMES,
+    "latencies": latencies.LATENCIES,
     "strategies": strategies.STRATEGIES,
 }
 

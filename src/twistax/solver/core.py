@@ -137,39 +137,31 @@ class ProblemStructure(ctypes.Structure):
 
 
 #: Numbers of `twx_statistics`, in its order.
-_MEASURES = (
-    "cost",
-    "error",
-    "stationarity",
-    "violation",
-    "complementarity",
-    "barrier",
-    "cost_scale",
-    "minimum",
-    "excess",
-    "worth",
+MEASURES = (
+    *("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale", "minimum"),
+    *("excess", "worth"),
 )
-_COUNTS = (
+COUNTS = (
     *("status", "iterations", "evaluations", "factorizations", "corrections", "restorations"),
     *("restoration_iterations", "filter_resets", "inertia_corrections"),
 )
 
 
-class _Statistics(ctypes.Structure):
+class StatisticsStructure(ctypes.Structure):
     _fields_ = [
-        *((name, ctypes.c_double) for name in _MEASURES),
-        *((name, ctypes.c_int32) for name in _COUNTS),
+        *((name, ctypes.c_double) for name in MEASURES),
+        *((name, ctypes.c_int32) for name in COUNTS),
         ("log", ctypes.c_void_p),
         ("log_rows", ctypes.c_int32),
     ]
 
 
 #: Arrays of `twx_solution`, in its order.
-_MULTIPLIERS = ("v", "s", "lam", "y", "ye", "zl", "zu")
+MULTIPLIERS = ("v", "s", "lam", "y", "ye", "zl", "zu")
 
 
-class _Solution(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_void_p) for name in _MULTIPLIERS]
+class SolutionStructure(ctypes.Structure):
+    _fields_ = [(name, ctypes.c_void_p) for name in MULTIPLIERS]
 
 
 class Described(NamedTuple):
@@ -246,7 +238,7 @@ def solve(
     """
     arrays = _start(stages, z, z if v is None else v, warm)
     described = as_problem(stages, functions, lower, upper, units or Units(), largest_step)
-    statistics, problem = _Statistics(), described.structure
+    statistics, problem = StatisticsStructure(), described.structure
     stop = _StopFunction(should_stop, statistics, stages.points)
     for name, address in stop.addresses.items():
         setattr(problem, name, address)
@@ -255,7 +247,7 @@ def solve(
     workspace = np.empty(core.workspace_size(ctypes.byref(problem)))
     log = np.zeros((int(chosen.iterations) + 1, 10))
     statistics.log, statistics.log_rows = log.ctypes.data, len(log)
-    multipliers = _Solution(*(arrays[name].ctypes.data for name in _MULTIPLIERS))
+    multipliers = SolutionStructure(*(arrays[name].ctypes.data for name in MULTIPLIERS))
     references = [ctypes.byref(part) for part in (problem, chosen, multipliers, statistics)]
     pointers = (arrays["z"].ctypes.data, references[2], workspace.ctypes.data, references[3])
     status = core.solve(*references[:2], *pointers)
@@ -267,7 +259,7 @@ def solve(
             "bounds may be equal for x_0, controls and parameters alone\n"
             "  fix: fix a state after the first by an equality"
         )
-    numbers = {name: getattr(statistics, name) for name in (*_MEASURES, *_COUNTS[1:])}
+    numbers = {name: getattr(statistics, name) for name in (*MEASURES, *COUNTS[1:])}
     return CoreSolution(status=CoreStatus(status), **arrays, statistics=numbers, log=log[: statistics.iterations])
 
 
@@ -278,7 +270,7 @@ class _StopFunction:
         addresses: by the name that `twx_problem` has for it.
     """
 
-    def __init__(self, should_stop: StopCheck | None, statistics: _Statistics, points: int) -> None:
+    def __init__(self, should_stop: StopCheck | None, statistics: StatisticsStructure, points: int) -> None:
         self._error: BaseException | None = None
         self.addresses: dict[str, int] = {}
         if should_stop is None:

@@ -9,8 +9,8 @@ import functools
 import math
 import threading
 import time
-from collections.abc import Callable, Hashable, Mapping
-from typing import Any
+from collections.abc import Callable, Hashable, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import jax
 import numpy as np
@@ -63,6 +63,14 @@ class SmoothStructure(ctypes.Structure):
     _fields_ = [*((name, KernelStructure) for name in ("value", "slopes", "bends")), ("rows", ctypes.c_int32)]
 
 
+class Written(NamedTuple):
+    """A kernel as a program of scalars, for writers of other languages."""
+
+    program: ScalarProgram
+    arguments: Sequence[Argument]
+    numbers: Array
+
+
 class BatchKernel:
     """A function of vectors, one row of each argument for a row of the result, as the core calls it.
 
@@ -72,10 +80,18 @@ class BatchKernel:
     Attributes:
         structure: its address, arguments and numbers, for the core.
         owner: what the address belongs to.
+        written: what gives the function as a program of scalars anew, its arguments, and values of its numbers.
     """
 
-    def __init__(self, address: int | None, reads: list[Argument], owner: Any, numbers: Array | None = None) -> None:
-        self.owner, self._numbers = owner, numbers
+    def __init__(
+        self,
+        address: int | None,
+        reads: list[Argument],
+        owner: Any,
+        numbers: Array | None = None,
+        written: Callable[[], Written] | None = None,
+    ) -> None:
+        self.owner, self._numbers, self.written = owner, numbers, written
         self._reads, self._address = reads, address
         at = None if numbers is None else numbers.ctypes.data
         self.structure = KernelStructure(address, len(reads), (ctypes.c_int32 * len(Argument))(*reads), at)
@@ -148,12 +164,12 @@ class _Unbound:
         callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
-    def bound(self, numbers: Array) -> BatchKernel:
+    def bound(self, numbers: Array, written: Callable[[], Written] | None = None) -> BatchKernel:
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]
             numbers = by_numpy(self._before, inputs)[0][0]
-        return BatchKernel(*self._made, np.ascontiguousarray(numbers, float))
+        return BatchKernel(*self._made, np.ascontiguousarray(numbers, float), written)
 
 
 class Callback:
@@ -214,7 +230,10 @@ class SmoothKernels:
     @functools.cached_property
     def kernels(self) -> list[BatchKernel]:
         """Of the values and of the derivatives; waits for their machine code."""
-        return [pending.kernel.bound(self._numbers) for pending in self._made.kernels]
+        return [
+            pending.kernel.bound(self._numbers, functools.partial(pending.written, self._numbers))
+            for pending in self._made.kernels
+        ]
 
     @property
     def structure(self) -> SmoothStructure:
@@ -253,6 +272,7 @@ class _Pending:
     """A kernel whose machine code is made in a thread of its own, while others are traced and differentiated."""
 
     def __init__(self, closed: ClosedJaxpr, made: Callable[..., Any], function: Any, arguments: Any) -> None:
+        self._closed, self._maker = closed, made
         self._arguments, self._sizes = arguments
         self._function, self._lock = function, threading.Lock()
         self._kernel: _Unbound | None = None
@@ -286,6 +306,15 @@ class _Pending:
                 self._kernel = _Unbound.of_function(self._function, self._sizes, self._arguments)
             self._function = None
             return self._kernel
+
+    def written(self, numbers: Array) -> Written:
+        """The function as a program of scalars, made anew.
+
+        Raises:
+            ModelError, NotNative: it has no form in scalars.
+        """
+        with in_double():
+            return Written(native_form(self._maker(self._closed)), self._arguments, numbers)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

@@ -33,6 +33,7 @@ _FILES = (
     "transcription",
     "members",
     "handler",
+    "cholesky",
     "qp_scale",
     "qp_measure",
     "qp_newton",
@@ -58,6 +59,20 @@ def amalgamation() -> str:
     parts += [_INCLUDE.sub("", _read(name)) for name in inner]
     parts += [_expanded(_read(f"{name}.c"), drop=("core.h", "members.h", *inner)) for name in _FILES]
     return "\n".join(parts)
+
+
+#: What an exported controller does without: names of options, batches, and the dense program.
+_IN_PYTHON = ("options", "members", "handler", "cholesky")
+
+
+def controller_core() -> str:
+    """The part of the core that solves transcribed problems, as one C99 file without external names but `twx_` ones."""
+    inner = ("work.h", "phase.h")
+    drop = ("core.h", *inner)
+    parts = ["#define TWX_INTERNAL static\n", _expanded(_read("core.h")), _expanded(_read("transcription.h"), drop)]
+    parts += [_INCLUDE.sub("", _read(name)) for name in inner]
+    kept = [name for name in _FILES if name not in _IN_PYTHON and not name.startswith("qp")]
+    return "\n".join([*parts, *(_expanded(_read(f"{name}.c"), drop) for name in kept)])
 
 
 def fingerprint() -> str:

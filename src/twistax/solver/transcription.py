@@ -137,7 +137,7 @@ class CorePhase:
 NONE, INEQUALITY, EQUALITY = 0, 1, 2
 
 
-class _Node(ctypes.Structure):
+class NodeStructure(ctypes.Structure):
     _fields_ = [
         ("function", SmoothStructure),
         ("stage", ctypes.c_int32),
@@ -244,6 +244,21 @@ class Transcription:
         self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
         self.functions = StageFunctions(**library().transcribed, user=ctypes.addressof(self.structure), owner=self)
 
+    @property
+    def arrays(self) -> dict[int, Array]:
+        """The arrays that structures point to, by address."""
+        return {array.ctypes.data: array for array in self._memory if isinstance(array, np.ndarray)}
+
+    @property
+    def phase_doubles(self) -> int:
+        """Doubles of the memory of all phases."""
+        return sum(int(library().phase_work(ctypes.addressof(structure))) for structure in self._structures)
+
+    @property
+    def described(self) -> ctypes.Array[Any]:
+        """The structures of all phases, as `twx_phase` has them."""
+        return self._structures
+
     def set_data(self, data: Array) -> None:
         """Set other numbers for the kernels."""
         self._data[:] = data
@@ -333,7 +348,7 @@ class Transcription:
         part = slice(self.first[number], self.first[number] + len(phase.controls))
         inequalities, equalities = ([path, *nodes] for path, nodes in (of_path, of_nodes))
         codes = [self._array(_codes(*both)) for both in zip(inequalities, equalities)]
-        nodes = (_Node * len(kernels.nodes))()
+        nodes = (NodeStructure * len(kernels.nodes))()
         for node, (stage, function), code, margin in zip(nodes, kernels.nodes, codes[1:], margins[1:]):
             node.function, node.stage, node.place, node.margins = function.structure, stage, code, margin
         self._memory.append(nodes)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+import functools
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Literal, overload
 
@@ -206,6 +207,7 @@ class Dynamics:
         name: str = "dynamics",
         dtype: Any = np.float64,
         jacobian: Sequence[str] = ("x", "u"),
+        steps: Any = None,
         checked: bool = False,
         points: Sequence[Sequence[Any]] | None = None,
         tolerance: float | None = None,
@@ -221,13 +223,17 @@ class Dynamics:
             name: of the files, and what the names of all functions begin with.
             dtype: float64 or float32, the numbers of the code, whatever JAX's x64 switch says.
             jacobian: which of "x", "u", "params" to differentiate by; () for no derivatives.
+            steps: an explicit method of integration, such as `tx.RKMK(tx.tableaus.RK4)`. Then `name_step` gives the
+                states $x Exp(eta)$ after a step of length h, as `tx.integrate` takes it, with constant controls, and
+                `name_simulate` those after n steps.
             checked: keep 0 x, 0 / x and x - x in the values, as `tx.XLA(checked=True)` does.
             points: where the test main compares: (t, x, u, params) each; drawn at random if left out.
             tolerance: of that comparison, relative to the largest entry of a function; 1e-10, or 1e-4 for float32.
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            ModelError: a part has no form in scalars, or two names become one in C.
+            ModelError: a part has no form in scalars, as steps of implicit methods; two names become one in C; `steps`
+                is no method.
             InputError: a name or type that C has not; the directory cannot be written to, or holds other files of
                 those names.
         """
@@ -239,6 +245,7 @@ class Dynamics:
             name=name,
             dtype=dtype,
             jacobian=jacobian,
+            step=None if steps is None else steps_of(self, steps),
             checked=checked,
             points=points,
             tolerance=tolerance,
@@ -330,6 +337,19 @@ def load(path: str | Path, *, backend: Backend | Literal["auto"] | None = None) 
 
     system, options = read(path)
     return compile(system, **(options if backend is None else {**options, "backend": backend}))
+
+
+def steps_of(dynamics: Dynamics, method: Any) -> Callable[..., Arrays]:
+    """A step of a method on a system: of t, x, u, params and h. Pure and traceable.
+
+    Raises:
+        ModelError: no method of integration, or one that does not fit the system.
+    """
+    step = getattr(method, "step_in_arrays", None)
+    if isinstance(method, type) or step is None:
+        raise ModelError(f"to_c: steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
+    method.check(dynamics)
+    return functools.partial(step, dynamics)
 
 
 def need_compiled(owner: str, dynamics: object) -> None:

@@ -3,6 +3,8 @@
 from ..linear import Discretization, Linearization, discretize, linearize
 from ..progress import Progress
 from .adapters.solvers import IPOPT, Fatrop
+from .controllers.controller import Controller
+from .controllers.log import ControllerLog, StepRecord
 from .hessians.options import GaussNewton, QuasiNewton
 from .problem.controls import Held, Linear, Rate, Spline
 from .problem.functionals import Initial, Integral, Maximum, Minimum
@@ -27,6 +29,8 @@ __all__ = [
     "Accuracy",
     "IPOPT",
     "Collocation",
+    "Controller",
+    "ControllerLog",
     "Discretization",
     "Fatrop",
     "GaussNewton",
@@ -51,6 +55,7 @@ __all__ = [
     "QuasiNewton",
     "Solution",
     "Spline",
+    "StepRecord",
     "Status",
     "Strategy",
     "TrajectoryResult",

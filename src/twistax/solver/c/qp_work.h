@@ -64,4 +64,9 @@ TWX_INTERNAL twx_qp_status twx_qp_interior(twx_qp_work *w);
 
 /* qp_proof.c */
 TWX_INTERNAL twx_qp_status twx_qp_prove(twx_qp_work *w, twx_qp_status status);
+
+/* cholesky.c */
+TWX_INTERNAL int32_t twx_cholesky(int32_t n, double *A, int32_t la);
+TWX_INTERNAL void twx_solve_lower(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
+TWX_INTERNAL void twx_solve_lower_transposed(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
 #endif

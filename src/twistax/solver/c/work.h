@@ -78,14 +78,11 @@ static inline double twx_above(const twx_work *w, const double *v, size_t i) {
     for (const twx_stage *stage = (w)->stages + k; stage; stage = NULL)
 #define FOR_FREE(w, i) for (size_t i = 0; i < (w)->variables; i++) if ((w)->free[i] != 0)
 
-/* dense.c: C += A B, C += A' B, y += A x, y += A' x; Cholesky factors and their triangular solves. */
+/* dense.c: C += A B, C += A' B, y += A x, y += A' x. */
 TWX_INTERNAL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
 TWX_INTERNAL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
 TWX_INTERNAL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
 TWX_INTERNAL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
-TWX_INTERNAL int32_t twx_cholesky(int32_t n, double *A, int32_t la);
-TWX_INTERNAL void twx_solve_lower(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
-TWX_INTERNAL void twx_solve_lower_transposed(int32_t n, const double *L, int32_t ll, int32_t columns, double *B, int32_t lb);
 
 /* symmetric.c: a factor in memory of `twx_factor_size` doubles, n (n + 3) of them. */
 typedef struct {

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,9 @@ Point = list[NDArray[Any]]
 #: Of references at which the test main gives up, relative to the largest one of a function.
 _TOLERANCES = {"float64": 1e-10, "float32": 1e-4}
 
+#: Of steps in the test main, in units of time.
+TEST_STEP = 2.0**-7
+
 #: Headers of C99, which a header of that name would hide.
 _STANDARD = (
     "assert complex ctype errno fenv float inttypes iso646 limits locale math setjmp signal stdarg stdbool stddef "
@@ -40,16 +43,18 @@ def write_c(
     name: str,
     dtype: Any,
     jacobian: Sequence[str],
+    step: Callable[..., Mapping[str, Any]] | None,
     checked: bool,
     points: Sequence[Sequence[Any]] | None,
     tolerance: float | None,
 ) -> CFiles:
     """Implements `Dynamics.to_c`, which documents the arguments."""
-    _check_name(name)
+    check_name(name)
     real = _real(dtype)
     exporter = Exporter(dynamics, real.dtype, checked)
-    functions = _functions(exporter, jacobian)
-    names = identifiers([*exporter.arguments, *dict.fromkeys(port for f in functions for port in f.results)])
+    functions = _functions(exporter, jacobian, step)
+    of_functions = dict.fromkeys(port for f in functions for port in (*f.extra, *f.results))
+    names = identifiers([*exporter.arguments, *of_functions])
     chosen_points = _drawn_points(exporter) if points is None else [_point(exporter, point) for point in points]
     if not chosen_points:
         raise InputError("points expects at least one (t, x, u, params); left out, some are drawn")
@@ -59,11 +64,12 @@ def write_c(
     files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
     test = _test_main(code, chosen_points, allowed)
     texts = {files.header: code.header(), files.source: code.source(), files.test: test}
-    _write(folder, texts)
+    write_files(folder, texts)
     return files
 
 
-def _check_name(name: str) -> None:
+def check_name(name: str) -> None:
+    """Raise InputError for a name that C files cannot have."""
     if not isinstance(name, str) or not re.fullmatch(r"[A-Za-z][A-Za-z0-9_]*", name):
         raise InputError(f"name expects a letter, then letters, digits and underscores, got {name!r}")
     if name.lower() in _STANDARD.split():
@@ -80,19 +86,21 @@ def _real(dtype: Any) -> CType:
     return c_type(real_type)
 
 
-def _functions(exporter: Exporter, jacobian: Sequence[str]) -> list[ExportedFunction]:
+def _functions(exporter: Exporter, jacobian: Sequence[str], step: Any) -> list[ExportedFunction]:
     functions = [exporter.family(family) for family, exprs in exporter.dynamics.families.items() if any(exprs.values())]
     if jacobian:
         if isinstance(jacobian, str):
             raise InputError(f"jacobian expects a sequence like ('x', 'u'), got {jacobian!r}")
         functions.append(exporter.jacobian(jacobian))
+    if step is not None:
+        functions.append(exporter.step(step))
     functions = [function for function in functions if function.results]
     if not functions:
         raise ModelError("there is nothing to write: no result has an entry")
     return functions
 
 
-def _write(folder: Path, texts: dict[Path, str]) -> None:
+def write_files(folder: Path, texts: dict[Path, str]) -> None:
     """Write the files. Files of an earlier call are replaced; other files are refused."""
     try:
         for path in texts:
@@ -167,8 +175,9 @@ def _test_main(code: CCode, points: Sequence[Point], tolerance: float) -> str:
         finite = np.concatenate([np.abs(r[np.isfinite(r)]) for reference in references for r in reference])
         allowed = real.literal(_cast(tolerance * float(finite.max(initial=0.0)), real)[()])
         results = [f"found[{j}]" for j in range(len(function.results))]
+        lengths = [real.literal(_cast(TEST_STEP, real)[()])] * len(function.extra)
         for k, arguments in enumerate(inputs):
-            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *results])});")
+            steps.append(f"{code.name}_{function.name}({', '.join([*arguments, *lengths, *results])});")
             for result, port, reference in zip(results, function.results, references[k], strict=True):
                 array = f"expected_{k}_{function.name}_{names[port]}"
                 data.append(numbers(array, reference, real))
@@ -194,7 +203,10 @@ def _test_main(code: CCode, points: Sequence[Point], tolerance: float) -> str:
 def _references(function: ExportedFunction, points: Sequence[Point]) -> list[list[NDArray[Any]]]:
     """The results at every point, in double precision."""
     with jax.enable_x64(True):
-        stacked = [jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)]
+        stacked: list[Any] = [
+            jnp.stack([jnp.asarray(v, np.float64) for v in values]) for values in zip(*points, strict=True)
+        ]
+        stacked += [jnp.full(len(points), TEST_STEP, np.float64)] * len(function.extra)
         # Compiled once, for a few points: the compiler's optimisations would take longer than they save.
         run = jax.jit(jax.vmap(function.arrays), compiler_options={"xla_backend_optimization_level": 0})
         results = [np.asarray(r) for r in run(*stacked)]

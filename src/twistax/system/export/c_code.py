@@ -30,6 +30,8 @@ _MEANINGS = {
     "output": "output {}",
     "inequality": "what must be <= 0",
     "equality": "what must be = 0",
+    "h": "length of a step",
+    "next": "state {} at the end",
     "by x": "by right perturbations of the states, x (+) d = x Exp(d)",
     "by u": "by entries of the controls",
     "by params": "by entries of the parameters",
@@ -59,7 +61,7 @@ def identifiers(ports: Sequence[Port]) -> dict[Port, str]:
         plain = re.sub(r"[^\x00-\x7f]", lambda letter: f"u{ord(letter[0]):04x}", port.name)
         # Its kind keeps a name apart from C's words and from libm's.
         kind = {"jacobian": "by", "params": "p"}.get(port.kind, port.kind)
-        name = kind if kind == "t" else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
+        name = kind if port.by_value else f"{kind}_{re.sub(r'[^A-Za-z0-9_]', '_', plain)}"
         if name in ports_by_name:
             raise ModelError(
                 f"{ports_by_name[name].name!r} and {port.name!r} would both be called {name} in C.\n  fix: rename one"
@@ -83,13 +85,14 @@ class CCode:
         constants = "".join(f"extern {head};\n" for head in self._defaults())
         if constants:
             constants = f"/* The parameters' own values, to pass where no others are wanted. */\n{constants}\n"
-        prototypes = "\n".join(f"{self._head(function)};\n" for function in self.functions)
+        heads = [*map(self._head, self.functions), *(loop.head for loop in self._loops())]
+        prototypes = "\n".join(f"{head};\n" for head in heads)
         return filled(
             "header.h.in",
             mark=mark(),
             real=self.real.name,
             arguments=self._listed(self.exporter.arguments),
-            results="".join(map(self._results, self.functions)),
+            results="".join(map(self._results, self.functions)) + "".join(loop.comment for loop in self._loops()),
             guard=f"{self.name}_H",  # as written: in C, names that differ in case differ
             constants=constants,
             prototypes=prototypes,
@@ -101,9 +104,10 @@ class CCode:
             f"{self._head(function)}\n{{\n{body(function, self.exporter.arguments, self.names)}}}\n"
             for function in self.functions
         ]
+        bodies += [loop.text for loop in self._loops()]
         parts = [
             f'{mark()}. The call convention stands in {self.name}.h. */\n#include "{self.name}.h"\n\n'
-            "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n",
+            "#include <math.h>\n#include <stdbool.h>\n#include <stdint.h>\n#include <string.h>\n",
             "".join(f"{head} = {{{values}}};\n" for head, values in self._defaults().items()),
             *(numbers(table.name, table.numbers(self.real.dtype), self.real) for table in self._tables()),
             *bodies,
@@ -113,12 +117,22 @@ class CCode:
     def _tables(self) -> list[Table]:
         return list(dict.fromkeys(table for function in self.functions for table in function.program.tables))
 
+    def _loops(self) -> list[StepLoop]:
+        return [StepLoop(self, function) for function in self.functions if function.name == "step"]
+
     def _head(self, function: ExportedFunction) -> str:
         """The head of a function, without what follows it."""
+        return self.head_of(function.name, function, [])
+
+    def head_of(self, name: str, function: ExportedFunction, counts: Sequence[str]) -> str:
+        """The head of a function with the arguments and results of another one, and counts before the results."""
         real, names = self.real.name, self.names
-        listed = [f"{real} t", *(f"const {real} *{names[port]}" for port in self.exporter.arguments[1:])]
-        listed += [f"{real} *{names[port]}" for port in function.results]
-        return f"void {self.name}_{function.name}(\n    " + ",\n    ".join(listed) + ")"
+        listed = [
+            f"{real} {names[port]}" if port.by_value else f"const {real} *{names[port]}"
+            for port in (*self.exporter.arguments, *function.extra)
+        ]
+        listed += [*(f"int32_t {count}" for count in counts), *(f"{real} *{names[port]}" for port in function.results)]
+        return f"void {self.name}_{name}(\n    " + ",\n    ".join(listed) + ")"
 
     def _defaults(self) -> dict[str, str]:
         """The parameters that have values of their own: head -> these, row by row."""
@@ -146,6 +160,8 @@ class CCode:
 
     def _results(self, function: ExportedFunction) -> str:
         text = f" *\n * Results of {function.name}, in this order\n{self._listed(function.results)}"
+        if function.extra:
+            text += " *   After the parameters it takes the length of the step, h, by value. Controls stay constant.\n"
         if function.name == "jacobian":
             rows = ", ".join(_comment(state.name) for state in self.exporter.dynamics.states)
             places = sum(port.size for port in function.results)
@@ -157,20 +173,54 @@ class CCode:
         return text
 
 
+@dataclasses.dataclass(frozen=True)
+class StepLoop:
+    """The C function that takes n steps one after the other."""
+
+    code: CCode
+    step: ExportedFunction
+
+    @property
+    def head(self) -> str:
+        return self.code.head_of("simulate", self.step, ["n"])
+
+    @property
+    def comment(self) -> str:
+        return (
+            " *\n * simulate takes n steps of length h, beginning at time t, and gives what the last step gives;\n"
+            " *   of n <= 0 the states at the beginning. Controls stay constant over all of them.\n"
+        )
+
+    @property
+    def text(self) -> str:
+        code, names, real = self.code, self.code.names, self.code.real.name
+        states = {port.name: port for port in code.exporter.arguments if port.kind == "x"}
+        pairs = [(names[states[port.name]], names[port], port.size) for port in self.step.results]
+        memory = [f"{real} from_{after}[{size}];" for _, after, size in pairs]
+        begin = [f"memcpy({after}, {before}, sizeof from_{after});" for before, after, _ in pairs]
+        again = [f"memcpy(from_{after}, {after}, sizeof from_{after});" for _, after, _ in pairs]
+        moved = {before: f"from_{after}" for before, after, _ in pairs}
+        arguments = [names[port] for port in (*code.exporter.arguments[1:], *self.step.extra, *self.step.results)]
+        listed = ", ".join([f"t + ({real})k * h", *(moved.get(name, name) for name in arguments)])
+        loop = [*again, f"{code.name}_step({listed});"]
+        lines = [*memory, *begin, "for (int32_t k = 0; k < n; k++) {", *(f"    {line}" for line in loop), "}"]
+        return f"{self.head}\n{{\n" + "".join(f"    {line}\n" for line in lines) + "}\n"
+
+
 def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[Port, str]) -> str:
     """The lines of a function.
 
     Raises:
         ModelError: a type that C has not, or has no such operation of.
     """
-    program, g = function.program, function.program.graph
+    program, g, every = function.program, function.program.graph, [*arguments, *function.extra]
     lines: list[str] = []
     used: set[int] = set()
 
     def entry(argument: int, place: int) -> str:
         used.add(argument)
-        port = arguments[argument]
-        return names[port] if port.kind == "t" else f"{names[port]}[{place}]"
+        port = every[argument]
+        return names[port] if port.by_value else f"{names[port]}[{place}]"
 
     def computed(operation: Operation, node: int, *values: str) -> str:
         result_type, argument_type = c_type(g.dtypes[node]), c_type(g.dtypes[g.arguments(node)[-1]])
@@ -179,7 +229,7 @@ def body(function: ExportedFunction, arguments: Sequence[Port], names: Mapping[P
         return f"v{len(lines) - 1}"
 
     values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
-    unused = [f"(void){names[port]};" for k, port in enumerate(arguments) if k not in used]
+    unused = [f"(void){names[port]};" for k, port in enumerate(every) if k not in used]
     results = []
     for port, nodes in zip(function.results, program.outputs, strict=True):
         for k, i in enumerate(nodes.reshape(-1).tolist()):

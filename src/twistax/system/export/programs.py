@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import jax
@@ -28,23 +28,31 @@ _LIMITS = Limits(pivoted=12, table=256, equations=100_000)
 class Port:
     """An array that goes into a function or comes out of it."""
 
-    kind: str  # "t", "x", "u" or "params" of arguments; "rate", "output", "constraint" or "jacobian" of results
-    name: str  # of the leaf or the result; empty for the time
+    kind: (
+        str  # "t", "x", "u", "params", "h" of arguments; "rate", "output", "constraint", "jacobian", "next" of results
+    )
+    name: str  # of the leaf or the result; empty for the time and the length of a step
     shape: tuple[int, ...]
 
     @property
     def size(self) -> int:
         return math.prod(self.shape)
 
+    @property
+    def by_value(self) -> bool:
+        """Whether C takes it as a number, not as a pointer."""
+        return self.kind in ("t", "h")
+
 
 @dataclasses.dataclass(frozen=True)
 class ExportedFunction:
     """One function."""
 
-    name: str  # "rates", "outputs", "constraints" or "jacobian"
+    name: str  # "rates", "outputs", "constraints", "jacobian" or "step"
     results: tuple[Port, ...]  # what it gives, in order; empty arrays are left out
     program: ScalarProgram  # from all arguments, in order, to the results; without calls
     arrays: Callable[..., list[jax.Array]]  # the same in JAX arrays: what references are computed with
+    extra: tuple[Port, ...] = ()  # arguments after those of all functions
 
 
 class Exporter:
@@ -94,6 +102,25 @@ class Exporter:
 
             return self._exported("jacobian", "jacobian", list(derivatives.blocks), derivatives.program, arrays)
 
+    def step(self, advance: Callable[..., Mapping[str, jax.Array]]) -> ExportedFunction:
+        """The states after one step of length h with constant controls.
+
+        Args:
+            advance: of t, x, u, params and h; pure and traceable.
+        Raises:
+            ModelError: the step has no form in scalars, or the program is too large.
+        """
+        length, states = Port("h", "", ()), [state.name for state in self.dynamics.states]
+
+        def arrays(*values: jax.Array) -> list[jax.Array]:
+            after = advance(*self.dynamics.by_kind(self._places, values[:-1]), values[-1])
+            return [after[name] for name in states]
+
+        with jax.enable_x64(self.dtype == np.float64):
+            shaped = [jax.ShapeDtypeStruct(p.shape, self.dtype) for p in (*self.arguments, length)]
+            program = scalarize(jax.make_jaxpr(arrays)(*shaped), checked=self.checked)
+            return dataclasses.replace(self._exported("step", "next", states, program, arrays), extra=(length,))
+
     def _exported(
         self,
         name: str,
@@ -105,9 +132,11 @@ class Exporter:
         """A function with every call unrolled, without results that have no entry."""
         form = emitted_form(program, limits=_LIMITS)
         if form.calls:
+            first = "an explicit method for steps, or " if name == "step" else ""
             raise ModelError(
-                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: bake the parameters "
-                "it works on, write it with other nodes, or leave this function out; solves are unrolled up to "
+                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: {first}"
+                "bake the parameters it works on, write it with other nodes, or leave this function out; "
+                "solves are unrolled up to "
                 f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"
             )
         kept = [k for k, nodes in enumerate(form.outputs) if nodes.size]

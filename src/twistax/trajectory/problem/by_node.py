@@ -107,6 +107,12 @@ class ByNode:
         """The number of entries of a row."""
         return _HEAD + 2 * self._flat.size if self.leaves else 0
 
+    def places(self, name: str) -> Array:
+        """Where a parameter begins in the row of a node, (node, next node); the same in the row after it."""
+        flat = self._flat
+        first = _HEAD + int(flat.places(name)[0]) + np.array([0, flat.size])
+        return np.stack([first, first + self.width])
+
     def rows(self, params: Mapping[str, Any]) -> Array:
         """(nodes, width)"""
         if not self.leaves:

@@ -17,6 +17,7 @@ from ...expr import Parameter, leaves_of
 from ...scalar.walk import uncollected
 from ...system import free_name, name_of
 from ...system.dynamics import need_compiled
+from ..controllers.controller import Controller
 from ..result.many import TrajectoryResults
 from ..result.result import TrajectoryResult
 from ..strategy.accuracy import MESH
@@ -378,6 +379,14 @@ class Problem:
         arguments = {"guess": guess, "initial": initial, "final": final, "params": params, "final_time": final_time}
         options = SolveOptions(max_iterations=max_iterations, tolerance=tolerance, mesh_tolerance=mesh_tolerance)
         return solved_many(self, arguments | {"free": free}, options)
+
+    def controller(self, warm: Any = None, **options: Any) -> Controller:
+        """A controller for this problem, which solves it from measured states; `Controller` has the options."""
+        return Controller(self, warm, **options)
+
+    def to_c(self, directory: Any, *, name: str = "controller", warm: Any = None, **options: Any) -> Any:
+        """A controller for this problem as C99; see `Controller.to_c`, and `Controller` for the options."""
+        return self.controller(warm, **options).to_c(directory, name=name)
 
     def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
         """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""

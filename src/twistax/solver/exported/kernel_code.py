@@ -1,0 +1,113 @@
+"""Kernels as functions of C99, called as the core calls machine code: with a table of addresses and strides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import TrajectoryError
+from ...scalar.primitives.entry import Operation
+from ...scalar.primitives.table_load import Table
+from ...scalar.program import ScalarProgram
+from ...scalar.targets.c import c_type, expression
+from ...scalar.targets.llvm.code import NotNative
+from ...system.export.c_code import numbers
+from ...system.hessian import REFUSALS
+from ..kernels import Argument, BatchKernel
+
+_REAL = c_type(np.dtype(float))
+
+
+class KernelCode:
+    """The C functions of kernels, each written once.
+
+    Attributes:
+        functions: their text, in the order in which they were asked for.
+        operations: of a row of each, by its name.
+    """
+
+    def __init__(self) -> None:
+        self.functions, self.operations = list[str](), dict[str, int]()
+        self._tables = dict[Table, None]()
+
+    def structure(self, kernel: BatchKernel, what: str) -> str:
+        """The initialiser of a `twx_kernel`.
+
+        Args:
+            what: for names and messages, such as "rate_slopes".
+        Raises:
+            TrajectoryError: the function has no form in scalars.
+        """
+        if kernel.structure.run is None:
+            return "{NULL, 0, {0}, NULL}"
+        if kernel.written is None:
+            raise TrajectoryError(f"to_c: {what} has no form in scalars")
+        try:
+            program, arguments, values = kernel.written()
+        except (*REFUSALS, NotNative) as error:
+            raise TrajectoryError(
+                f"to_c: {what} has no form in scalars: {error}\n"
+                "  fix: write it with nodes, without functions of JAX that call a library or the host"
+            ) from error
+        name = f"kernel_{len(self.operations)}_{what}"
+        used, text = _function(name, program)
+        self.functions.append(text)
+        self.operations[name] = program.operations
+        self._tables |= dict.fromkeys(program.tables)
+        constants = "NULL"
+        if len(values) and Argument.NUMBERS in (arguments[k] for k in used):
+            constants = f"{name}_numbers"
+            self.functions.append(numbers(constants, values, _REAL))
+        places = ", ".join(str(int(arguments[k])) for k in used)
+        return f"{{{name}, {len(used)}, {{{places or 0}}}, {constants}}}"
+
+    @property
+    def text(self) -> str:
+        """All functions, after the tables that they load from."""
+        tables = [numbers(table.name, table.numbers(np.dtype(float)), _REAL) for table in self._tables]
+        return "\n".join([*tables, *self.functions])
+
+
+def _function(name: str, program: ScalarProgram) -> tuple[list[int], str]:
+    """The arguments that are read, and the text."""
+    graph, lines = program.graph, list[str]()
+    used: list[int] = []
+
+    def entry(argument: int, place: int) -> str:
+        if argument not in used:
+            used.append(argument)
+        return f"a{argument}[{place}]"
+
+    def computed(operation: Operation, node: int, *values: str) -> str:
+        result, argument = c_type(graph.dtypes[node]), c_type(graph.dtypes[graph.arguments(node)[-1]])
+        lines.append(f"const {result.name} v{len(lines)} = {expression(operation, argument, result, values)};")
+        return f"v{len(lines) - 1}"
+
+    values = program.computed(entry, lambda value, dtype: c_type(dtype).literal(value), computed)
+    results = [f"out[{k}] = {values[node]};" for k, node in enumerate(program.flat)]
+    return used, _loop(name, used, [*lines, *results])
+
+
+def _loop(name: str, used: Sequence[int], lines: Sequence[str]) -> str:
+    count = len(used)
+    rows = [
+        f"const double *const a{argument} = (const double *)(intptr_t)table[{k}] + row * table[{count + 1 + k}];"
+        for k, argument in enumerate(used)
+    ]
+    rows.append(f"double *const out = (double *)(intptr_t)table[{count}] + row * table[{2 * count + 1}];")
+    inner = "".join(f"    {line}\n" for line in (*rows, *lines))
+    head = f"static void {name}(const int64_t *table, int64_t first, int64_t end)"
+    return f"{head}\n{{\n  for (int64_t row = first; row < end; row++) {{\n{inner}  }}\n}}\n"
+
+
+def array(name: str, values: Array) -> str:
+    """A constant array of numbers or whole numbers."""
+    if values.dtype == float:
+        return numbers(name, values, _REAL)
+    kind: Any = c_type(values.dtype)
+    entries = [str(int(v)) for v in values.ravel()]
+    lines = [", ".join(entries[k : k + 16]) for k in range(0, len(entries), 16)]
+    return f"static const {kind.name} {name}[{len(entries)}] = {{\n    " + ",\n    ".join(lines) + "\n};\n"

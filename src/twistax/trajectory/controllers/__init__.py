@@ -1,0 +1,1 @@
+"""Model-predictive control: a problem solved again and again from measured states."""

@@ -1,0 +1,449 @@
+"""A controller: a problem that is solved again from each measured state, in memory that is laid out once."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import listed, number, reals, short, whole
+from ...errors import InputError, ShapeError, TrajectoryError
+from ...integrators.options import need_element
+from ...jax_inside import in_double
+from ...solver.core import CoreStatus, Units
+from ...solver.kernels import Argument
+from ...solver.options import Options
+from ...solver.prepared import PreparedSolve
+from ...system import name_of
+from ...system.export import CFiles
+from ..hessians.options import by_updates
+from ..strategy.measure import COST
+from ..strategy.status import Status
+from ..strategy.warm import warm_start, with_ends
+from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
+from .export import write_controller
+from .gains import Gains
+from .log import ControllerLog, StepRecord
+from .shift import Shift, need_shiftable
+
+Values = dict[str, Array]
+
+
+class Controller:
+    """Model-predictive control: the controls for a measured state, by a few steps of the solver from the last plan.
+
+    `problem.controller(...)` makes one. Each sampling period has three calls:
+
+        controller.prepare(params={reference: r})    # what is known before the measurement
+        u = controller.feedback({p: 1.0, v: 0.2})    # the controls of the first interval
+        controller.shift()                           # after an interval of the plan has passed
+
+    `feedback` solves $min J$ of the problem with $x_0 = x$, the measured state, from the plan and the multipliers of
+    the last call. With `max_iterations=2` this is a real-time iteration: the plan converges while the system moves.
+    With `max_iterations=100` it is a full solve, which `max_seconds` may cut off.
+
+    A controller has memory of its own, so different controllers may run in different threads; a call holds Python's
+    lock only before and after the solve. One controller serves one thread at a time.
+
+    Args:
+        problem: of one phase, with held controls and a fixed initial state.
+        warm: a result of it, the first plan; solved for when left out. Its solver's units are those of all calls, so it
+            should be like the plans to come, and not one at rest.
+        max_iterations: the most steps of the solver in a call. One alone is cut short by limits that become active at
+            once, for example after a kick.
+        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each step.
+        hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
+        tolerance: of the scaled first-order conditions; a call that meets it ends.
+        log: how many calls the log keeps.
+
+    Attributes:
+        log: a `ControllerLog` of the last calls.
+        status: how the last solve ended, a `Status`; SOLVED means that the first-order conditions hold on the mesh.
+        params: values of the parameters by name, as the next solve has them.
+
+    Raises:
+        TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free initial
+            state; numbers without meaning.
+
+    Source: Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback control,
+    SIAM J. Control Optim. 43 (2005).
+    """
+
+    def __init__(
+        self,
+        problem: Any,
+        warm: Any = None,
+        *,
+        max_iterations: int = 2,
+        max_seconds: float | None = None,
+        hessian: Any = None,
+        tolerance: float = 1e-6,
+        log: int = 10_000,
+    ) -> None:
+        if hessian is not None:
+            problem = problem.with_phases([{"hessian": hessian}] * len(problem.parts))
+        whole("max_iterations", max_iterations, 1, TrajectoryError)
+        whole("log", log, 1, TrajectoryError)
+        if max_seconds is not None:
+            number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
+        _need_controllable(problem)
+        self.problem, self._seconds = problem, max_seconds
+        (self.part,) = problem.parts
+        with in_double():
+            start = warm_start(problem.solve() if warm is None else warm)
+            _, instance, _, ends = problem.started(begin=start.point)
+            start = with_ends(start, problem, ends, instance)
+            solver = problem.core(tolerance, start.point, instance).alone(instance)
+            self.staged = staged = solver.staged
+            self.largest_step = solver.largest_step
+            units = solver.units(start.point, instance) if start.units is None else start.units
+            options = solver.options(max_iterations) | {"warm_start": 1.0}
+            self.units = Units(units.v, units.rows, units.equalities, COST * units.cost)
+            bounds = staged.limits(start.point, instance)
+            self.prepared = PreparedSolve(
+                staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
+            )
+            self._load(start)
+        self.params, self.numbers = dict(instance.params), staged.numbers.vector(instance)
+        staged.transcription.set_data(self.numbers)
+        self.moves_on, self._gains = Shift(staged), Gains(self.prepared, staged, self.units)
+        self._place_leaves()
+        self.log, self.status = ControllerLog(log), Status.STOPPED
+
+    def _load(self, start: Any) -> None:
+        """Write a warm start into the memory of the solve."""
+        solve, staged = self.prepared, self.staged
+        solve.z[:], solve.v[:] = staged.flat(start.point), staged.coordinates(start.point)
+        solve.lam[:] = staged.unpadded(start.dynamics)
+        solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
+        solve.s[:] = 0.0  # what its rows leave
+        solve.z[: self._x_size] = self._base(start.point)
+
+    @property
+    def _x_size(self) -> int:
+        return int(self.staged.parts[0].point.size)
+
+    def _base(self, point: Any) -> Array:
+        first = {name: np.asarray(values)[0] for name, values in point.xs.items()}
+        return np.asarray(self.staged.parts[0].point.joined(first))
+
+    def _place_leaves(self) -> None:
+        """Where states and controls stand in z and v."""
+        shooting, point = self.part.shooting, self.staged.parts[0].point
+        stages = self.staged.transcription.stages
+        self._states = {}
+        for state in self.part.dynamics.states:
+            places, columns = point.places(state.name), shooting.dynamics.group.slices[state.name]
+            here = slice(int(places[0]), int(places[-1]) + 1) if len(places) else slice(0, 0)
+            self._states[state.name] = (here, columns, state.shape, state.group)
+        self.controls, user = {}, {control.name for control in self.part.phase.dynamics.controls}
+        for control in self.part.dynamics.controls:
+            if control.name in user:
+                self.controls[control.name] = (shooting.local.controls.slices[control.name], control.shape)
+        self._flat = all(state.group.flat for state in self.part.dynamics.states)
+        self._n, self._first = shooting.n, stages.first
+        self._x_units = np.asarray(self.units.size)[: shooting.n]
+        self._gap = self.staged.parts[0].phase.kernels.gap.kernels[0]
+
+    # ---- the three calls --------------------------------------------------------------------------------------------
+
+    def prepare(
+        self,
+        params: Mapping[Any, Any] | None = None,
+        *,
+        final: Mapping[Any, Any] | None = None,
+        limits: Mapping[Any, Any] | None = None,
+    ) -> None:
+        """Set what is known before the state is measured; it stays until it is set again.
+
+        Args:
+            params: values of parameters, by leaf or name: references and weights too. Those of `by_node` have a row for
+                each node, or one for all.
+            final: values of states at the end, where the problem fixes them.
+            limits: (low, high) of held controls, by leaf or name, in their unit; numbers, arrays of a control's shape,
+                or arrays (intervals, *shape).
+        Raises:
+            InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, no finite numbers, low
+                above high.
+        """
+        if params is not None or final is not None:
+            with in_double():
+                self._set_numbers(params or {}, final)
+        for key, sides in (limits or {}).items():
+            self._limit(name_of(key), sides)
+
+    def _set_numbers(self, params: Mapping[Any, Any], final: Mapping[Any, Any] | None) -> None:
+        if not isinstance(params, Mapping):
+            raise InputError(f"prepare: params must be a dict from parameters to values, got {short(params)}")
+        numbers, by_node = self.staged.numbers, self.part.by_node
+        rows = False
+        for key, value in params.items():
+            name = name_of(key)
+            if name not in self.params:
+                raise InputError(f"unknown key {name!r} in params; expected: {listed(self.params, name)}")
+            if name in by_node.leaves:
+                self.params[name], rows = by_node.values(name, value), True
+                continue
+            array = reals(f"params[{name!r}]", value, InputError)
+            if array.shape != np.shape(self.params[name]):
+                raise ShapeError(f"params[{name!r}] expects shape {np.shape(self.params[name])}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise InputError(f"params[{name!r}] expects finite numbers, got {short(array)}")
+            self.params[name] = array
+            self.numbers[numbers.places([name], [])] = array.ravel()
+        self.part.check_weights(self.params)
+        if rows:
+            begin, _ = numbers.node_rows(0)
+            self.numbers[begin:] = by_node.rows(self.params).ravel()
+        if final is not None:
+            ends = self.part.other_ends(None, final)
+            for name, value in self.part.filled(ends.final).items():
+                self.numbers[numbers.places([], [name])] = np.ravel(value)
+        self.staged.transcription.set_data(self.numbers)
+
+    def _limit(self, name: str, sides: Any) -> None:
+        if name not in self.controls:
+            raise InputError(f"limits names {name!r}; the held controls are: {listed(self.controls, name)}")
+        columns, shape = self.controls[name]
+        if not isinstance(sides, (tuple, list)) or len(sides) != 2:
+            raise InputError(f"limits[{name!r}] expects (low, high), got {short(sides)}")
+        intervals = self.part.nodes - 1
+        low, high = (reals(f"limits[{name!r}]", side, InputError) for side in sides)
+        for side in (low, high):
+            if side.shape not in ((), shape, (intervals, *shape)):
+                raise ShapeError(f"limits[{name!r}] expects shape {shape} or {(intervals, *shape)}, got {side.shape}")
+        if not (low <= high).all():
+            raise InputError(f"limits[{name!r}] expects low <= high, got {short(low)} and {short(high)}")
+        places = self._first[:-1, None] + self._n + np.arange(columns.start, columns.stop)
+        for bound, side in ((self.prepared.lower, low), (self.prepared.upper, high)):
+            bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
+
+    def feedback(self, x: Mapping[Any, Any]) -> Values:
+        """The controls for a measured state: a few steps of the solver from the last plan.
+
+        Args:
+            x: the state, by leaf or name; every state of the system.
+        Returns:
+            the controls of the first interval, by name. Where the solve fails they are those of the plan before it:
+            look at `status`. Where time runs out they are those of the iterate with the smallest error.
+        Raises:
+            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is no
+                element of its group.
+        """
+        begin = time.perf_counter()
+        solve, options = self.prepared, self.prepared.options
+        barrier = min(max(BARRIER_SHARE * self._measured(x), BARRIER_LEAST), BARRIER_MOST)
+        options.barrier_start = barrier
+        options.slack_push = options.bound_push = min(barrier**0.5, 1e-2)
+        ended = solve(None if self._seconds is None else self._seconds - (time.perf_counter() - begin))
+        self.status = _STATUS.get(ended, Status.STALLED)
+        measure = solve.measure
+        record = StepRecord(
+            self.status,
+            int(measure("iterations")),
+            time.perf_counter() - begin,
+            self.problem.sign * measure("cost"),
+            measure("violation"),
+            COST * measure("error"),
+        )
+        self.log.append(record)
+        return self._first_controls()
+
+    def shift(self) -> None:
+        """Move the plan on by one interval: its second node is the first one of the next solve.
+
+        The last control stays constant for one more interval, and the last state is integrated with it.
+
+        Raises:
+            TrajectoryError: intervals are not equally long.
+        """
+        need_shiftable(self.problem)
+        self.moves_on(self.prepared)
+
+    def _base_of(self, x: Mapping[Any, Any]) -> Array:
+        """A measured state as a node's point, checked."""
+        if not isinstance(x, Mapping) or len(x) != len(self._states):
+            raise InputError(f"feedback expects a value for every state: {listed(self._states)}; got {short(x)}")
+        base = np.empty(self._x_size)
+        for key, value in x.items():
+            name = name_of(key)
+            if name not in self._states:
+                raise InputError(f"feedback: unknown state {name!r}; the states are: {listed(self._states, name)}")
+            places, _, shape, group = self._states[name]
+            array = np.asarray(value, float)
+            if array.shape != shape:
+                raise ShapeError(f"feedback: x[{name!r}] expects shape {shape}, got {array.shape}")
+            if not np.isfinite(array).all():
+                raise InputError(f"feedback: x[{name!r}] expects finite numbers, got {short(array)}")
+            need_element(name, group, array)
+            base[places] = array.ravel()
+        return base
+
+    def _measured(self, x: Mapping[Any, Any]) -> float:
+        """Write the measured state into the first node; the largest move of it, in units of the states."""
+        solve, base = self.prepared, self._base_of(x)
+        jump = float(np.abs(self._difference(base) / self._x_units).max(initial=0.0))
+        solve.z[: self._x_size] = base
+        for places, columns, _, group in self._states.values():  # points of manifolds have the coordinates zero
+            at = base[places] if group.flat else 0.0
+            solve.v[columns] = solve.lower[columns] = solve.upper[columns] = at
+        return jump
+
+    def _difference(self, base: Array) -> Array:
+        """Log(x_0^-1 x) of a state and the first node of the plan."""
+        here = self.prepared.z[: self._x_size]
+        if self._flat:
+            return base - here
+        arguments = {Argument.Z: np.zeros((1, self._n)), Argument.BASE: base[None], Argument.TARGET: here[None]}
+        return self._gap(1, self._n, arguments)[0]
+
+    def _first_controls(self) -> Values:
+        here = self.prepared.z[self._x_size :]
+        return {name: here[columns].reshape(shape).copy() for name, (columns, shape) in self.controls.items()}
+
+    # ---- between solves ---------------------------------------------------------------------------------------------
+
+    @property
+    def gains(self) -> Values:
+        """Derivatives of the first controls by the measured state: control name -> (*shape, n).
+
+        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with limits as they are active, and n the tangents of the states
+        in the order of their declaration. K is the gain of a Riccati recursion along the plan, where free times, free
+        parameters and equalities at nodes move too. Computed when read: about one iteration of the solver.
+
+        Raises:
+            TrajectoryError: the plan is no strict minimum.
+        """
+        columns = self._gains(self._n)
+        return {name: columns[part].reshape(*shape, self._n) for name, (part, shape) in self.controls.items()}
+
+    def correct(self, x: Mapping[Any, Any]) -> Values:
+        """The first controls, corrected for a newer state by the gains: feedback between solves.
+
+        $u = u_0 + K Log(x_0^-1 x)$, within the limits of the controls.
+
+        Args:
+            x: as for `feedback`.
+        Raises:
+            InputError, ShapeError: as `feedback` does.
+            TrajectoryError: the plan is no strict minimum.
+        """
+        solve, begin = self.prepared, self._n
+        moved = self._gains(self._n) @ self._difference(self._base_of(x))
+        here = slice(begin, begin + len(moved))
+        flat = np.clip(solve.z[self._x_size :][: len(moved)] + moved, solve.lower[here], solve.upper[here])
+        return {name: flat[columns].reshape(shape) for name, (columns, shape) in self.controls.items()}
+
+    @property
+    def xs(self) -> Values:
+        """The states of the plan, by name, (nodes, ...)."""
+        return dict(self.staged.point(self.prepared.z).xs)
+
+    @property
+    def us(self) -> Values:
+        """The controls of the plan, by name, (intervals, ...)."""
+        us = self.staged.point(self.prepared.z).us
+        return {name: us[:, part].reshape(len(us), *shape) for name, (part, shape) in self.controls.items()}
+
+    @property
+    def ts(self) -> Array:
+        """The times of the nodes, (nodes,), s, from now."""
+        return np.asarray(self.part.mesh.shares * self.staged.point(self.prepared.z).border[0])
+
+    # ---- in C -------------------------------------------------------------------------------------------------------
+
+    def to_c(
+        self,
+        directory: str | Path,
+        *,
+        name: str = "controller",
+        states: Sequence[Mapping[str, Any]] | None = None,
+        tolerance: float = 1e-9,
+    ) -> CFiles:
+        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+
+        The code is the solver's core, the functions of the problem and `name_init`, `name_prepare`, `name_feedback`
+        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates nothing, has no
+        global state, and needs libm only. The header tells the workspace and the operations of an iteration.
+
+        Args:
+            directory: where to; made if it is not there.
+            name: of the files, and what the names of all functions begin with.
+            states: measured states of the test main, which shifts the plan after each; drawn about the plan if left
+                out.
+            tolerance: of that comparison, relative to the largest entry of an iterate.
+        Returns:
+            The paths: `header`, `source`, `test`.
+        Raises:
+            TrajectoryError: a function of the problem has no form in scalars.
+            InputError: a name that C has not; the directory cannot be written to, or holds other files of those names.
+        """
+        return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
+
+    def drawn_states(self, count: int = 5) -> list[Values]:
+        """States near the nodes of the plan, at random."""
+        rng, group, nodes = np.random.default_rng(0), self.part.dynamics.group, self.xs
+        states = []
+        for k in range(min(count, self.part.nodes)):
+            node, step = {name: values[k] for name, values in nodes.items()}, 0.05 * rng.normal(size=self._n)
+            with in_double():
+                moved = group.retract(node, step * self._x_units)
+            states.append({name: np.asarray(value) for name, value in moved.items()})
+        return states
+
+    def rehearsed(self, states: Sequence[Mapping[str, Any]]) -> tuple[Array, Array, Array]:
+        """Points, iterations and statuses of calls, each followed by a shift; nothing of the controller changes."""
+        kept, log, status = self.prepared.saved(), self.log, self.status
+        self.log = ControllerLog(len(states))
+        points, counts = [], []
+        for x in states:
+            self.feedback(x)
+            points.append(self.prepared.z.copy())
+            counts.append([self.prepared.measure("iterations"), self.prepared.measure("status")])
+            self.shift()
+        self.prepared.load(kept)
+        self.log, self.status = log, status
+        iterations, statuses = np.array(counts, np.int32).T
+        return np.array(points), np.ascontiguousarray(iterations), np.ascontiguousarray(statuses)
+
+    @property
+    def measures(self) -> dict[str, float]:
+        """Numbers of the last solve: cost, error, violation, iterations and others, in units of the solver."""
+        return self.prepared.measures
+
+
+#: How solves end, by what the core says.
+_STATUS = {status: Status[status.name] for status in CoreStatus if status.name in Status.__members__}
+_STATUS[CoreStatus.STOPPED] = Status.OUT_OF_TIME
+
+
+def _need_controllable(problem: Any) -> None:
+    """Raise TrajectoryError for a problem whose first state and control are not those of the system alone."""
+    if len(problem.parts) != 1:
+        raise TrajectoryError(
+            "controller: the problem has several phases, and which of them comes next depends on time.\n"
+            "  fix: a controller for a problem of one phase"
+        )
+    (part,) = problem.parts
+    measured = {state.name for state in part.phase.dynamics.states}
+    if added := sorted({state.name for state in part.dynamics.states} - measured):
+        raise TrajectoryError(
+            f"controller: the problem has states that nothing measures: {', '.join(added)}. They stand for continuous "
+            "controls, free node times, or integrals and extremes of the path.\n"
+            "  fix: held controls, nodes at fixed shares, running= in place of Integral"
+        )
+    if by_updates(problem.parts):
+        raise TrajectoryError(
+            "controller: QuasiNewton() learns second derivatives over many steps, and a controller takes few.\n"
+            "  fix: hessian=tx.trajectory.GaussNewton(), or exact second derivatives"
+        )
+    for name, fixed in part.ends.initial_fixed.items():
+        if not np.all(fixed):
+            raise TrajectoryError(
+                f"controller: the problem leaves the initial value of {name!r} free, and a controller starts from a "
+                "measured state.\n  fix: state the problem with initial= for every state"
+            )

@@ -1,0 +1,270 @@
+"""A controller as C99: the solver's core, the functions of the problem, and the three calls."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from string import Template
+from typing import Any
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...checks import number, path_of
+from ...scalar.targets.c import c_type
+from ...solver.exported.kernel_code import array
+from ...solver.exported.phase_code import PhaseCode
+from ...solver.sources import controller_core
+from ...system.export import CFiles
+from ...system.export.c99 import check_name, write_files
+from ...system.export.c_code import mark
+from ..strategy.measure import COST
+from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
+
+_REAL = c_type(np.dtype(float))
+
+
+class ControllerCode:
+    """The C code of a controller with its present plan."""
+
+    def __init__(self, controller: Any, name: str) -> None:
+        self._controller, self._name = controller, name
+        self._solve, self._staged = controller.prepared, controller.staged
+        self._stages = self._staged.transcription.stages
+        self._phase = PhaseCode(self._staged.transcription)
+        part = self._staged.parts[0]
+        self._states = [(state.name, part.point.places(state.name)) for state in controller.part.dynamics.states]
+        self._controls = controller.controls
+        self._params = self._parameters()
+
+    def files(self, folder: Path, x: Sequence[Mapping[str, Any]], tolerance: float) -> tuple[CFiles, dict[Path, str]]:
+        """Paths, and their texts."""
+        name = self._name
+        files = CFiles(folder / f"{name}.h", folder / f"{name}.c", folder / f"{name}_test.c")
+        test = self._filled("controller_test.c.in", **self._test(x, tolerance))
+        header = self._filled("controller.h.in", **self._header())
+        source = self._filled("controller.c.in", **self._source())
+        texts = {files.header: header, files.source: re.sub(r"\btwx_", f"{name}_core_", source), files.test: test}
+        return files, texts
+
+    def _filled(self, template: str, **parts: Any) -> str:
+        text = Path(__file__).with_name(template).read_text()
+        return Template(text).substitute(mark=mark(), name=self._name, **parts)
+
+    # ---- sizes ------------------------------------------------------------------------------------------------------
+
+    @property
+    def _sizes(self) -> dict[str, int]:
+        solve, stages = self._solve, self._stages
+        sizes = {"points": solve.z, "variables": solve.v, "rows": solve.s, "defects": solve.lam, "equalities": solve.ye}
+        counts = {name: max(1, len(values)) for name, values in sizes.items()}
+        counts["parameters"] = stages.parameters
+        return counts
+
+    def _counts(self) -> dict[str, int]:
+        sizes, transcription = self._sizes, self._staged.transcription
+        iterate = sizes["points"] + 3 * sizes["variables"] + 2 * sizes["rows"] + sizes["defects"] + sizes["equalities"]
+        of_step = sizes["points"] + sizes["variables"] + sizes["rows"] + sizes["defects"] + sizes["equalities"]
+        return {
+            "iterate": iterate,
+            "data": max(1, len(self._controller.numbers)),
+            "slopes": max(1, transcription.cost_slopes[0].size),
+            "phase_work": transcription.phase_doubles,
+            "workspace": max(self._solve.workspace_doubles, of_step),
+        }
+
+    def _header(self) -> dict[str, Any]:
+        sizes, counts = self._sizes, self._counts()
+        sizes.pop("parameters")
+        per_name = {"points": 1, "variables": 5, "rows": 2, "defects": 1, "equalities": 1}
+        doubles = sum(per_name[name] * count for name, count in sizes.items()) + sum(counts.values())
+        listed = lambda pairs: ", ".join(f"{name} {shape}" for name, shape in pairs) or "none"  # noqa: E731
+        dynamics = self._controller.part.dynamics
+        options = self._solve.options
+        return {
+            **sizes,
+            **counts,
+            "states": listed((state.name, state.shape) for state in dynamics.states),
+            "controls": listed((name, shape) for name, (_, shape) in self._controls.items()),
+            "parameters": listed((name, np.shape(values)) for name, (values, _) in self._params.items()),
+            "bytes": 8 * doubles,
+            "library": "log, log10, pow, sqrt, and those that the problem's functions call",
+            "iterations": int(options.iterations),
+            "restoration": int(options.restoration_iterations),
+            **self._work(),
+            "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
+            "state_arguments": self._state_arguments,
+            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
+        }
+
+    @property
+    def _state_arguments(self) -> str:
+        return "".join(f", const double *{_c(f'x_{name}')}" for name, _ in self._states)
+
+    def _work(self) -> dict[str, int]:
+        """Operations of scalars: those of kernels as they are, products of matrices by their sizes."""
+        operations, (phase,) = self._phase.kernels.operations, self._staged.transcription.phases
+        method, K = phase.method, phase.intervals
+        stages, points = method.substeps * len(method.b), method.substeps + 1
+
+        def rows(name: str) -> int:
+            return stages if "_rate" in name else points if "_rows" in name else 1
+
+        of_kernels = {name: count * rows(name) * (1 if "_node" in name else K) for name, count in operations.items()}
+        values = sum(count for name, count in of_kernels.items() if not name.endswith(("slopes", "bends")))
+        n, m, p = phase.n, phase.m, self._stages.parameters
+        size = n + m + p
+        products = K * stages * (4 * n * n * size + 4 * size * size * n)
+        N = K + 1
+        riccati = N * (2 * n * n * size + 2 * n * size * size + m**3 + 2 * m * size * size)
+        riccati += 2 * size * size * (sum(self._stages.inequalities) + sum(self._stages.equalities))
+        return {"functions": sum(of_kernels.values()) + products, "trial": values, "riccati": riccati}
+
+    # ---- the source -------------------------------------------------------------------------------------------------
+
+    def _source(self) -> dict[str, Any]:
+        sizes, solve, staged = self._sizes, self._solve, self._staged
+        phase, point = staged.transcription.phases[0], staged.parts[0].point
+        units = self._controller.units
+        shift = self._controller.moves_on
+        stages = self._stages
+        flat = -np.ones(sizes["variables"], np.int32)
+        flat[staged.plain[1]] = staged.plain[0]
+        constants = {
+            "start_z": solve.z,
+            **{f"start_{name}": getattr(solve, name) for name in ("lower", "upper")},
+            "start_v": solve.v,
+            "start_s": solve.s,
+            "start_lambda": solve.lam,
+            "start_y": solve.y,
+            "start_ye": solve.ye,
+            "start_zl": solve.zl,
+            "start_zu": solve.zu,
+            "start_data": self._controller.numbers,
+            "unit_v": units.size,
+            "unit_rows": units.row_size,
+            "unit_equalities": units.equality_size,
+            "largest_step": self._controller.largest_step,
+            "stage_states": np.array(stages.states, np.int32),
+            "stage_controls": np.array(stages.controls, np.int32),
+            "stage_inequalities": np.array(stages.inequalities, np.int32),
+            "stage_equalities": np.array(stages.equalities, np.int32),
+            "stage_points": np.array(stages.point_states or stages.states, np.int32),
+            "flat_of": flat,
+            "flat_entry": flat[: phase.n],
+            "later_z": shift.points.astype(np.int32),
+            "later_v": shift.variables.astype(np.int32),
+            "later_defects": shift.defects.astype(np.int32),
+            "later_rows": shift.rows.astype(np.int32),
+            "later_equalities": shift.equalities.astype(np.int32),
+        }
+        empty = {name for name, values in constants.items() if not np.size(values)}
+        texts = [array(name, np.asarray(a)) for name, a in constants.items() if name not in empty]
+        every = ["lower", "upper", "v", "s", "lambda", "y", "ye", "zl", "zu", "data"]
+        loaded = [name for name in every if f"start_{name}" not in empty]
+        kinds = (("rows", "s"), ("rows", "y"), ("equalities", "ye"))
+        gathers = [
+            f"  gather(c->{name}, later_{kind}, {sizes[kind]}, scratch);"
+            for kind, name in kinds
+            if f"later_{kind}" not in empty
+        ]
+        texts += [f"#define {name} NULL\n" for name in ("unit_rows", "unit_equalities") if name in empty]
+        return {
+            **sizes,
+            "core": controller_core(),
+            "constants": "\n".join([self._phase.text, *texts]),
+            "options": ", ".join(_REAL.literal(getattr(solve.options, name)) for name, _ in solve.options._fields_),
+            "states": phase.n,
+            "intervals": phase.intervals,
+            "point": point.size,
+            "controls": phase.m,
+            "node_rows": staged.numbers.node_rows(0)[0] if phase.node_rows[1] else 0,
+            "cost_unit": _REAL.literal(units.cost),
+            "load": "\n".join(f"  memcpy(c->{name}, start_{name}, sizeof start_{name});" for name in loaded),
+            "prepare": self._prepare(),
+            "prepare_arguments": "".join(f", const double *{_c(f'p_{name}')}" for name in self._params),
+            "state_arguments": self._state_arguments,
+            "control_results": "".join(f", double *{_c(f'u_{name}')}" for name in self._controls),
+            "read_state": "\n".join(
+                f"  memcpy(x + {places[0]}, {_c(f'x_{name}')}, sizeof(double) * {len(places)});"
+                for name, places in self._states
+            ),
+            "write_controls": "\n".join(
+                f"  memcpy({_c(f'u_{name}')}, c->z + POINT + {part.start}, sizeof(double) * {part.stop - part.start});"
+                for name, (part, _) in self._controls.items()
+            ),
+            "share": _REAL.literal(BARRIER_SHARE),
+            "least": _REAL.literal(BARRIER_LEAST),
+            "most": _REAL.literal(BARRIER_MOST),
+            "sign": _REAL.literal(self._controller.problem.sign),
+            "cost_share": _REAL.literal(COST),
+            "last": int(stages.first[-1]),
+            "gather_rows": "\n".join(gathers),
+        }
+
+    def _parameters(self) -> dict[str, tuple[Array, Array]]:
+        """Values, and where each entry stands in the data: several columns of the same values for those by node."""
+        numbers, by_node = self._staged.numbers, self._controller.part.by_node
+        placed = {name: values for name, values in self._controller.params.items() if name not in by_node.leaves}
+        params = {name: (values, numbers.places([name], [])) for name, values in placed.items()}
+        for name in by_node.leaves:
+            params[name] = (self._controller.params[name], by_node.places(name) + numbers.node_rows(0)[0])
+        return params
+
+    def _prepare(self) -> str:
+        lines = []
+        for name, (values, places) in self._params.items():
+            pointer = _c(f"p_{name}")
+            if places.ndim == 1:
+                first = int(places[0]) if places.size else 0
+                lines.append(f"  if ({pointer}) memcpy(c->data + {first}, {pointer}, sizeof(double) * {values.size});")
+                continue
+            nodes, width = len(values), values[0].size
+            (here, after), stride = places[0], int(places[1, 0] - places[0, 0])
+            lines += [
+                f"  for (int k = 0; {pointer} && k < {nodes}; k++) {{",
+                f"    memcpy(c->data + {here} + {stride} * k, {pointer} + {width} * k, sizeof(double) * {width});",
+                f"    memcpy(c->data + {after} + {stride} * k, {pointer} + {width} * (k < {nodes - 1} ? k + 1 : k), "
+                f"sizeof(double) * {width});",
+                "  }",
+            ]
+        return "\n".join(lines)
+
+    # ---- the test ---------------------------------------------------------------------------------------------------
+
+    def _test(self, states: Sequence[Mapping[str, Any]], tolerance: float) -> dict[str, Any]:
+        """The iterates that the controller of Python ends at; it is as it was after that."""
+        expected, iterations, statuses = self._controller.rehearsed(states)
+        columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
+        data = [array(_c(f"measured_{name}"), values) for name, values in columns.items()]
+        data += [array("expected", expected), array("iterations", iterations), array("statuses", statuses)]
+        sizes = {name: values.shape[1] for name, values in columns.items()}
+        results = {name: columns.stop - columns.start for name, (columns, _) in self._controls.items()}
+        declared = " ".join(f"double {_c(f'u_{name}')}[{size}];" for name, size in results.items())
+        arguments = [f"{_c(f'measured_{name}')} + {size} * k" for name, size in sizes.items()]
+        arguments += [_c(f"u_{name}") for name in results]
+        return {
+            "points": len(self._solve.z),
+            "calls": len(states),
+            "tolerance": f"{tolerance:.0e}",
+            "data": "\n".join(data),
+            "call": f"{declared}\n    {self._name}_feedback(&controller, {', '.join(arguments)}, NULL, NULL, &report);",
+        }
+
+
+def _c(name: str) -> str:
+    """A name in C: what C does not allow is an underscore."""
+    return re.sub(r"[^A-Za-z0-9_]", "_", name)
+
+
+def write_controller(
+    controller: Any, directory: str | Path, *, name: str, states: Sequence[Mapping[str, Any]] | None, tolerance: float
+) -> CFiles:
+    """Implements `Controller.to_c`, which documents the arguments."""
+    check_name(name)
+    number("tolerance", tolerance, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
+    folder, code = path_of("directory", directory), ControllerCode(controller, name)
+    files, texts = code.files(folder, controller.drawn_states() if states is None else states, tolerance)
+    write_files(folder, texts)
+    return files

@@ -1,0 +1,45 @@
+"""Derivatives of a plan by its first state, from the linearised first-order conditions."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...solver.core import Units
+from ...solver.members import Moves
+from ...solver.options import Options
+from ...solver.prepared import PreparedSolve
+from ..transcription.staged import Staged
+
+#: Distances from bounds below this, in units of their variables, are rounding.
+_LEAST = 1e-12
+
+
+class Gains:
+    """How the first controls of a plan move with its first state.
+
+    Args:
+        solve: with the plan.
+        staged: of one phase.
+    """
+
+    def __init__(self, solve: PreparedSolve, staged: Staged, units: Units) -> None:
+        self._solve, self._units = solve, np.asarray(units.size)
+        self._stages = staged.transcription.stages
+        fixed = solve.lower == solve.upper
+        self._moves = Moves(staged.transcription, units, Options(curvature=1e-12), fixed, transposed=False)
+
+    def __call__(self, n: int) -> Array:
+        """(m, n) derivatives of the controls of the first interval by the tangents of the first node.
+
+        Raises:
+            TrajectoryError: the plan is no strict minimum, or has no finite derivatives.
+        """
+        solve, stages = self._solve, self._stages
+        least = _LEAST * self._units
+        below, above = (np.maximum(a, least) for a in (solve.v - solve.lower, solve.upper - solve.v))
+        of_bounds, of_rows = solve.zl / below + solve.zu / above, solve.y / np.maximum(solve.s, _LEAST)
+        row = np.concatenate([solve.z, solve.lam, solve.y, solve.ye, of_bounds, of_rows, np.ones(1)])
+        sides = np.zeros((n, stages.variables + sum(stages.row_counts) + 1))
+        sides[np.arange(n), np.arange(n)] = 1.0
+        return np.array(self._moves.now(row, sides)[:, n : n + stages.controls[0]].T)

@@ -1,0 +1,102 @@
+"""A plan one interval later: which entries of an iterate take the values of which."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy import ndarray as Array
+
+from ...errors import TrajectoryError
+from ...solver.prepared import PreparedSolve
+from ...solver.transcription import EQUALITY, INEQUALITY
+from ..transcription.evaluation import Evaluated, moved
+from ..transcription.staged import Staged
+
+
+class Shift:
+    """Moves the iterate of a prepared solve one interval ahead.
+
+    Controls, multipliers and slacks of an interval become those of the next one. The last control stays, and the last
+    state is integrated with it, by the problem's transcription.
+
+    Args:
+        staged: of one phase, whose nodes lie at equal distances.
+
+    Attributes:
+        points, variables, defects, rows, equalities: of each entry the place of its later value.
+    """
+
+    def __init__(self, staged: Staged) -> None:
+        self._staged, transcription = staged, staged.transcription
+        stages, phase = transcription.stages, transcription.phases[0]
+        points = stages.point_states or stages.states
+        shared = np.arange(stages.parameters)
+        self.points = _stage_after(points, stages.controls, stages.points - stages.parameters + shared)
+        self.variables = _stage_after(stages.states, stages.controls, stages.variables - stages.parameters + shared)
+        self.defects = _interval_after(phase.n, phase.intervals)
+        counts = stages.row_counts
+        path, places = phase.path, transcription.path_places[0]
+        self.rows, self.equalities = (
+            _row_after(np.where(path == kind, places, -1), count)
+            for kind, count in zip((INEQUALITY, EQUALITY), counts[1:])
+        )
+
+    def __call__(self, solve: PreparedSolve) -> None:
+        solve.z[:] = solve.z[self.points]
+        for array in (solve.v, solve.zl, solve.zu):
+            array[:] = array[self.variables]
+        solve.lam[:] = solve.lam[self.defects]
+        for array in (solve.s, solve.y):
+            array[:] = array[self.rows]
+        solve.ye[:] = solve.ye[self.equalities]
+        self._integrate_last(solve)
+
+    def _integrate_last(self, solve: PreparedSolve) -> None:
+        """The last node moves by the defect before it; where that is not finite it stays."""
+        transcription = self._staged.transcription
+        stages = transcription.stages
+        at, step = Evaluated(transcription, solve.z), np.zeros(stages.variables)
+        gap = at.c[stages.first_defect[-2] :]
+        if at.failed or not np.isfinite(gap).all():
+            return
+        step[stages.first[-1] : stages.first[-1] + stages.states[-1]] = gap
+        solve.z[:] = moved(transcription, solve.z, step)
+        solve.v[self._staged.plain[1]] = solve.z[self._staged.plain[0]]
+
+
+def _stage_after(states: Sequence[int], controls: Sequence[int], shared: Array) -> Array:
+    """Of each entry (x_0, u_0, ..., x_N, p) that of a stage later."""
+    nodes, n, m = len(states), states[0], controls[0]
+    places = np.arange(nodes * (n + m)).reshape(nodes, n + m)
+    later = np.concatenate([places[1:], places[-1:]])
+    later[-2:, n:] = places[-2, n:]  # the last control stays; the last stage has none
+    return np.concatenate([later[:-1].ravel(), later[-1, :n], shared])
+
+
+def _interval_after(n: int, intervals: int) -> Array:
+    places = np.arange(n * intervals).reshape(intervals, n)
+    return np.concatenate([places[1:], places[-1:]]).ravel()
+
+
+def _row_after(places: Array, count: int) -> Array:
+    """Of each row that of the next interval, or itself where there is none.
+
+    Args:
+        places: (intervals, points, rows) numbers of path rows, -1 where there is none.
+    """
+    after = np.arange(count)
+    here, later = places[:-1].ravel(), places[1:].ravel()
+    both = (here >= 0) & (later >= 0)
+    after[here[both]] = later[both]
+    return after
+
+
+def need_shiftable(problem: object) -> None:
+    """Raise TrajectoryError where what comes an interval later is not the same problem."""
+    (part,) = problem.parts  # type: ignore[attr-defined]
+    if not part.mesh.is_even:
+        raise TrajectoryError(
+            "shift: intervals of other lengths come later, so the plan cannot move on by one.\n"
+            "  fix: nodes at equal distances"
+        )

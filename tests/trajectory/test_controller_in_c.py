@@ -1,0 +1,99 @@
+"""Controllers in C: the iterates of Python, in memory that the header states, without allocation."""
+
+import ctypes
+import re
+import shutil
+import subprocess
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from test_controller import full, pointing, regulator
+
+import twistax as tx
+from twistax.trajectory import Problem
+
+pytestmark = pytest.mark.skipif(not shutil.which("gcc"), reason="no gcc")
+COMPILE = ("gcc", "-std=c99", "-pedantic", "-Wall", "-Wextra", "-Werror")
+
+
+def built(command: list[str]) -> None:
+    done = subprocess.run([*COMPILE, *command], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+
+
+@pytest.mark.parametrize("flags", [("-O0",), ("-O1", "-fsanitize=undefined,address", "-fno-sanitize-recover")])
+@pytest.mark.parametrize("problem", [regulator, pointing])
+def test_iterates_are_those_of_python(problem: Any, flags: tuple[str, ...], tmp_path: Path) -> None:
+    controller = full(problem())
+    before = controller.us["u"]
+    files = controller.to_c(tmp_path, name="loop")
+    np.testing.assert_array_equal(controller.us["u"], before)
+    assert len(controller.log) == 0
+    target = tmp_path / "test"
+    built([*flags, str(files.source), str(files.test), "-lm", "-o", str(target)])
+    ran = subprocess.run([str(target)], capture_output=True, text=True)
+    assert ran.returncode == 0, ran.stdout + ran.stderr
+    assert ran.stdout.count("status 0") == 5
+
+
+def test_it_allocates_nothing_and_has_the_size_that_the_header_states(tmp_path: Path) -> None:
+    files = regulator().to_c(tmp_path, name="loop", max_iterations=3)
+    made = tmp_path / "loop.o"
+    built(["-O1", "-c", str(files.source), "-o", str(made)])
+    names = subprocess.run(["nm", str(made)], capture_output=True, text=True, check=True).stdout
+    undefined = set(re.findall(r" U (\w+)", names))
+    assert undefined <= {"memcpy", "memset", "log", "log10", "pow", "sqrt", "fabs"}
+    external = re.findall(r" [TDBRC] (\w+)", names)
+    assert all(name.startswith("loop_") for name in external)
+    header = files.header.read_text()
+    size = int(re.search(r"Workspace: (\d+) bytes", header)[1])  # type: ignore[index]
+    assert "at most 3 iterations" in header
+    check = tmp_path / "size.c"
+    check.write_text(f'#include "loop.h"\ntypedef char exact[sizeof(loop_controller) == {size} ? 1 : -1];\nexact x;\n')
+    built(["-c", str(check), "-o", str(tmp_path / "size.o")])
+
+
+def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
+    controller = full(regulator())
+    files = controller.to_c(tmp_path, name="loop")
+    target = tmp_path / "loop.so"
+    built(["-O1", "-shared", "-fPIC", str(files.source), "-lm", "-o", str(target)])
+    library = ctypes.CDLL(str(target))
+    memory = np.zeros(int(re.search(r"Workspace: (\d+)", files.header.read_text())[1]) // 8)  # type: ignore[index]
+    pointer = lambda a: ctypes.c_void_p(a.ctypes.data)  # noqa: E731
+    library.loop_init(pointer(memory))
+    reference, weight, u = np.linspace(0.0, 2.0, 13), np.array([0.3]), np.zeros(1)
+    order = re.search(r"loop_prepare\((.*)\)", files.header.read_text())[1]  # type: ignore[index]
+    values = {"p_reference": reference, "p_weight": weight}
+    names = re.findall(r"\*(p_\w+)", order)
+    library.loop_prepare(pointer(memory), *(pointer(values[name]) for name in names))
+    numbers = [np.array([value]) for value in (1.2, 0.3, -3.0, 0.0)]
+    state, far = [pointer(a) for a in numbers[:2]], [pointer(a) for a in numbers[2:]]
+    status = library.loop_feedback(pointer(memory), *state, pointer(u), None, None, None)
+    controller.prepare({"reference": reference, "weight": 0.3})
+    expected = controller.feedback({"p": 1.2, "v": 0.3})["u"]
+    assert status == 0
+    assert u[0] == pytest.approx(float(expected), abs=1e-10)
+    calls = []
+
+    def is_late(clock: Any) -> int:
+        calls.append(clock)
+        return int(len(calls) > 2)
+
+    late = ctypes.CFUNCTYPE(ctypes.c_int32, ctypes.c_void_p)(is_late)
+    assert library.loop_feedback(pointer(memory), *far, pointer(u), late, None, None) == 6
+    assert len(calls) == 3
+    library.loop_init(pointer(memory))
+    assert library.loop_feedback(pointer(memory), *state, pointer(u), None, None, None) == 0
+    assert u[0] == pytest.approx(float(full(regulator()).feedback({"p": 1.2, "v": 0.3})["u"]), abs=1e-10)
+
+
+def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None:
+    p, u, A = tx.State("p", shape=(20,)), tx.Control("u", shape=(20,)), tx.Parameter("A", value=np.eye(20))
+    dynamics = tx.compile(tx.System(rates={p: tx.linalg.Solve(A, u)}))
+    cost = tx.Minimize(running=p @ p + u @ u)
+    problem = Problem(dynamics, cost, nodes=3, final_time=1.0, initial={p: np.ones(20)}, substeps=1)
+    with pytest.raises(tx.TrajectoryError, match="rate_value has no form in scalars"):
+        problem.to_c(tmp_path)
