@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .sizes import Sizes, measured_sizes
+from .sizes import Sizes
 from .transcription.evaluation import Evaluated, moved
 from .transcription.points import Point
 from .transcription.staged import Staged
@@ -31,26 +31,27 @@ class StartUnits:
         self._staged_at = staged.flat(point), staged.coordinates(point)
         at = Evaluated(staged.transcription, self._staged_at[0])
         good, stages = at.differentiate(), at.stages
-        self.parts = self._measured(staged, point, at, good)
+        self.parts = self._measured(staged, point, at, good, limits is not None)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         self.v = np.concatenate([*self._by_stage(staged), self.border])
         kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
-        changes = [at.changes(*kind, self.v) for kind in kinds]
+        of_stages = at.by_run(self.v)
+        changes = [at.changes(*kind, of_stages) for kind in kinds]
         for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0
-            curvatures = at.curvatures(at.bends(*weights), self.v)
+            curvatures = at.curvatures(at.bends(*weights), of_stages)
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
-        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, of_stages).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
-            there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
+            there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
             change_of_cost = abs(there.cost[0] - at.cost[0])
         self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
 
@@ -104,7 +105,9 @@ class StartUnits:
         self.cost = 1.0
 
     @staticmethod
-    def _measured(staged: Staged, point: Point, at: Evaluated, is_good: bool = True) -> list[Sizes]:
+    def _measured(
+        staged: Staged, point: Point, at: Evaluated, is_good: bool = True, with_reserve: bool = True
+    ) -> list[Sizes]:
         """Sizes of each phase; without derivatives those that the point and the leaves tell."""
         parts, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
@@ -115,7 +118,7 @@ class StartUnits:
             slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
             gaps = gaps[: K * n].reshape(K, n)
             gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
-            sizes = measured_sizes(phase, segment.of(point), slopes, gaps)
+            sizes = part.meter(segment.of(point), slopes, gaps, with_reserve)
             for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
                 slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
@@ -126,7 +129,7 @@ class StartUnits:
     def _by_stage(self, staged: Staged) -> list[Array]:
         sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            sizes_of.append(np.tile(np.concatenate([sizes.d, sizes.u]), part.shooting.intervals))
             join = part.phase.join
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
             sizes_of.append(np.concatenate([sizes.d, free]))

@@ -20,18 +20,29 @@ void twx_add_product(int32_t m, int32_t n, int32_t k, const double *restrict A, 
   }
 }
 
-/* C += A' B, with A (k, m), B (k, n). */
-void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *restrict A, int32_t la,
-                                const double *restrict B, int32_t lb, double *restrict C, int32_t lc) {
-  for (int32_t j = 0; j < n; j++) {
-    const double *restrict b = B + (size_t)j * lb;
-    for (int32_t i = 0; i < m; i++) {
-      const double *restrict a = A + (size_t)i * la;
-      double sum = 0;
-      for (int32_t l = 0; l < k; l++) sum += a[l] * b[l];
-      C[i + (size_t)j * lc] += sum;
-    }
+/* out_i += factor a_i'b for columns a_i of A (k, m); out has a stride. Four sums at a time: one waits for itself. */
+void twx_add_dots(int32_t m, int32_t k, double factor, const double *restrict A, int32_t la, const double *restrict b,
+                  double *restrict out, int32_t stride) {
+  int32_t i = 0;
+  for (; i + 4 <= m; i += 4) {
+    const double *restrict a0 = A + (size_t)i * la, *restrict a1 = a0 + la, *restrict a2 = a1 + la, *restrict a3 = a2 + la;
+    double s0 = 0, s1 = 0, s2 = 0, s3 = 0;
+    for (int32_t l = 0; l < k; l++) s0 += a0[l] * b[l], s1 += a1[l] * b[l], s2 += a2[l] * b[l], s3 += a3[l] * b[l];
+    double *const to = out + (size_t)i * stride;
+    to[0] += factor * s0, to[stride] += factor * s1, to[2 * stride] += factor * s2, to[3 * stride] += factor * s3;
   }
+  for (; i < m; i++) {
+    const double *restrict a = A + (size_t)i * la;
+    double sum = 0;
+    for (int32_t l = 0; l < k; l++) sum += a[l] * b[l];
+    out[(size_t)i * stride] += factor * sum;
+  }
+}
+
+/* C += A' B, with A (k, m), B (k, n). */
+void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb,
+                                double *C, int32_t lc) {
+  for (int32_t j = 0; j < n; j++) twx_add_dots(m, k, 1, A, la, B + (size_t)j * lb, C + (size_t)j * lc, 1);
 }
 
 void twx_add_apply(int32_t m, int32_t n, const double *restrict A, int32_t la, const double *restrict x, double *restrict y) {

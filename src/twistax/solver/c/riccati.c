@@ -52,12 +52,6 @@ static column_range nonzeros(int32_t n, const double *column) {
   return r;
 }
 
-static double dot(column_range r, const double *restrict a, const double *restrict b) {
-  double sum = 0;
-  for (int32_t l = r.first; l < r.last; l++) sum += a[l] * b[l];
-  return sum;
-}
-
 /* What follows: t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's multipliers. Columns of
  * F have zeros at their ends: those of states that are constant, one entry. */
 static void add_cost_to_go(twx_work *w, const twx_stage *s) {
@@ -73,12 +67,15 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   }
   for (int32_t j = 0; j < np; j++) /* F'W_p of rows before p; of p itself both orders */
     for (int32_t i = 0; i < nx; i++) T[i + (size_t)(nv + j) * (size_t)nx] += W[i + (size_t)j * (size_t)nx];
+  memset(R, 0, sizeof(double) * (size_t)n * (size_t)w->nbe);
   for (int32_t i = 0; i < n; i++) {
     const double *const f = F + (size_t)i * (size_t)nx;
     const column_range r = nonzeros(nx, f);
-    for (int32_t j = i; j < n; j++) M[i + (size_t)j * (size_t)n] += dot(r, f, T + (size_t)j * (size_t)nx);
-    for (int32_t j = 0; i >= nv && j <= i - nv; j++) M[nv + j + (size_t)i * (size_t)n] += dot(r, f, W + (size_t)j * (size_t)nx);
-    for (int32_t j = 0; j < w->nbe; j++) R[i + (size_t)j * (size_t)n] = dot(r, f, W + (size_t)(np + j) * (size_t)nx);
+    const double *const t = T + (size_t)i * (size_t)nx + r.first, *const wp = W + r.first, *const we = wp + (size_t)np * (size_t)nx;
+    const int32_t count = r.last - r.first;
+    twx_add_dots(n - i, count, 1, t, nx, f + r.first, M + i + (size_t)i * (size_t)n, n);
+    if (i >= nv) twx_add_dots(i - nv + 1, count, 1, wp, nx, f + r.first, M + nv + (size_t)i * (size_t)n, 1);
+    twx_add_dots(w->nbe, count, 1, we, nx, f + r.first, R + i, n);
   }
 }
 
@@ -108,28 +105,19 @@ static void fix(const double *free, int32_t first, int32_t count, int32_t n, dou
   }
 }
 
-/* S of the border, of what M and R have for it: parameters by parameters, by equalities. */
+/* The upper triangle of S of the border, of what M and R have for it: parameters by parameters, by equalities. */
 static void add_to_border(twx_work *w, const twx_stage *s) {
   const int32_t np = w->np, nb = w->nb, nv = s->nv, n = s->n;
   for (int32_t j = 0; j < np; j++)
     for (int32_t i = 0; i < np; i++) w->S[i + (size_t)j * (size_t)nb] += w->t0[nv + i + (size_t)(nv + j) * (size_t)n];
   for (int32_t j = 0; j < w->nbe; j++)
-    for (int32_t i = 0; i < np; i++) {
-      const double entry = w->t2[nv + i + (size_t)j * (size_t)n];
-      w->S[i + (size_t)(np + j) * (size_t)nb] += entry, w->S[np + j + (size_t)i * (size_t)nb] += entry;
-    }
+    for (int32_t i = 0; i < np; i++) w->S[i + (size_t)(np + j) * (size_t)nb] += w->t2[nv + i + (size_t)j * (size_t)n];
 }
 
-/* S -= Y'T of blocks (rows, nb), which is symmetric. */
+/* The upper triangle of S -= Y'T of blocks (rows, nb). */
 static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, const double *T) {
-  const int32_t nb = w->nb;
-  for (int32_t j = 0; j < nb; j++)
-    for (int32_t i = 0; i <= j; i++) {
-      double sum = 0;
-      for (int32_t l = 0; l < rows; l++) sum += Y[l + (size_t)i * (size_t)rows] * T[l + (size_t)j * (size_t)rows];
-      w->S[i + (size_t)j * (size_t)nb] -= sum;
-      if (i < j) w->S[j + (size_t)i * (size_t)nb] -= sum;
-    }
+  for (int32_t j = 0; j < w->nb; j++)
+    twx_add_dots(j + 1, rows, -1, Y, rows, T + (size_t)j * (size_t)rows, w->S + (size_t)j * (size_t)w->nb, 1);
 }
 
 static void negate(size_t count, double *a) {
@@ -187,12 +175,7 @@ static int32_t eliminate(twx_work *w, const twx_stage *s) {
   twx_solve_diagonal_part(&B, columns, T);
   for (int32_t j = 0; j < columns; j++) {
     double *to = j < nx ? P + (size_t)j * (size_t)nx : W + (size_t)(j - nx) * (size_t)nx;
-    const double *const t = T + (size_t)j * (size_t)m;
-    for (int32_t i = 0; i < (j < nx ? j + 1 : nx); i++) {
-      double sum = 0;
-      for (int32_t l = 0; l < m; l++) sum += Y[l + (size_t)i * (size_t)m] * t[l];
-      to[i] -= sum;
-    }
+    twx_add_dots(j < nx ? j + 1 : nx, m, -1, Y, m, T + (size_t)j * (size_t)m, to, 1);
   }
   mirror(nx, P);
   subtract_from_border(w, m, Y + (size_t)nx * (size_t)m, T + (size_t)nx * (size_t)m);
@@ -287,6 +270,7 @@ static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
   const int32_t more = eliminate_start(w);
   if (more < 0) return -1;
   negative += more;
+  mirror(w->nb, w->S);
   return factorize_border(w, negative);
 }
 

@@ -84,7 +84,7 @@ class Staged:
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
         self._place_rows()
-        self.places_alone = self._alone()
+        self.places_alone, self._levels = self._alone(), self._groups()
 
     def _place_rows(self) -> None:
         """The place of each row among inequalities, equalities, lower and upper bounds."""
@@ -242,10 +242,24 @@ class Staged:
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
         """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
-        sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
-        for part, every in zip(self.parts, self.transcription.path_places):
-            for row in range(part.phase.path.shape[2]):
-                for kind, values in zip((INEQUALITY, EQUALITY), sizes):
-                    places = every[..., row][part.phase.path[..., row] == kind]
-                    values[places] = values[places].max(initial=0.0)
-        return sizes[0] + (sizes[0] == 0.0), sizes[1] + (sizes[1] == 0.0)
+        result = []
+        for values, (order, starts, groups) in zip((inequalities, equalities), self._levels):
+            sizes = np.where(np.isfinite(values) & (values > 0.0), values, 0.0)
+            if len(sizes):
+                sizes = np.maximum.reduceat(sizes[order], starts)[groups]
+            result.append(sizes + (sizes == 0.0))
+        return result[0], result[1]
+
+    def _groups(self) -> list[tuple[Array, Array, Array]]:
+        """Of inequalities and of equalities: their order by groups of equal size, where groups start, their groups."""
+        groups = []
+        for kind, count in zip((INEQUALITY, EQUALITY), self.transcription.stages.row_counts[1:]):
+            labels, used = np.arange(count), count
+            for part, every in zip(self.parts, self.transcription.path_places):
+                rows = np.broadcast_to(np.arange(part.phase.path.shape[2]), part.phase.path.shape)
+                is_kind = part.phase.path == kind
+                labels[every[is_kind]] = used + rows[is_kind]
+                used += part.phase.path.shape[2]
+            _, labels, counts = np.unique(labels, return_inverse=True, return_counts=True)
+            groups.append((np.argsort(labels, kind="stable"), np.cumsum(counts) - counts, labels))
+        return groups
