@@ -27,6 +27,7 @@ _FILES = (
     "solve",
     "linearised",
     "kernels",
+    "lanes",
     "integrate",
     "nodes",
     "transcription",

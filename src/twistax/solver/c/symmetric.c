@@ -122,7 +122,8 @@ static inline void solve_lower_columns(const twx_factor *f, int32_t count, doubl
   for (int32_t k = 0; k < n; k++)
     for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++)
       for (int32_t c = 0; c < count; c++) R(i)[c] -= AT(i, k) * R(k)[c];
-  for (int32_t i = 0; i < n; i++)
+  if (count == 1) memcpy(B, r, sizeof(double) * (size_t)n);
+  for (int32_t i = 0; i < n && count > 1; i++)
     for (int32_t c = 0; c < count; c++) B[(size_t)i + (size_t)c * (size_t)n] = R(i)[c];
 }
 
@@ -153,7 +154,8 @@ void twx_solve_diagonal_part(const twx_factor *f, int32_t columns, double *B) {
 static inline void solve_upper_columns(const twx_factor *f, int32_t count, double *restrict B, double *restrict r) {
   const int32_t n = f->n;
   const double *restrict const A = f->A;
-  for (int32_t i = 0; i < n; i++)
+  if (count == 1) memcpy(r, B, sizeof(double) * (size_t)n);
+  for (int32_t i = 0; i < n && count > 1; i++)
     for (int32_t c = 0; c < count; c++) R(i)[c] = B[(size_t)i + (size_t)c * (size_t)n];
   for (int32_t k = n - 1; k >= 0; k--)
     for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++)
