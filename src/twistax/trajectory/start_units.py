@@ -20,25 +20,40 @@ _FITTING, _RESERVE = 16.0, 100.0
 class StartUnits:
     """Units for the solver's core, measured at a start.
 
+    Args:
+        limits: (g, 2) of the shared unknowns, where durations may be far too long.
+        with_rows: whether those of rows are measured.
+
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
         v: of all variables.
-        rows, equalities, cost: of the rows and the objective.
+        rows, equalities, cost: of the rows and the objective; empty where rows are not measured.
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point, limits: Array | None = None) -> None:
-        self._staged_at = staged.flat(point), staged.coordinates(point)
-        at = Evaluated(staged.transcription, self._staged_at[0])
-        good, stages = at.differentiate(), at.stages
-        self.parts = self._measured(staged, point, at, good, limits is not None)
+    def __init__(self, staged: Staged, point: Point, limits: Array | None = None, *, with_rows: bool = True) -> None:
+        z = staged.flat(point)
+        self._staged_at = z, staged.coordinates(z)
+        at = Evaluated(staged.transcription, z)
+        self.parts = self._measured(staged, point, at, at.differentiate(), limits is not None)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         self.v = np.concatenate([*self._by_stage(staged), self.border])
-        kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
         of_stages = at.by_run(self.v)
+        self.rows, self.equalities = self._of_rows(staged, at, of_stages) if with_rows else (np.zeros(0), np.zeros(0))
+        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, of_stages).sum()
+        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
+            step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
+            there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
+            change_of_cost = abs(there.cost[0] - at.cost[0])
+        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
+
+    @staticmethod
+    def _of_rows(staged: Staged, at: Evaluated, of_stages: list[Array]) -> tuple[Array, Array]:
+        """By how much a move of all unknowns by their units changes inequalities and equalities."""
+        kinds = ((at.Jh, at.stages.inequalities), (at.Je, at.stages.equalities))
         changes = [at.changes(*kind, of_stages) for kind in kinds]
         for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
@@ -47,13 +62,7 @@ class StartUnits:
             curvatures = at.curvatures(at.bends(*weights), of_stages)
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
-        self.rows, self.equalities = staged.levelled_rows(*changes)
-        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, of_stages).sum()
-        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
-            step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
-            there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
-            change_of_cost = abs(there.cost[0] - at.cost[0])
-        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
+        return staged.levelled_rows(*changes)
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""
@@ -93,9 +102,9 @@ class StartUnits:
 
     def fit(self, staged: Staged, point: Point) -> bool:
         """Whether every unknown of a point is within its unit of the start at which the units were measured."""
-        z, v = self._staged_at
-        moved = np.abs(staged.coordinates(point) - v) <= self.v
-        return bool(moved.all() and (np.abs(staged.flat(point) - z)[staged.curved] <= _TURNED).all())
+        (z, v), there = self._staged_at, staged.flat(point)
+        moved = np.abs(staged.coordinates(there) - v) <= self.v
+        return bool(moved.all() and (np.abs(there - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
         """Use the units of the statement: 1 for everything."""

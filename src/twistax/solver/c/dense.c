@@ -39,6 +39,23 @@ void twx_add_dots(int32_t m, int32_t k, double factor, const double *restrict A,
   }
 }
 
+static inline void add_rows(int32_t rows, int32_t k, double factor, const double *restrict A, int32_t la,
+                            const double *restrict b, double *restrict out) {
+  double sums[8] = {0};
+  for (int32_t l = 0; l < k; l++)
+    for (int32_t i = 0; i < rows; i++) sums[i] += A[i + (size_t)l * la] * b[l];
+  for (int32_t i = 0; i < rows; i++) out[i] += factor * sums[i];
+}
+
+/* out += factor A b, with A (m, k): the sums of `twx_add_dots`, many rows at a time. */
+void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out) {
+  int32_t i = 0;
+  for (; i + 8 <= m; i += 8) add_rows(8, k, factor, A + i, la, b, out + i);
+  if (m - i >= 4) add_rows(4, k, factor, A + i, la, b, out + i), i += 4;
+  if (m - i >= 2) add_rows(2, k, factor, A + i, la, b, out + i), i += 2;
+  if (m - i >= 1) add_rows(1, k, factor, A + i, la, b, out + i);
+}
+
 /* C += A' B, with A (k, m), B (k, n). */
 void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb,
                                 double *C, int32_t lc) {

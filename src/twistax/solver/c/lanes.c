@@ -87,13 +87,15 @@ void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, d
   for (size_t i = 0; i < size; i++) {
     if (!list_entries(size, M + i * size * L, t->list)) continue;
     twx_lanes_along(t, 1, M + i * size * L, size, maps, moved + i * size * L);
-    if (i < n) rows[count++] = (int32_t)i;
-    else
-      for (size_t e = (i * size + i) * L; e < (i + 1) * size * L; e++) H[e] += moved[e];
+    rows[count++] = (int32_t)i;
   }
-  for (size_t r = 0; r < size && count; r++) {
-    const products p = {count, rows, maps + r * L, moved, size, size};
+  size_t of_states = 0; /* how many of these rows */
+  while (of_states < count && (size_t)rows[of_states] < n) of_states++;
+  for (size_t r = 0; r < size && of_states; r++) {
+    const products p = {of_states, rows, maps + r * L, moved, size, size};
     add_products(&p, r, size, H + r * size * L);
   }
+  for (size_t q = of_states; q < count; q++)
+    for (size_t e = (size_t)rows[q] * (size + 1) * L; e < ((size_t)rows[q] + 1) * size * L; e++) H[e] += moved[e];
 }
 #undef L

@@ -19,16 +19,16 @@ static double row_weight(const twx_work *w, size_t row) { /* 1 / (1/Sigma + soft
   return sigma / (1 + w->softness * sigma);
 }
 
-/* M += J' diag(weights) J of a block of rows (rows, n); the lower triangle. */
+/* M += J' diag(weights) J of a block of rows (rows, n); the upper triangle. */
 static void add_squares(int32_t rows, int32_t n, const double *J, const double *weights, double *scratch, double *M) {
   for (int32_t j = 0; j < n; j++) {
     const double *column = J + (size_t)j * (size_t)rows;
     for (int32_t r = 0; r < rows; r++) scratch[r] = weights[r] * column[r];
-    twx_add_dots(n - j, rows, 1, column, rows, scratch, M + j + (size_t)j * (size_t)n, 1);
+    twx_add_product_transposed(j + 1, 1, rows, J, rows, scratch, rows, M + (size_t)j * (size_t)n, n);
   }
 }
 
-/* The cost of a stage alone in (x, u, p), in t0 (n, n), its lower triangle. */
+/* The cost of a stage alone in (x, u, p), in t0 (n, n), its upper triangle. */
 static void stage_cost(twx_work *w, const twx_stage *s, int32_t with_hessian) {
   const int32_t n = s->n;
   double *const M = w->t0, *const weights = w->t3, *const scratch = weights + s->nh + s->ne;
@@ -45,11 +45,14 @@ typedef struct { /* rows first <= i < last of a column; all others are zero */
   int32_t first, last;
 } column_range;
 
-static column_range nonzeros(int32_t n, const double *column) {
-  column_range r = {0, n};
-  while (r.first < n && column[r.first] == 0) r.first++;
-  while (r.last > r.first && column[r.last - 1] == 0) r.last--;
-  return r;
+static void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i < j; i++) M[j + (size_t)i * (size_t)n] = M[i + (size_t)j * (size_t)n];
+}
+
+static void mirror_up(int32_t n, double *M) { /* the upper triangle from the lower */
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i < j; i++) M[i + (size_t)j * (size_t)n] = M[j + (size_t)i * (size_t)n];
 }
 
 static void transpose(int32_t m, int32_t n, const double *restrict A, double *restrict B) { /* B (n, m) = A' */
@@ -57,9 +60,16 @@ static void transpose(int32_t m, int32_t n, const double *restrict A, double *re
     for (int32_t i = 0; i < m; i++) B[j + (size_t)i * (size_t)n] = A[i + (size_t)j * (size_t)m];
 }
 
+static column_range nonzeros(int32_t n, const double *column) {
+  column_range r = {0, n};
+  while (r.first < n && column[r.first] == 0) r.first++;
+  while (r.last > r.first && column[r.last - 1] == 0) r.last--;
+  return r;
+}
+
 /* What follows: the lower triangle of t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's
- * multipliers. Columns of F have zeros at their ends: those of states that are constant, one entry. Transposed factors give
- * whole columns of results at a time. */
+ * multipliers. Columns of F have zeros at their ends: those of states that are constant, one entry. Factors are transposed,
+ * so that columns of results are sums of columns. */
 static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   const twx_stage *next = s + 1;
   const int32_t n = s->n, nx = s->next, nv = s->nv, np = w->np, nbe = w->nbe;
@@ -74,17 +84,17 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   }
   for (int32_t j = 0; j < np; j++) /* F'W_p of rows before p; of p itself both orders */
     for (int32_t i = 0; i < nx; i++) T[i + (size_t)(nv + j) * (size_t)nx] += W[i + (size_t)j * (size_t)nx];
-  transpose(nx, n, T, Tt), transpose(nx, nbe, W + (size_t)np * (size_t)nx, Wt);
+  transpose(nx, n, T, Tt), transpose(nx, nbe, W + (size_t)np * (size_t)nx, Wt), mirror(n, M);
   memset(Rt, 0, sizeof(double) * (size_t)n * (size_t)nbe);
   for (int32_t i = 0; i < n; i++) {
     const column_range r = nonzeros(nx, F + (size_t)i * (size_t)nx);
     const double *const f = F + (size_t)i * (size_t)nx + r.first;
     const int32_t count = r.last - r.first;
-    twx_add_product(n - i, 1, count, Tt + i + (size_t)r.first * (size_t)n, n, f, nx, M + i + (size_t)i * (size_t)n, n);
+    twx_add_sums(n - i, count, 1, Tt + i + (size_t)r.first * (size_t)n, n, f, M + i + (size_t)i * (size_t)n);
     if (i >= nv) twx_add_dots(i - nv + 1, count, 1, W + r.first, nx, f, M + i + (size_t)nv * (size_t)n, n);
-    twx_add_product(nbe, 1, count, Wt + (size_t)r.first * (size_t)nbe, nbe, f, nx, Rt + (size_t)i * (size_t)nbe, nbe);
+    twx_add_sums(nbe, count, 1, Wt + (size_t)r.first * (size_t)nbe, nbe, f, Rt + (size_t)i * (size_t)nbe);
   }
-  transpose(nbe, n, Rt, R);
+  transpose(nbe, n, Rt, R), mirror_up(n, M);
 }
 
 /* The rows of the stage's equalities that stand in the border, in the columns of their multipliers. */
@@ -95,16 +105,6 @@ static void add_equalities(twx_work *w, const twx_stage *s) {
     double *column = w->t2 + (size_t)place * (size_t)s->n;
     for (int32_t i = 0; i < s->n; i++) column[i] += w->Je[s->Je + (size_t)r + (size_t)i * (size_t)s->ne];
   }
-}
-
-static void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
-  for (int32_t j = 0; j < n; j++)
-    for (int32_t i = 0; i < j; i++) M[j + (size_t)i * (size_t)n] = M[i + (size_t)j * (size_t)n];
-}
-
-static void mirror_up(int32_t n, double *M) { /* the upper triangle from the lower */
-  for (int32_t j = 0; j < n; j++)
-    for (int32_t i = 0; i < j; i++) M[i + (size_t)j * (size_t)n] = M[j + (size_t)i * (size_t)n];
 }
 
 /* Rows and columns of fixed variables become those of the identity. M (n, n) whole, R (n, columns) or NULL. */
@@ -127,10 +127,10 @@ static void add_to_border(twx_work *w, const twx_stage *s) {
     for (int32_t i = 0; i < np; i++) w->S[i + (size_t)(np + j) * (size_t)nb] += w->t2[nv + i + (size_t)j * (size_t)n];
 }
 
-/* The upper triangle of S += Y T, with Y' and T blocks (rows, nb); Y has this leading dimension. */
-static void add_product_to_border(twx_work *w, int32_t rows, const double *Y, int32_t leading, const double *T) {
+/* The upper triangle of S -= Y T, with Y' and T blocks (rows, nb); Y has this leading dimension. */
+static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, int32_t leading, const double *T) {
   for (int32_t j = 0; j < w->nb; j++)
-    twx_add_product(j + 1, 1, rows, Y, leading, T + (size_t)j * (size_t)rows, rows, w->S + (size_t)j * (size_t)w->nb, w->nb);
+    twx_add_sums(j + 1, rows, -1, Y, leading, T + (size_t)j * (size_t)rows, w->S + (size_t)j * (size_t)w->nb);
 }
 
 static void negate(size_t count, double *a) {
@@ -186,16 +186,16 @@ static int32_t eliminate(twx_work *w, const twx_stage *s) {
   twx_solve_lower_part(&B, columns, Y, w->t3);
   memcpy(T, Y, sizeof(double) * (size_t)m * (size_t)columns);
   twx_solve_diagonal_part(&B, columns, T);
-  negate((size_t)m * (size_t)columns, T);
   transpose(m, columns, Y, Yt);
   for (int32_t j = 0; j < columns; j++) {
     double *to = j < nx ? w->P + s->P + (size_t)j * (size_t)nx : w->W + s->W + (size_t)(j - nx) * (size_t)nx;
-    twx_add_product(j < nx ? j + 1 : nx, 1, m, Yt, columns, T + (size_t)j * (size_t)m, m, to, nx);
+    twx_add_sums(j < nx ? j + 1 : nx, m, -1, Yt, columns, T + (size_t)j * (size_t)m, to);
   }
   mirror(nx, w->P + s->P);
-  add_product_to_border(w, m, Yt + nx, columns, T + (size_t)nx * (size_t)m);
+  subtract_from_border(w, m, Yt + nx, columns, T + (size_t)nx * (size_t)m);
   memcpy(Y, T, sizeof(double) * (size_t)m * (size_t)columns);
   twx_solve_upper_part(&B, columns, Y, w->t3);
+  negate((size_t)m * (size_t)columns, Y);
   return negative - s->nl;
 }
 
@@ -212,11 +212,11 @@ static int32_t eliminate_start(twx_work *w) {
   twx_solve_lower_part(&f, nb, w->K0, w->t3);
   memcpy(w->t1, w->K0, sides);
   twx_solve_diagonal_part(&f, nb, w->t1);
-  negate((size_t)nx * (size_t)nb, w->t1);
   transpose(nx, nb, w->K0, w->t1 + (size_t)nx * (size_t)nb);
-  add_product_to_border(w, nx, w->t1 + (size_t)nx * (size_t)nb, nb, w->t1);
+  subtract_from_border(w, nx, w->t1 + (size_t)nx * (size_t)nb, nb, w->t1);
   memcpy(w->K0, w->t1, sides);
   twx_solve_upper_part(&f, nb, w->K0, w->t3);
+  negate((size_t)nx * (size_t)nb, w->K0);
   return negative;
 }
 
@@ -274,8 +274,8 @@ static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
     const twx_stage *s = w->stages + k;
     stage_cost(w, s, with_hessian);
     if (k < w->N) add_cost_to_go(w, s);
-    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe);
-    add_equalities(w, s), mirror_up(s->n, w->t0);
+    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe), mirror(s->n, w->t0);
+    add_equalities(w, s);
     add_to_border(w, s);
     fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->nbe, w->t2);
     const int32_t more = eliminate(w, s);

@@ -64,9 +64,9 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
         twx_add_row(f, k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
       for (size_t j = 0; j < size; j++) {
-        const double slope = weight * moved[(R * size + j) * TWX_LANES];
-        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += slope;
-        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += slope;
+        const double slope = moved[(R * size + j) * TWX_LANES];
+        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
+        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * slope;
       }
     }
   }

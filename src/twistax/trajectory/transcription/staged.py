@@ -58,6 +58,7 @@ class Staged:
         self._assemble(instance)
 
     def _assemble(self, instance: Given) -> None:
+        self._instance: Given | None = None
         phases = [part.phase for part in self.parts]
         self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
         stages = self.transcription.stages
@@ -128,6 +129,9 @@ class Staged:
 
     def set_given(self, instance: Given) -> None:
         """Set the data of the problem."""
+        if instance is self._instance:
+            return
+        self._instance = instance
         self.transcription.set_data(self.numbers.vector(instance))
         self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
         for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
@@ -151,10 +155,10 @@ class Staged:
         xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
         return Point(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
 
-    def coordinates(self, point: Point) -> Array:
-        """v of a point: states that are flat, controls and shared unknowns as they are, others zero."""
+    def coordinates(self, z: Array) -> Array:
+        """v of a point z: states that are flat, controls and shared unknowns as they are, others zero."""
         v = np.zeros(self.transcription.stages.variables)
-        v[self.plain[1]] = self.flat(point)[self.plain[0]]
+        v[self.plain[1]] = z[self.plain[0]]
         return v
 
     def step(self, d: Array, u: Array, border: Array) -> Array:
@@ -192,9 +196,8 @@ class Staged:
 
     # ---- limits and rows ------------------------------------------------------------------------------------------
 
-    def limits(self, point: Point, instance: Given) -> tuple[Array, Array]:
-        """Lower and upper bounds of v; equal where an entry is fixed."""
-        v = self.coordinates(point)
+    def limits(self, v: Array, instance: Given) -> tuple[Array, Array]:
+        """Lower and upper bounds of coordinates v; equal where an entry is fixed."""
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T
         rows, places, is_upper, limits = self._bounds
