@@ -38,13 +38,13 @@ static void advance(const twx_memory *t, size_t substep, const double *weights, 
   for (size_t k = 0; k < t->K; k++) {
     const double length = t->phase->widths[k] / t->phase->substeps;
     const double *from = q_of(t, substep) + k * t->size;
-    double *restrict to = q_of(t, place) + k * t->size;
-    for (size_t i = 0; i < t->n; i++) to[i] = 0;
-    for (size_t l = 0; l < count; l++) {
-      const double *restrict slope = t->slopes + ((substep * s + l) * t->K + k) * t->n, weight = weights[l];
-      for (size_t i = 0; weight != 0 && i < t->n; i++) to[i] += weight * slope[i];
+    double *to = q_of(t, place) + k * t->size;
+    for (size_t i = 0; i < t->n; i++) {
+      double sum = 0;
+      for (size_t l = 0; l < count; l++)
+        if (weights[l] != 0) sum += weights[l] * t->slopes[((substep * s + l) * t->K + k) * t->n + i];
+      to[i] = from[i] + length * sum;
     }
-    for (size_t i = 0; i < t->n; i++) to[i] = from[i] + length * to[i];
   }
 }
 

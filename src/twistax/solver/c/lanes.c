@@ -41,7 +41,7 @@ typedef struct { /* sum of a[i] b[i] over a list of i; strides in entries */
 
 /* to (columns,) += the products with as many columns of b. */
 static inline void add_columns(const products *p, size_t columns, size_t first, double *restrict to) {
-  double sums[4 * L];
+  double sums[2 * L];
   for (size_t e = 0; e < columns * L; e++) sums[e] = to[first * L + e];
   for (size_t q = 0; q < p->count; q++) {
     const size_t i = (size_t)p->list[q];
@@ -55,10 +55,8 @@ static inline void add_columns(const products *p, size_t columns, size_t first, 
 /* The same for columns first <= j < end. */
 static void add_products(const products *p, size_t first, size_t end, double *to) {
   size_t j = first;
-  for (; j + 4 <= end; j += 4) add_columns(p, 4, j, to);
-  if (end - j == 3) add_columns(p, 3, j, to);
-  if (end - j == 2) add_columns(p, 2, j, to);
-  if (end - j == 1) add_columns(p, 1, j, to);
+  for (; j + 2 <= end; j += 2) add_columns(p, 2, j, to);
+  if (j < end) add_columns(p, 1, j, to);
 }
 
 /* As `twx_along`, of a block. */
