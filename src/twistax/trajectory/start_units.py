@@ -43,7 +43,8 @@ class StartUnits:
         self.v = np.concatenate([*self._by_stage(staged), self.border])
         of_stages = at.by_run(self.v)
         self.rows, self.equalities = self._of_rows(staged, at, of_stages) if with_rows else (np.zeros(0), np.zeros(0))
-        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, of_stages).sum()
+        moves = self._followed(at)
+        change_of_cost = np.abs(at.gradient) @ moves + 0.5 * at.curvatures(at.H, at.by_run(moves)).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
@@ -63,6 +64,20 @@ class StartUnits:
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         return staged.levelled_rows(*changes)
+
+    def _followed(self, at: Evaluated) -> Array:
+        """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""
+        stages, moves = at.stages, self.v.copy()
+        for run, F in at.batches(at.F, stages.after):
+            count, width = run.stop - run.start, stages.columns[run.start] - stages.parameters
+            first, rows = stages.first[run.start], stages.after[run.start]
+            if not rows:
+                continue
+            inner = moves[first : first + count * width].reshape(count, width)
+            ends = self.v[stages.first[run.start + 1 : run.stop + 1][:, None] + np.arange(rows)]
+            ratio = (np.abs(F[:, :, :width]) * inner[:, None, :] / ends[:, :, None]).max(axis=1)
+            inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
+        return moves
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""
