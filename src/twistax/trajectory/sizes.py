@@ -99,24 +99,24 @@ class SizeMeter:
         drift, horizon = 0.5 * np.abs(gaps).sum(axis=0), np.abs(moved).sum(axis=0)
         through, rounding = horizon[:, n : n + m], _ROUNDING * largest
         unknown, between = np.isnan(u), self._between_ends(values)
-        others = horizon[:, : n + m].copy()
-        np.fill_diagonal(others, 0.0)
-        among = others[:, :n] > 0.0  # which states move which
-        reserve = _reserve(d, u, box, through, others[:, :n], between, steering) if with_reserve else np.inf
-        has_box, moves = ~np.isnan(box), through > 0.0
+        coupling = horizon[:, : n + m].copy()
+        np.fill_diagonal(coupling, 0.0)
+        among = coupling[:, :n] > 0.0  # which states move which
+        reserve = _reserve(d, u, box, through, coupling[:, :n], between, steering) if with_reserve else np.inf
+        has_box, steers = ~np.isnan(box), through > 0.0
         for number in range(_ROUNDS):
             before = d, u
             sure = (
                 d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
             )  # at first others may be noise
-            needed = np.fmin.reduce(np.where(moves, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
+            needed = np.fmin.reduce(np.where(steers, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
             is_finite = needed < np.inf
             is_bounded = has_box & ~((box >= _WIDE * needed) & is_finite)
             usual = np.where(is_bounded | ~is_finite, box, needed)
             u = np.where(unknown | (u < _NOTHING * usual), usual, u)
             known = np.concatenate([d, u])
             known[np.isnan(known)] = 0.0
-            pushed = (others * known).max(axis=1)  # what others move each state by
+            pushed = (coupling * known).max(axis=1)  # what others move each state by
             d = np.where((pushed > 0.0) & (np.isnan(d) | (d < _NOTHING * pushed)), pushed, d)
             d = _drifting(d, drift, among)
             d = np.minimum(np.where(d < rounding, rounding, d), most)
@@ -132,7 +132,7 @@ class SizeMeter:
         u[self._slack & (u < _ZERO)] = np.nan  # a slack of what holds is rounding, and that is no size of it
         b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
         d, u, b = (usable(a) for a in (d, u, b))
-        return Sizes(d, u, b, moves.any(axis=0), reserve)
+        return Sizes(d, u, b, steers.any(axis=0), reserve)
 
     def largest(self, point: Point) -> Array:
         """The largest value of each flat state, zero of others."""

@@ -42,9 +42,12 @@ class StartUnits:
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         self.v = np.concatenate([*self._by_stage(staged), self.border])
         of_stages = at.by_run(self.v)
-        self.rows, self.equalities = self._of_rows(staged, at, of_stages) if with_rows else (np.zeros(0), np.zeros(0))
-        moves = self._followed(at)
-        change_of_cost = np.abs(at.gradient) @ moves + 0.5 * at.curvatures(at.H, at.by_run(moves)).sum()
+        self.rows: Array = np.zeros(0)
+        self.equalities: Array = np.zeros(0)
+        if with_rows:
+            self.rows, self.equalities = self._of_rows(staged, at, of_stages)
+        steps = self._followed(at)
+        change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
@@ -67,17 +70,17 @@ class StartUnits:
 
     def _followed(self, at: Evaluated) -> Array:
         """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""
-        stages, moves = at.stages, self.v.copy()
+        stages, steps = at.stages, self.v.copy()
         for run, F in at.batches(at.F, stages.after):
             count, width = run.stop - run.start, stages.columns[run.start] - stages.parameters
             first, rows = stages.first[run.start], stages.after[run.start]
             if not rows:
                 continue
-            inner = moves[first : first + count * width].reshape(count, width)
+            inner = steps[first : first + count * width].reshape(count, width)
             ends = self.v[stages.first[run.start + 1 : run.stop + 1][:, None] + np.arange(rows)]
             ratio = (np.abs(F[:, :, :width]) * inner[:, None, :] / ends[:, :, None]).max(axis=1)
             inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
-        return moves
+        return steps
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""

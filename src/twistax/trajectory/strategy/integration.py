@@ -110,8 +110,9 @@ class CloseIntegration:
         rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
         if self._signs.shape[1] != len(v):
             rng = np.random.default_rng(0)
-            moves = (rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v)) for _ in range(_MOVES))
-            self._signs = np.stack(list(moves))
+            size = len(v)
+            drawn = (rng.choice([-1.0, 1.0], size=size) * rng.uniform(0.5, 1.0, size=size) for _ in range(_MOVES))
+            self._signs = np.stack(list(drawn))
         for signs in self._signs:
             step = np.where(which, length * v * signs, 0.0)
             there = Evaluated(transcription, moved(transcription, z, step))

@@ -79,7 +79,7 @@ def _stability_function(method: Scheme) -> _StabilityFunction:
 def _stability_function_of(a_bytes: bytes, b_bytes: bytes) -> _StabilityFunction:
     b = np.frombuffer(b_bytes)
     a = np.frombuffer(a_bytes).reshape(len(b), len(b))
-    function = _StabilityFunction(*(np.poly(matrix)[::-1] for matrix in (a - b, a)))
+    function = _StabilityFunction(np.poly(a - b)[::-1], np.poly(a)[::-1])
     # The moduli of R in the left half plane, and of R e^-z in the right one, are largest on the boundary: the imaginary
     # axis and the circle.
     angles = np.exp(1j * np.linspace(0.0, np.pi, _ANGLES))
