@@ -23,7 +23,8 @@ def core_values(staged: Staged, point: Point, given: Given) -> Values:
     """Those of the core, by node and row."""
     staged.set_given(given)
     at = Evaluated(staged.transcription, staged.flat(point))
-    v, (lower, upper) = staged.coordinates(point), staged.limits(point, given)
+    v = staged.coordinates(staged.flat(point))
+    lower, upper = staged.limits(v, given)
     return Values(at.cost[0], staged.padded(at.c), staged.all_rows(at.h, at.e, lower - v, v - upper))
 
 

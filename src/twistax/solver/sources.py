@@ -28,6 +28,7 @@ _FILES = (
     "solve",
     "linearised",
     "kernels",
+    "lanes",
     "integrate",
     "nodes",
     "transcription",

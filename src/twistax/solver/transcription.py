@@ -185,6 +185,15 @@ class _Phase(ctypes.Structure):
     ]
 
 
+_POINTERS = [ctypes.c_void_p] * 6
+_SIGNATURES = {
+    "values": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS),
+    "jacobians": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS),
+    "hessians": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS[:2], ctypes.c_double, *_POINTERS[:4]),
+    "retract": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS[:4]),
+}
+
+
 class TranscriptionStructure(ctypes.Structure):
     """`twx_transcription`."""
 
@@ -292,6 +301,15 @@ class Transcription:
         eta = np.zeros((self.phases[phase].intervals, self.phases[phase].n))
         library().phase_states(ctypes.addressof(self._structures[phase]), substep, eta.ctypes.data)
         return eta
+
+    @functools.cached_property
+    def _calls(self) -> dict[str, Any]:
+        return {name: signature(getattr(self.functions, name)) for name, signature in _SIGNATURES.items()}
+
+    def call(self, name: str, *arguments: Any) -> bool:
+        """Call a function of `functions` with arrays and numbers; whether it failed."""
+        pointers = [a if isinstance(a, float) else a.ctypes.data for a in arguments]
+        return bool(self._calls[name](self.functions.user, *pointers))
 
     @property
     def called_back(self) -> list[str]:

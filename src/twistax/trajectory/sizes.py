@@ -40,86 +40,146 @@ class Sizes(NamedTuple):
         return self._replace(d=np.ones_like(self.d), u=np.ones_like(self.u))
 
 
-@np.errstate(all="ignore")
-def measured_sizes(shooting: Shooting, point: Point, moved: Array, gaps: Array) -> Sizes:
-    """Sizes of states, controls and shared unknowns at a start.
+class SizeMeter:
+    """Measures the sizes of a phase at starts.
 
     A leaf's declared scale counts first; then half the spread of a state along the start, half the distance between two
     limits of a control; then what these move, by the derivatives of the intervals.
-
-    Args:
-        moved: (intervals, n, n + m + g) derivatives of the ends of intervals.
-        gaps: (intervals, n) how far intervals end from where the next one starts.
     """
-    n, m = shooting.n, shooting.m
-    d, u, box = np.full(n, np.nan), np.full(m, np.nan), np.full(m, np.nan)
-    most, steering = np.full(n, np.inf), np.zeros(n, bool)
-    for name, part in shooting.dynamics.group.slices.items():
-        leaf = cast(State, shooting.leaves[name])
-        d[part], most[part] = _of_state(leaf, point.xs[name]), _most(leaf)
-        if isinstance(
-            shooting.leaves.get(rate_name(name)), Control
-        ):  # a continuous control: its limits say how far it goes
-            d[part] = np.where(np.isfinite(most[part]), most[part], d[part])
-            steering[part] = np.isfinite(most[part])
-    d = np.minimum(d, most)  # NaN: not known
-    slices = shooting.local.controls.slices
-    for name, part in slices.items():
-        u[part], box[part] = _of_control(cast(Control, shooting.leaves[name]), point.us[:, part])
-    b, free = np.abs(point.border), slice(shooting.border.phases, None)
-    low, high = shooting.border.limits.T
-    b[free] = np.where(np.isfinite(high - low), np.maximum(b, 0.5 * (high - low)), b)[free]
-    reach, drift = np.abs(moved), 0.5 * np.abs(gaps).sum(axis=0)
-    horizon = reach.sum(axis=0)  # (n, n + m + g): how far unknowns move states, over the horizon
-    through = horizon[:, n : n + m]
-    largest = largest_values(shooting, point)
-    rounding = _ROUNDING * largest
-    unknown, between = np.isnan(u), _between_ends(shooting, point)
-    among = horizon[:, :n] * (1.0 - np.eye(n)) > 0.0  # which states move which
-    reserve = _reserve(d, u, box, through, horizon[:, :n], between, steering)
-    for number in range(_ROUNDS):
-        before = d, u
-        sure = (
-            d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
-        )  # at first others may be noise
-        needed = np.nanmin(np.where(through > 0.0, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
-        is_bounded = ~np.isnan(box) & ~((box >= _WIDE * needed) & np.isfinite(needed))
-        usual = np.where(is_bounded | ~np.isfinite(needed), box, needed)
-        u = np.where(unknown | (u < _NOTHING * usual), usual, u)
-        known = np.nan_to_num(np.concatenate([d, u, b]), nan=0.0)
-        pushed = horizon * known  # what each unknown moves each state by
-        pushed[np.arange(n), np.arange(n)] = 0.0
-        others_push = pushed[:, : n + m].max(axis=1)
-        d = np.where((others_push > 0.0) & (np.isnan(d) | (d < _NOTHING * others_push)), others_push, d)
-        d = _drifting(d, drift, among)
-        d = np.minimum(np.where(d < rounding, rounding, d), most)
-        if number > 0 and all(np.array_equal(a, c, equal_nan=True) for a, c in zip(before, (d, u))):
-            break
-    # A parameter that is zero counts with what moves a state by its size.
-    of_shared = np.nanmin(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
-    b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
-    d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
-    d = np.where(np.isnan(d) & np.isfinite(most), most, d)
-    values = np.abs(point.us).max(axis=0, initial=0.0)
-    u = np.where(np.isnan(u) & (values > 0.0), values, u)
-    # A slack of what holds is rounding, and that is no size of it.
-    for name in shooting.slacks:
-        u[slices[name]] = np.where(u[slices[name]] < _ZERO, np.nan, u[slices[name]])
-    b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
-    d, u, b = (usable(a) for a in (d, u, b))
-    return Sizes(d, u, b, (through > 0.0).any(axis=0), reserve)
+
+    def __init__(self, shooting: Shooting) -> None:
+        self._shooting, n, m = shooting, shooting.n, shooting.m
+        group, self._controls = shooting.dynamics.group, shooting.local.controls.slices
+        self._flat = [name for name in group.slices if group.factors[name].flat]
+        places = [np.arange(n)[group.slices[name]] for name in self._flat]
+        self._columns = np.concatenate([np.zeros(0, int), *places])
+        self._curved = [
+            (cast(State, shooting.leaves[name]), part)
+            for name, part in group.slices.items()
+            if name not in self._flat and cast(State, shooting.leaves[name]).scale is None
+        ]
+        self._declared, self._most, self._paced = np.full(n, np.nan), np.full(n, np.inf), np.zeros(n, bool)
+        for name, part in group.slices.items():
+            leaf = cast(State, shooting.leaves[name])
+            self._most[part] = _most(leaf)
+            if leaf.scale is not None:
+                self._declared[part] = np.ravel(leaf.scale)
+            # A continuous control: its limits say how far it goes.
+            is_control = isinstance(shooting.leaves.get(rate_name(name)), Control)
+            self._paced[part] = is_control & np.isfinite(self._most[part])
+        self._u_declared, self._box, self._slack = np.full(m, np.nan), np.full(m, np.nan), np.zeros(m, bool)
+        for name, part in self._controls.items():
+            leaf_u = cast(Control, shooting.leaves[name])
+            self._box[part] = _box(leaf_u, part.stop - part.start)
+            self._slack[part] = name in shooting.slacks
+            if leaf_u.scale is not None:
+                self._u_declared[part] = np.ravel(leaf_u.scale)
+        self._half_limits = 0.5 * np.subtract(*np.reshape(shooting.border.limits, (-1, 2)).T[::-1])
+        self._fixed = np.isin(np.arange(n), shooting.layout.fixed) & ~shooting.free.d[0]
+
+    @np.errstate(all="ignore")
+    def __call__(self, point: Point, moved: Array, gaps: Array, with_reserve: bool = True) -> Sizes:
+        """Sizes of states, controls and shared unknowns.
+
+        Args:
+            moved: (intervals, n, n + m + g) derivatives of the ends of intervals.
+            gaps: (intervals, n) how far intervals end from where the next one starts.
+            with_reserve: whether the reserve of limited controls is measured.
+        """
+        shooting = self._shooting
+        n, m, most, steering = shooting.n, shooting.m, self._most, self._paced
+        values = self._flat_values(point)
+        largest = np.zeros(n)
+        largest[self._columns] = np.abs(values).max(axis=0, initial=0.0)
+        d = self._of_states(point, values, largest[self._columns])
+        u, box = self._of_controls(point.us)
+        b, free = np.abs(point.border), slice(shooting.border.phases, None)
+        b[free] = np.where(np.isfinite(self._half_limits), np.maximum(b, self._half_limits), b)[free]
+        # (n, n + m + g): how far unknowns move states, over the horizon.
+        drift, horizon = 0.5 * np.abs(gaps).sum(axis=0), np.abs(moved).sum(axis=0)
+        through, rounding = horizon[:, n : n + m], _ROUNDING * largest
+        unknown, between = np.isnan(u), self._between_ends(values)
+        coupling = horizon[:, : n + m].copy()
+        np.fill_diagonal(coupling, 0.0)
+        among = coupling[:, :n] > 0.0  # which states move which
+        reserve = _reserve(d, u, box, through, coupling[:, :n], between, steering) if with_reserve else np.inf
+        has_box, steers = ~np.isnan(box), through > 0.0
+        for number in range(_ROUNDS):
+            before = d, u
+            sure = (
+                d if number > 0 else np.where(between > 0.0, between, np.where(steering, d, np.nan))
+            )  # at first others may be noise
+            needed = np.fmin.reduce(np.where(steers, sure[:, None] / through, np.inf), axis=0, initial=np.inf)
+            is_finite = needed < np.inf
+            is_bounded = has_box & ~((box >= _WIDE * needed) & is_finite)
+            usual = np.where(is_bounded | ~is_finite, box, needed)
+            u = np.where(unknown | (u < _NOTHING * usual), usual, u)
+            known = np.concatenate([d, u])
+            known[np.isnan(known)] = 0.0
+            pushed = (coupling * known).max(axis=1)  # what others move each state by
+            d = np.where((pushed > 0.0) & (np.isnan(d) | (d < _NOTHING * pushed)), pushed, d)
+            d = _drifting(d, drift, among)
+            d = np.minimum(np.where(d < rounding, rounding, d), most)
+            if number > 0 and all(np.array_equal(a, c, equal_nan=True) for a, c in zip(before, (d, u))):
+                break
+        # A parameter that is zero counts with what moves a state by its size.
+        of_shared = np.fmin.reduce(d[:, None] / horizon[:, n + m :], axis=0, initial=np.inf)
+        b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
+        d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
+        d = np.where(np.isnan(d) & np.isfinite(most), most, d)
+        largest_u = np.abs(point.us).max(axis=0, initial=0.0)
+        u = np.where(np.isnan(u) & (largest_u > 0.0), largest_u, u)
+        u[self._slack & (u < _ZERO)] = np.nan  # a slack of what holds is rounding, and that is no size of it
+        b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
+        d, u, b = (usable(a) for a in (d, u, b))
+        return Sizes(d, u, b, steers.any(axis=0), reserve)
+
+    def largest(self, point: Point) -> Array:
+        """The largest value of each flat state, zero of others."""
+        largest = np.zeros(self._shooting.n)
+        largest[self._columns] = np.abs(self._flat_values(point)).max(axis=0, initial=0.0)
+        return largest
+
+    def _flat_values(self, point: Point) -> Array:
+        """(nodes, columns) of all flat states."""
+        nodes = self._shooting.nodes
+        return np.concatenate(
+            [np.zeros((nodes, 0)), *(np.reshape(point.xs[name], (nodes, -1)) for name in self._flat)], axis=1
+        )
+
+    def _of_states(self, point: Point, values: Array, largest: Array) -> Array:
+        """Sizes of the states' tangents; NaN where nothing is known."""
+        d = np.full(self._shooting.n, np.nan)
+        d[self._columns] = _spread(values, largest)
+        for leaf, part in self._curved:
+            d[part] = _of_curved(leaf, point.xs[leaf.name])
+        d = np.where(np.isnan(self._declared), d, self._declared)
+        return np.minimum(np.where(self._paced, self._most, d), self._most)
+
+    def _of_controls(self, us: Array) -> tuple[Array, Array]:
+        """Sizes of the controls by themselves, and by their limits; NaN where nothing is known."""
+        spread, box = _spread(us, np.abs(us).max(axis=0, initial=0.0)), self._box
+        # Limits say how far a control goes, if they are not far from all that it needs.
+        u, limits = np.where(np.isnan(box), spread, np.nan), np.where(np.isnan(box), spread, box)
+        is_free = np.isnan(self._u_declared)
+        return np.where(is_free, u, self._u_declared), np.where(is_free, limits, self._u_declared)
+
+    def _between_ends(self, values: Array) -> Array:
+        """Half of how far fixed ends of flat states are apart; zero where one is free."""
+        half_distance = np.zeros(self._shooting.n)
+        half_distance[self._columns] = 0.5 * np.abs(values[-1] - values[0])
+        return np.where(self._fixed, half_distance, 0.0)
 
 
 def _reserve(d: Array, u: Array, box: Array, through: Array, among: Array, between: Array, steering: Array) -> float:
     """The smallest ratio of the change of a state of known size by controls to that size; infinite if none changes."""
     known = np.where(between > 0.0, between, d)
-    limited = np.nan_to_num(np.where(np.isnan(u), box, u))
-    direct, among = through @ limited, among * (1.0 - np.eye(len(d)))
+    direct = through @ np.nan_to_num(np.where(np.isnan(u), box, u))
     pushed = direct
     for _ in range(_ROUNDS):
         pushed = direct + among @ np.where(steering, known, np.fmin(pushed, known))
     ratios = np.where(steering, np.inf, pushed / known)
-    return float(np.nanmin(np.where(ratios > 0.0, ratios, np.inf), initial=np.inf))
+    return float(np.fmin.reduce(np.where(ratios > 0.0, ratios, np.inf), initial=np.inf))
 
 
 def usable(sizes: Array) -> Array:
@@ -142,26 +202,6 @@ def _most(leaf: State) -> Array:
     return np.where(half > 0.0, half, np.inf)
 
 
-def largest_values(shooting: Shooting, point: Point) -> Array:
-    """The largest value of each flat state, zero of others."""
-    largest = np.zeros(shooting.n)
-    for name, part in shooting.dynamics.group.slices.items():
-        if shooting.dynamics.group.factors[name].flat:
-            largest[part] = np.abs(np.reshape(point.xs[name], (shooting.nodes, -1))).max(axis=0)
-    return largest
-
-
-def _between_ends(shooting: Shooting, point: Point) -> Array:
-    """Half of how far fixed ends of flat states are apart; zero where one is free."""
-    half_distance = np.zeros(shooting.n)
-    for name, part in shooting.dynamics.group.slices.items():
-        if shooting.dynamics.group.factors[name].flat:
-            values = np.reshape(point.xs[name], (shooting.nodes, -1))
-            half_distance[part] = 0.5 * np.abs(values[-1] - values[0])
-    fixed = np.isin(np.arange(shooting.n), shooting.layout.fixed) & ~shooting.free.d[0]
-    return np.where(fixed, half_distance, 0.0)
-
-
 def _drifting(d: Array, drift: Array, among: Array) -> Array:
     """Sizes, with those of states that only the drift of the guess moves; states that they move come later."""
     unknown = np.isnan(d) & (drift > 0.0)
@@ -170,13 +210,9 @@ def _drifting(d: Array, drift: Array, among: Array) -> Array:
     return np.where(sizes < _NOTHING * drift, drift, sizes)
 
 
-def _of_state(leaf: State, values: Array) -> Array:
-    """Sizes of a state's tangents; NaN where nothing is known."""
+def _of_curved(leaf: State, values: Array) -> Array:
+    """Sizes of the tangents of a state on a manifold; NaN where nothing is known."""
     group = leaf.group
-    if leaf.scale is not None:
-        return np.broadcast_to(np.ravel(leaf.scale), (group.dimension,))
-    if group.flat:
-        return _spread(values.reshape(len(values), -1), leaf)
     sizes = np.full(group.dimension, _TURN)
     for piece in group.parts:
         if piece.sized:
@@ -185,23 +221,17 @@ def _of_state(leaf: State, values: Array) -> Array:
     return sizes
 
 
-def _of_control(leaf: Control, values: Array) -> tuple[Array, Array]:
-    """Sizes of a control by itself, and by its limits; NaN where nothing is known."""
-    if leaf.scale is not None:
-        declared = np.broadcast_to(np.ravel(leaf.scale), values.shape[1:])
-        return declared, declared
-    low, high = (np.full(values.shape[1], np.nan) if a is None else np.ravel(a) for a in (leaf.min, leaf.max))
+def _box(leaf: Control, entries: int) -> Array:
+    """Half the distance between the limits of a control, the size of a single one; NaN where there is none."""
+    low, high = (np.full(entries, np.nan) if a is None else np.ravel(a) for a in (leaf.min, leaf.max))
     box = 0.5 * (high - low)
     one_sided = np.where(np.isfinite(low), np.abs(low), np.where(np.isfinite(high), np.abs(high), np.nan))
-    box = np.where(np.isfinite(box) & (box > 0.0), box, np.where(one_sided > 0.0, one_sided, np.nan))
-    spread = _spread(values, leaf)
-    # Limits say how far a control goes, if they are not far from all that it needs.
-    return np.where(np.isnan(box), spread, np.nan), np.where(np.isnan(box), spread, box)
+    return np.where(np.isfinite(box) & (box > 0.0), box, np.where(one_sided > 0.0, one_sided, np.nan))
 
 
-def _spread(flat: Array, leaf: State | Control) -> Array:
-    """Half the spread of values along a start; NaN where they do not move."""
-    most = np.abs(flat).max(axis=0, initial=0.0)
-    spread = 0.5 * np.ptp(flat, axis=0) if len(flat) else np.zeros(flat.shape[1])
-    varies = spread > _ROUNDING * most
-    return np.where(varies, np.maximum(spread, _CONSTANT * most), np.nan)
+def _spread(values: Array, largest: Array) -> Array:
+    """Half the spread of values (count, entries) of these largest sizes along a start; NaN where they do not move."""
+    if not len(values):
+        return np.full(values.shape[1], np.nan)
+    spread = 0.5 * (values.max(axis=0) - values.min(axis=0))
+    return np.where(spread > _ROUNDING * largest, np.maximum(spread, _CONSTANT * largest), np.nan)

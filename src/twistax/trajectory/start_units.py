@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
-from .sizes import Sizes, measured_sizes
+from .sizes import Sizes
 from .transcription.evaluation import Evaluated, moved
 from .transcription.points import Point
 from .transcription.staged import Staged
@@ -20,54 +20,67 @@ _FITTING, _RESERVE = 16.0, 100.0
 class StartUnits:
     """Units for the solver's core, measured at a start.
 
+    Args:
+        limits: (g, 2) of the shared unknowns, where durations may be far too long.
+        with_rows: whether those of rows are measured.
+
     Attributes:
         parts: sizes of states, controls and shared unknowns, of each phase.
         v: of all variables.
-        rows, equalities, cost: of the rows and the objective.
+        rows, equalities, cost: of the rows and the objective; empty where rows are not measured.
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point, limits: Array | None = None) -> None:
-        self._staged_at = staged.flat(point), staged.coordinates(point)
-        at = Evaluated(staged.transcription, self._staged_at[0])
-        good, stages = at.differentiate(), at.stages
-        self.parts = self._measured(staged, point, at, good)
+    def __init__(self, staged: Staged, point: Point, limits: Array | None = None, *, with_rows: bool = True) -> None:
+        z = staged.flat(point)
+        self._staged_at = z, staged.coordinates(z)
+        at = Evaluated(staged.transcription, z)
+        self.parts = self._measured(staged, point, at, at.differentiate(), limits is not None)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
             self.parts = self._fitted(staged, point, limits, self.parts)[1]
         self.border = np.max([sizes.border for sizes in self.parts], axis=0)
         self.v = np.concatenate([*self._by_stage(staged), self.border])
-        kinds = ((at.Jh, stages.inequalities), (at.Je, stages.equalities))
-        changes = [at.changes(*kind, self.v) for kind in kinds]
+        of_stages = at.by_run(self.v)
+        self.rows: Array = np.zeros(0)
+        self.equalities: Array = np.zeros(0)
+        if with_rows:
+            self.rows, self.equalities = self._of_rows(staged, at, of_stages)
+        steps = self._followed(at)
+        change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
+        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
+            step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
+            there = Evaluated(staged.transcription, moved(staged.transcription, self._staged_at[0], step))
+            change_of_cost = abs(there.cost[0] - at.cost[0])
+        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
+
+    @staticmethod
+    def _of_rows(staged: Staged, at: Evaluated, of_stages: list[Array]) -> tuple[Array, Array]:
+        """By how much a move of all unknowns by their units changes inequalities and equalities."""
+        kinds = ((at.Jh, at.stages.inequalities), (at.Je, at.stages.equalities))
+        changes = [at.changes(*kind, of_stages) for kind in kinds]
         for places in staged.places_alone:
             weights = [np.zeros(len(change)) for change in changes]
             for weight, at_place in zip(weights, places):
                 weight[at_place] = 1.0
-            curvatures = at.curvatures(at.bends(*weights), self.v)
+            curvatures = at.curvatures(at.bends(*weights), of_stages)
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
-        self.rows, self.equalities = staged.levelled_rows(*changes)
-        unit_steps = self._followed(at)
-        change_of_cost = np.abs(at.gradient) @ unit_steps + 0.5 * at.curvatures(at.H, unit_steps).sum()
-        if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
-            step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
-            there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
-            change_of_cost = abs(there.cost[0] - at.cost[0])
-        self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
+        return staged.levelled_rows(*changes)
 
     def _followed(self, at: Evaluated) -> Array:
         """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""
-        stages, unit_steps = at.stages, self.v.copy()
+        stages, steps = at.stages, self.v.copy()
         for run, F in at.batches(at.F, stages.after):
             count, width = run.stop - run.start, stages.columns[run.start] - stages.parameters
             first, rows = stages.first[run.start], stages.after[run.start]
             if not rows:
                 continue
-            inner = unit_steps[first : first + count * width].reshape(count, width)
-            ends = np.stack([self.v[stages.first[k + 1] :][:rows] for k in range(run.start, run.stop)])
+            inner = steps[first : first + count * width].reshape(count, width)
+            ends = self.v[stages.first[run.start + 1 : run.stop + 1][:, None] + np.arange(rows)]
             ratio = (np.abs(F[:, :, :width]) * inner[:, None, :] / ends[:, :, None]).max(axis=1)
             inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
-        return unit_steps
+        return steps
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""
@@ -107,9 +120,9 @@ class StartUnits:
 
     def fit(self, staged: Staged, point: Point) -> bool:
         """Whether every unknown of a point is within its unit of the start at which the units were measured."""
-        z, v = self._staged_at
-        moved = np.abs(staged.coordinates(point) - v) <= self.v
-        return bool(moved.all() and (np.abs(staged.flat(point) - z)[staged.curved] <= _TURNED).all())
+        (z, v), there = self._staged_at, staged.flat(point)
+        moved = np.abs(staged.coordinates(there) - v) <= self.v
+        return bool(moved.all() and (np.abs(there - z)[staged.curved] <= _TURNED).all())
 
     def become_one(self) -> None:
         """Use the units of the statement: 1 for everything."""
@@ -119,7 +132,9 @@ class StartUnits:
         self.cost = 1.0
 
     @staticmethod
-    def _measured(staged: Staged, point: Point, at: Evaluated, is_good: bool = True) -> list[Sizes]:
+    def _measured(
+        staged: Staged, point: Point, at: Evaluated, is_good: bool = True, with_reserve: bool = True
+    ) -> list[Sizes]:
         """Sizes of each phase; without derivatives those that the point and the leaves tell."""
         parts, sizes_of = list[Sizes](), dict[str, Array]()
         for part, segment in zip(staged.parts, staged.transcribed.segments):
@@ -130,7 +145,7 @@ class StartUnits:
             slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
             gaps = gaps[: K * n].reshape(K, n)
             gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
-            sizes = measured_sizes(phase, segment.of(point), slopes, gaps)
+            sizes = part.meter(segment.of(point), slopes, gaps, with_reserve)
             for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
                 slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])
@@ -141,7 +156,7 @@ class StartUnits:
     def _by_stage(self, staged: Staged) -> list[Array]:
         sizes_of = list[Array]()
         for number, (part, sizes) in enumerate(zip(staged.parts, self.parts)):
-            sizes_of += [np.concatenate([sizes.d, sizes.u])] * part.shooting.intervals
+            sizes_of.append(np.tile(np.concatenate([sizes.d, sizes.u]), part.shooting.intervals))
             join = part.phase.join
             free = np.zeros(0) if join is None else self.parts[number + 1].d[join.free]
             sizes_of.append(np.concatenate([sizes.d, free]))

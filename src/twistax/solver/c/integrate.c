@@ -167,56 +167,89 @@ void twx_phase_states(const twx_phase *f, int32_t substep, double *eta) {
     memcpy(eta + k * t.n, q_of(&t, (size_t)substep) + k * t.size, sizeof(double) * t.n);
 }
 
-static double *map_of(const twx_memory *t, size_t place, size_t k) {
-  return t->maps + (place * t->K + k) * t->n * t->size;
+static double *along_of(const twx_memory *t, size_t stage, size_t block) {
+  return t->along + (stage * t->blocks + block) * t->n * t->size * TWX_LANES;
 }
 
-static double *along_of(const twx_memory *t, size_t stage, size_t k) {
-  return t->along + (stage * t->K + k) * t->n * t->size;
+int32_t twx_is_start(const twx_memory *t, size_t place) {
+  return place == 0 || (!t->phase->implicit && place == stage_place(t, 0));
 }
 
-/* The sensitivity at a place: that of the substep's start plus those of slopes, by these weights. */
-static void advance_map(const twx_memory *t, size_t substep, size_t k, const double *weights, size_t count, size_t place) {
-  const size_t s = (size_t)t->phase->stages, block = t->n * t->size;
-  const double length = t->phase->widths[k] / t->phase->substeps;
-  double *restrict to = map_of(t, place, k);
-  memcpy(to, map_of(t, substep, k), sizeof(double) * block);
-  for (size_t l = 0; l < count; l++) {
-    const double *restrict from = along_of(t, substep * s + l, k), factor = length * weights[l];
-    for (size_t i = 0; factor != 0 && i < block; i++) to[i] += factor * from[i];
+/* The sensitivity of one interval. */
+void twx_map_of(const twx_memory *t, size_t place, size_t k, double *map) {
+  const double *const lanes = twx_maps_at(t, place, k / TWX_LANES) + k % TWX_LANES;
+  for (size_t i = 0; i < t->n * t->size; i++) map[i] = lanes[i * TWX_LANES];
+}
+
+/* Sensitivities at a place: those of the substep's start plus those of slopes, by these weights. */
+static void advance_maps(const twx_memory *t, size_t substep, size_t block, const double *weights, size_t count, size_t place) {
+  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size;
+  double *restrict to = twx_maps_at(t, place, block), factor[TWX_LANES] = {0};
+  memcpy(to, twx_maps_at(t, substep, block), sizeof(double) * entries * TWX_LANES);
+  for (size_t i = 0; i < count; i++) {
+    const double *restrict from = along_of(t, substep * s + i, block);
+    for (size_t l = 0; l < twx_lanes_of(t, block); l++)
+      factor[l] = t->phase->widths[block * TWX_LANES + l] / t->phase->substeps * weights[i];
+    for (size_t e = 0; e < entries && weights[i] != 0; e++)
+      for (size_t l = 0; l < TWX_LANES; l++) to[e * TWX_LANES + l] += factor[l] * from[e * TWX_LANES + l];
   }
 }
 
-static int32_t implicit_maps(const twx_memory *t, size_t j, size_t k) {
-  const size_t s = (size_t)t->phase->stages, block = t->n * t->size, sn = s * t->n;
+/* Sensitivities of the slopes of a substep, of one interval. */
+static int32_t implicit_along(const twx_memory *t, size_t j, size_t k) {
+  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size, sn = s * t->n;
+  twx_map_of(t, j, k, t->map);
   for (size_t i = 0; i < s; i++)
-    twx_along(t->n, t->n, t->size, t->J + ((j * s + i) * t->K + k) * block, map_of(t, j, k), t->right + i * block);
+    twx_along(t->n, t->n, t->size, t->J + ((j * s + i) * t->K + k) * entries, t->map, t->right + i * entries);
   if (!factorize_stages(t, j, k)) return 1;
   twx_lu_solve(sn, t->matrix + k * sn * sn, t->right + (sn + s) * t->size, t->size, t->right);
-  for (size_t i = 0; i < s; i++) memcpy(along_of(t, j * s + i, k), t->right + i * block, sizeof(double) * block);
-  for (size_t i = 0; i < s; i++) advance_map(t, j, k, t->phase->a + i * s, s, stage_place(t, j * s + i));
+  for (size_t i = 0; i < s; i++) {
+    double *const lanes = along_of(t, j * s + i, k / TWX_LANES) + k % TWX_LANES;
+    for (size_t e = 0; e < entries; e++) lanes[e * TWX_LANES] = t->right[i * entries + e];
+  }
   return 0;
+}
+
+static int32_t implicit_maps(const twx_memory *t, size_t j, size_t block) {
+  const size_t s = (size_t)t->phase->stages, first = block * TWX_LANES;
+  for (size_t i = 0; i < s; i++) memset(along_of(t, j * s + i, block), 0, sizeof(double) * t->n * t->size * TWX_LANES);
+  for (size_t l = 0; l < twx_lanes_of(t, block); l++)
+    if (implicit_along(t, j, first + l)) return 1;
+  for (size_t i = 0; i < s; i++) advance_maps(t, j, block, t->phase->a + i * s, s, stage_place(t, j * s + i));
+  return 0;
+}
+
+static void explicit_maps(const twx_memory *t, size_t j, size_t block) {
+  const size_t s = (size_t)t->phase->stages, entries = t->n * t->size;
+  for (size_t i = 0; i < s; i++) {
+    const size_t stage = j * s + i, place = stage_place(t, stage);
+    const double *const J = t->J + stage * t->K * entries;
+    if (twx_is_start(t, place)) {
+      twx_pack(t, block, entries, J, along_of(t, stage, block));
+      continue;
+    }
+    advance_maps(t, j, block, t->phase->a + i * s, i, place);
+    twx_pack(t, block, entries, J, t->lane_rows);
+    twx_lanes_along(t, t->n, t->lane_rows, t->size, twx_maps_at(t, place, block), along_of(t, stage, block));
+  }
 }
 
 /* Sensitivities of all stages and ends of substeps. Other than 0 where the point cannot be integrated. */
 int32_t twx_sensitivities(twx_memory *t, const double *z) {
   const twx_phase *f = t->phase;
-  const size_t S = (size_t)f->substeps, s = (size_t)f->stages, block = t->n * t->size;
+  const size_t S = (size_t)f->substeps;
   if (twx_integrate(t, z)) return 1;
   if (*t->state > 1) return 0;
   for (size_t i = 0; i < t->stages; i++) rate_slopes(t, z, i);
-  for (size_t k = 0; k < t->K; k++) {
-    double *start = map_of(t, 0, k);
-    memset(start, 0, sizeof(double) * block);
-    for (size_t i = 0; i < t->n; i++) start[i * t->size + i] = 1;
+  for (size_t block = 0; block < t->blocks; block++) {
+    double *const start = twx_maps_at(t, 0, block);
+    memset(start, 0, sizeof(double) * t->n * t->size * TWX_LANES);
+    for (size_t i = 0; i < t->n; i++)
+      for (size_t l = 0; l < TWX_LANES; l++) start[i * (t->size + 1) * TWX_LANES + l] = 1;
     for (size_t j = 0; j < S; j++) {
-      if (f->implicit && implicit_maps(t, j, k)) return 1;
-      for (size_t i = 0; !f->implicit && i < s; i++) {
-        const size_t stage = j * s + i, place = stage_place(t, stage);
-        advance_map(t, j, k, f->a + i * s, i, place);
-        twx_along(t->n, t->n, t->size, t->J + (stage * t->K + k) * block, map_of(t, place, k), along_of(t, stage, k));
-      }
-      advance_map(t, j, k, f->b, s, j + 1);
+      if (!f->implicit) explicit_maps(t, j, block);
+      else if (implicit_maps(t, j, block)) return 1;
+      advance_maps(t, j, block, f->b, (size_t)f->stages, j + 1);
     }
   }
   *t->state = 2;

@@ -15,19 +15,23 @@ size_t twx_lay_out(twx_memory *t, const twx_phase *f, double *base) {
     if ((size_t)f->node[i].function.rows > rows) rows = (size_t)f->node[i].function.rows;
   const size_t joined = f->join ? (size_t)f->join->function.rows : 0;
   if (joined > rows) rows = joined;
-  *t = (twx_memory){.phase = f, .K = K, .n = n, .size = size, .stages = all};
+  const size_t blocks = (K + TWX_LANES - 1) / TWX_LANES, lanes = blocks * TWX_LANES, wide = rows > size ? rows : size;
+  *t = (twx_memory){.phase = f, .K = K, .n = n, .size = size, .stages = all, .blocks = blocks};
   t->points = S + 1 + (f->implicit ? all : 0);
   t->state = next_of(base, &used, 1);
   t->at = next_of(base, &used, (K + 1) * (size_t)f->point + K * (size_t)f->m + (size_t)f->p);
   t->q = next_of(base, &used, (S + 1 + all) * K * size), t->shares = next_of(base, &used, (S + 1 + all) * K);
   t->slopes = next_of(base, &used, all * K * n), t->J = next_of(base, &used, all * K * n * size);
-  t->maps = next_of(base, &used, (S + 1 + all) * K * n * size), t->along = next_of(base, &used, all * K * n * size);
+  t->maps = next_of(base, &used, (S + 1 + all) * lanes * n * size), t->along = next_of(base, &used, all * lanes * n * size);
+  t->H = next_of(base, &used, lanes * size * size), t->map = next_of(base, &used, n * size);
+  t->lane_rows = next_of(base, &used, wide * size * TWX_LANES), t->lane_moved = next_of(base, &used, wide * size * TWX_LANES);
+  t->list = (int32_t *)(void *)next_of(base, &used, size);
   t->gap_slopes = next_of(base, &used, K * n * n), t->turns = next_of(base, &used, K * n * n);
   t->defects = next_of(base, &used, K * n);
   t->adjoints = next_of(base, &used, s * K * n), t->through = next_of(base, &used, s * K * n);
   t->pulls = next_of(base, &used, t->points * K * n);
   t->rows = next_of(base, &used, K * rows), t->row_slopes = next_of(base, &used, K * rows * size);
-  t->row_moved = next_of(base, &used, rows * size), t->adjoint = next_of(base, &used, K * n);
+  t->adjoint = next_of(base, &used, K * n);
   t->bends = next_of(base, &used, K * size * size), t->moved = next_of(base, &used, size * size + joined * (joined + size));
   t->matrix = next_of(base, &used, K * sn * sn), t->right = next_of(base, &used, (sn + s) * size + sn);
   t->weights = next_of(base, &used, K * (rows > n ? rows : n)), t->q_node = next_of(base, &used, n + (size_t)f->p);
@@ -151,11 +155,11 @@ double twx_weight_of(const twx_phase *f, size_t k, int32_t place, const double *
 }
 
 /* Adds a row of derivatives of a stage to its block, columns of eta, then those from `after` on. */
-void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
-                    double *Jh, double *Je) {
+void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t stride, size_t count,
+                 size_t skipped, double *Jh, double *Je) {
   const size_t n = (size_t)f->n;
   const int32_t rows = place >= 0 ? f->at.inequalities[k] : f->at.equalities[k];
   double *block = place >= 0 ? Jh + f->at.Jh[k] + place : Je + f->at.Je[k] - 2 - place;
   if (place != -1)
-    for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j];
+    for (size_t j = 0; j < count; j++) block[(j < n ? j : j + skipped) * (size_t)rows] = row[j * stride];
 }

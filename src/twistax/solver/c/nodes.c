@@ -46,7 +46,7 @@ void twx_node_jacobians(twx_memory *t, const double *z, double *gradient, double
     const int32_t rows = node->function.rows - has_cost(f, i);
     twx_call(&node->function.slopes, t, node_inputs(t, z, node, &share), 1, t->row_slopes, (size_t)node->function.rows * columns);
     for (int32_t r = 0; r < rows; r++)
-      twx_add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, columns, controls_at(f, k), Jh, Je);
+      twx_add_row(f, k, node->place[r], t->row_slopes + (size_t)r * columns, 1, columns, controls_at(f, k), Jh, Je);
     for (size_t j = n; has_cost(f, i) && j < columns; j++)
       f->cost_slopes[t->K * (columns - n) + j - n] = t->row_slopes[(size_t)rows * columns + j];
     for (size_t j = 0; has_cost(f, i) && j < columns; j++)

@@ -4,24 +4,31 @@
 #include "transcription.h"
 #include "work.h"
 
+#define TWX_LANES 8 /* intervals side by side: two or more vectors of any processor */
+
 typedef struct { /* arrays of a phase; K intervals, S substeps, s stages; size = n + m + p */
   const twx_phase *phase;
-  size_t K, n, size, stages, points; /* stages: S s; points: S + 1, and S s where stages are looked at */
+  size_t K, n, size, stages, points, blocks; /* stages: S s; points: S + 1, and S s where stages are looked at;
+                                                blocks: of TWX_LANES intervals */
   double *state;                /* how far the memory is filled: 1 integrated, 2 differentiated too */
   double *at;                   /* the point for which it is */
   double *q, *shares;           /* (S + 1 + S s, K, size), (S + 1 + S s, K): ends of substeps, then stages */
   double *slopes;               /* (S s, K, n): of the stages */
   double *J;                    /* (S s, K, n, size): derivatives of the rate by q */
-  double *maps;                 /* (S + 1 + S s, K, n, size): sensitivities of eta */
-  double *along;                /* (S s, K, n, size): sensitivities of the stages' slopes */
+  double *maps;                 /* (S + 1 + S s, blocks, n, size, lanes): sensitivities of eta */
+  double *along;                /* (S s, blocks, n, size, lanes): sensitivities of the stages' slopes */
+  double *H;                    /* (blocks, size, size, lanes): second derivatives, the upper triangle */
+  double *lane_rows, *lane_moved; /* scratch: a matrix of a block, and another */
+  int32_t *list;                /* (2 size) scratch */
   double *gap_slopes, *turns;   /* (K, n, n) */
   double *defects;              /* (K, n) */
   double *adjoint;              /* (K, n): of the end of an interval, then of its substeps' starts */
   double *adjoints, *through;   /* (s, K, n) */
   double *pulls;                /* (points, K, n): gradients by eta of rows and cost, weighted */
   double *rows;                 /* (K, max(path_rows + 1, rows of a node)) */
-  double *row_slopes, *row_moved; /* (K, as many, size), (as many, size) */
+  double *row_slopes;           /* (K, as many, size) */
   double *bends, *moved;        /* (K, size, size); scratch: (size, size), and of a join */
+  double *map;                  /* (n, size): of an interval */
   double *matrix, *right;       /* of implicit stages: (K, s n, s n), (s n, size) */
   double *weights;              /* (K, as many rows, or n) */
   double *q_node;               /* (n + p) */
@@ -40,8 +47,16 @@ TWX_INTERNAL void twx_multiply(size_t rows, size_t n, size_t columns, const doub
 TWX_INTERNAL double *twx_at_stage(double *array, const int64_t *offsets, size_t k);
 TWX_INTERNAL double *twx_row_at(const twx_phase *f, size_t k, int32_t place, double *h, double *e);
 TWX_INTERNAL double twx_weight_of(const twx_phase *f, size_t k, int32_t place, const double *y, const double *ye);
-TWX_INTERNAL void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t count, size_t skipped,
-                              double *Jh, double *Je);
+TWX_INTERNAL void twx_add_row(const twx_phase *f, size_t k, int32_t place, const double *row, size_t stride, size_t count,
+                              size_t skipped, double *Jh, double *Je);
+/* lanes.c */
+TWX_INTERNAL size_t twx_lanes_of(const twx_memory *t, size_t block); /* intervals of a block */
+TWX_INTERNAL void twx_pack(const twx_memory *t, size_t block, size_t width, const double *rows, double *lanes);
+TWX_INTERNAL double *twx_maps_at(const twx_memory *t, size_t place, size_t block);
+TWX_INTERNAL void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t width, const double *maps, double *out);
+TWX_INTERNAL void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, double *H);
+TWX_INTERNAL int32_t twx_is_start(const twx_memory *t, size_t place); /* sensitivities there are one */
+TWX_INTERNAL void twx_map_of(const twx_memory *t, size_t place, size_t k, double *map);
 /* nodes.c */
 TWX_INTERNAL double twx_node_values(twx_memory *t, const double *z, double *h, double *e);
 TWX_INTERNAL void twx_node_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je);

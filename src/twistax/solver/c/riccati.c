@@ -45,6 +45,21 @@ typedef struct { /* rows first <= i < last of a column; all others are zero */
   int32_t first, last;
 } column_range;
 
+static void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i < j; i++) M[j + (size_t)i * (size_t)n] = M[i + (size_t)j * (size_t)n];
+}
+
+static void mirror_up(int32_t n, double *M) { /* the upper triangle from the lower */
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i < j; i++) M[i + (size_t)j * (size_t)n] = M[j + (size_t)i * (size_t)n];
+}
+
+static void transpose(int32_t m, int32_t n, const double *restrict A, double *restrict B) { /* B (n, m) = A' */
+  for (int32_t j = 0; j < n; j++)
+    for (int32_t i = 0; i < m; i++) B[j + (size_t)i * (size_t)n] = A[i + (size_t)j * (size_t)m];
+}
+
 static column_range nonzeros(int32_t n, const double *column) {
   column_range r = {0, n};
   while (r.first < n && column[r.first] == 0) r.first++;
@@ -52,19 +67,15 @@ static column_range nonzeros(int32_t n, const double *column) {
   return r;
 }
 
-static double dot(column_range r, const double *restrict a, const double *restrict b) {
-  double sum = 0;
-  for (int32_t l = r.first; l < r.last; l++) sum += a[l] * b[l];
-  return sum;
-}
-
-/* What follows: t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's multipliers. Columns of
- * F have zeros at their ends: those of states that are constant, one entry. */
+/* What follows: the lower triangle of t0 += F'P F and its terms with W; t2 (n, border rows) = the columns of the border's
+ * multipliers. Columns of F have zeros at their ends: those of states that are constant, one entry. Factors are transposed,
+ * so that columns of results are sums of columns. */
 static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   const twx_stage *next = s + 1;
-  const int32_t n = s->n, nx = s->next, nv = s->nv, np = w->np;
+  const int32_t n = s->n, nx = s->next, nv = s->nv, np = w->np, nbe = w->nbe;
   const double *const F = w->F + s->F, *const P = w->P + next->P, *const W = w->W + next->W;
-  double *const M = w->t0, *const T = w->t1, *const R = w->t2;
+  double *const M = w->t0, *const T = w->t1, *const R = w->t2, *const Tt = T + (size_t)nx * (size_t)n;
+  double *const Wt = Tt + (size_t)nx * (size_t)n, *const Rt = Wt + (size_t)nx * (size_t)nbe;
   memset(T, 0, sizeof(double) * (size_t)nx * (size_t)n);
   for (int32_t j = 0; j < n; j++) {
     const double *const f = F + (size_t)j * (size_t)nx;
@@ -73,13 +84,17 @@ static void add_cost_to_go(twx_work *w, const twx_stage *s) {
   }
   for (int32_t j = 0; j < np; j++) /* F'W_p of rows before p; of p itself both orders */
     for (int32_t i = 0; i < nx; i++) T[i + (size_t)(nv + j) * (size_t)nx] += W[i + (size_t)j * (size_t)nx];
+  transpose(nx, n, T, Tt), transpose(nx, nbe, W + (size_t)np * (size_t)nx, Wt), mirror(n, M);
+  memset(Rt, 0, sizeof(double) * (size_t)n * (size_t)nbe);
   for (int32_t i = 0; i < n; i++) {
-    const double *const f = F + (size_t)i * (size_t)nx;
-    const column_range r = nonzeros(nx, f);
-    for (int32_t j = i; j < n; j++) M[i + (size_t)j * (size_t)n] += dot(r, f, T + (size_t)j * (size_t)nx);
-    for (int32_t j = 0; i >= nv && j <= i - nv; j++) M[nv + j + (size_t)i * (size_t)n] += dot(r, f, W + (size_t)j * (size_t)nx);
-    for (int32_t j = 0; j < w->nbe; j++) R[i + (size_t)j * (size_t)n] = dot(r, f, W + (size_t)(np + j) * (size_t)nx);
+    const column_range r = nonzeros(nx, F + (size_t)i * (size_t)nx);
+    const double *const f = F + (size_t)i * (size_t)nx + r.first;
+    const int32_t count = r.last - r.first;
+    twx_add_sums(n - i, count, 1, Tt + i + (size_t)r.first * (size_t)n, n, f, M + i + (size_t)i * (size_t)n);
+    if (i >= nv) twx_add_dots(i - nv + 1, count, 1, W + r.first, nx, f, M + i + (size_t)nv * (size_t)n, n);
+    twx_add_sums(nbe, count, 1, Wt + (size_t)r.first * (size_t)nbe, nbe, f, Rt + (size_t)i * (size_t)nbe);
   }
+  transpose(nbe, n, Rt, R), mirror_up(n, M);
 }
 
 /* The rows of the stage's equalities that stand in the border, in the columns of their multipliers. */
@@ -90,11 +105,6 @@ static void add_equalities(twx_work *w, const twx_stage *s) {
     double *column = w->t2 + (size_t)place * (size_t)s->n;
     for (int32_t i = 0; i < s->n; i++) column[i] += w->Je[s->Je + (size_t)r + (size_t)i * (size_t)s->ne];
   }
-}
-
-static void mirror(int32_t n, double *M) { /* the lower triangle from the upper */
-  for (int32_t j = 0; j < n; j++)
-    for (int32_t i = 0; i < j; i++) M[j + (size_t)i * (size_t)n] = M[i + (size_t)j * (size_t)n];
 }
 
 /* Rows and columns of fixed variables become those of the identity. M (n, n) whole, R (n, columns) or NULL. */
@@ -108,28 +118,19 @@ static void fix(const double *free, int32_t first, int32_t count, int32_t n, dou
   }
 }
 
-/* S of the border, of what M and R have for it: parameters by parameters, by equalities. */
+/* The upper triangle of S of the border, of what M and R have for it: parameters by parameters, by equalities. */
 static void add_to_border(twx_work *w, const twx_stage *s) {
   const int32_t np = w->np, nb = w->nb, nv = s->nv, n = s->n;
   for (int32_t j = 0; j < np; j++)
     for (int32_t i = 0; i < np; i++) w->S[i + (size_t)j * (size_t)nb] += w->t0[nv + i + (size_t)(nv + j) * (size_t)n];
   for (int32_t j = 0; j < w->nbe; j++)
-    for (int32_t i = 0; i < np; i++) {
-      const double entry = w->t2[nv + i + (size_t)j * (size_t)n];
-      w->S[i + (size_t)(np + j) * (size_t)nb] += entry, w->S[np + j + (size_t)i * (size_t)nb] += entry;
-    }
+    for (int32_t i = 0; i < np; i++) w->S[i + (size_t)(np + j) * (size_t)nb] += w->t2[nv + i + (size_t)j * (size_t)n];
 }
 
-/* S -= Y'T of blocks (rows, nb), which is symmetric. */
-static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, const double *T) {
-  const int32_t nb = w->nb;
-  for (int32_t j = 0; j < nb; j++)
-    for (int32_t i = 0; i <= j; i++) {
-      double sum = 0;
-      for (int32_t l = 0; l < rows; l++) sum += Y[l + (size_t)i * (size_t)rows] * T[l + (size_t)j * (size_t)rows];
-      w->S[i + (size_t)j * (size_t)nb] -= sum;
-      if (i < j) w->S[j + (size_t)i * (size_t)nb] -= sum;
-    }
+/* The upper triangle of S -= Y T, with Y' and T blocks (rows, nb); Y has this leading dimension. */
+static void subtract_from_border(twx_work *w, int32_t rows, const double *Y, int32_t leading, const double *T) {
+  for (int32_t j = 0; j < w->nb; j++)
+    twx_add_sums(j + 1, rows, -1, Y, leading, T + (size_t)j * (size_t)rows, w->S + (size_t)j * (size_t)w->nb);
 }
 
 static void negate(size_t count, double *a) {
@@ -177,7 +178,7 @@ static void fill_sides(twx_work *w, const twx_stage *s) {
 static int32_t eliminate(twx_work *w, const twx_stage *s) {
   const int32_t nx = s->nx, m = s->nu + s->nl, columns = nx + w->nb;
   const twx_factor B = twx_factor_in(m, w->L + s->L);
-  double *const Y = w->K + s->K, *const T = w->t1, *const P = w->P + s->P, *const W = w->W + s->W;
+  double *const Y = w->K + s->K, *const T = w->t1, *const Yt = T + (size_t)m * (size_t)columns;
   fill_block(w, s, &B);
   const int32_t negative = twx_factorize_symmetric(&B);
   if (negative < s->nl) return -1;
@@ -185,17 +186,13 @@ static int32_t eliminate(twx_work *w, const twx_stage *s) {
   twx_solve_lower_part(&B, columns, Y, w->t3);
   memcpy(T, Y, sizeof(double) * (size_t)m * (size_t)columns);
   twx_solve_diagonal_part(&B, columns, T);
+  transpose(m, columns, Y, Yt);
   for (int32_t j = 0; j < columns; j++) {
-    double *to = j < nx ? P + (size_t)j * (size_t)nx : W + (size_t)(j - nx) * (size_t)nx;
-    const double *const t = T + (size_t)j * (size_t)m;
-    for (int32_t i = 0; i < (j < nx ? j + 1 : nx); i++) {
-      double sum = 0;
-      for (int32_t l = 0; l < m; l++) sum += Y[l + (size_t)i * (size_t)m] * t[l];
-      to[i] -= sum;
-    }
+    double *to = j < nx ? w->P + s->P + (size_t)j * (size_t)nx : w->W + s->W + (size_t)(j - nx) * (size_t)nx;
+    twx_add_sums(j < nx ? j + 1 : nx, m, -1, Yt, columns, T + (size_t)j * (size_t)m, to);
   }
-  mirror(nx, P);
-  subtract_from_border(w, m, Y + (size_t)nx * (size_t)m, T + (size_t)nx * (size_t)m);
+  mirror(nx, w->P + s->P);
+  subtract_from_border(w, m, Yt + nx, columns, T + (size_t)nx * (size_t)m);
   memcpy(Y, T, sizeof(double) * (size_t)m * (size_t)columns);
   twx_solve_upper_part(&B, columns, Y, w->t3);
   negate((size_t)m * (size_t)columns, Y);
@@ -215,7 +212,8 @@ static int32_t eliminate_start(twx_work *w) {
   twx_solve_lower_part(&f, nb, w->K0, w->t3);
   memcpy(w->t1, w->K0, sides);
   twx_solve_diagonal_part(&f, nb, w->t1);
-  subtract_from_border(w, nx, w->K0, w->t1);
+  transpose(nx, nb, w->K0, w->t1 + (size_t)nx * (size_t)nb);
+  subtract_from_border(w, nx, w->t1 + (size_t)nx * (size_t)nb, nb, w->t1);
   memcpy(w->K0, w->t1, sides);
   twx_solve_upper_part(&f, nb, w->K0, w->t3);
   negate((size_t)nx * (size_t)nb, w->K0);
@@ -276,8 +274,8 @@ static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
     const twx_stage *s = w->stages + k;
     stage_cost(w, s, with_hessian);
     if (k < w->N) add_cost_to_go(w, s);
-    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe);
-    add_equalities(w, s), mirror(s->n, w->t0);
+    else memset(w->t2, 0, sizeof(double) * (size_t)s->n * (size_t)w->nbe), mirror(s->n, w->t0);
+    add_equalities(w, s);
     add_to_border(w, s);
     fix(w->free + s->v + s->nx, s->nx, s->nu, s->n, w->t0, w->nbe, w->t2);
     const int32_t more = eliminate(w, s);
@@ -287,6 +285,7 @@ static int32_t factorize_once(twx_work *w, int32_t with_hessian) {
   const int32_t more = eliminate_start(w);
   if (more < 0) return -1;
   negative += more;
+  mirror(w->nb, w->S);
   return factorize_border(w, negative);
 }
 

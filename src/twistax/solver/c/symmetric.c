@@ -111,17 +111,28 @@ int32_t twx_factorize_symmetric(const twx_factor *f) {
   return negative;
 }
 
-/* B = L^-1 Q B of columns; `scratch` (n,) */
-void twx_solve_lower_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+/* Four columns at a time stand side by side in the scratch: r (n, count). */
+#define R(i) (r + (size_t)(i) * (size_t)count)
+
+static inline void solve_lower_columns(const twx_factor *f, int32_t count, double *restrict B, double *restrict r) {
   const int32_t n = f->n;
-  const double *const A = f->A;
-  for (int32_t j = 0; j < columns; j++) {
-    double *const b = B + (size_t)j * (size_t)n;
-    for (int32_t i = 0; i < n; i++) scratch[i] = b[(int32_t)f->row[i]];
-    memcpy(b, scratch, sizeof(double) * (size_t)n);
-    for (int32_t k = 0; k < n; k++)
-      for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++) b[i] -= AT(i, k) * b[k];
-  }
+  const double *restrict const A = f->A;
+  for (int32_t i = 0; i < n; i++)
+    for (int32_t c = 0; c < count; c++) R(i)[c] = B[(size_t)f->row[i] + (size_t)c * (size_t)n];
+  for (int32_t k = 0; k < n; k++)
+    for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++)
+      for (int32_t c = 0; c < count; c++) R(i)[c] -= AT(i, k) * R(k)[c];
+  if (count == 1) memcpy(B, r, sizeof(double) * (size_t)n);
+  for (int32_t i = 0; i < n && count > 1; i++)
+    for (int32_t c = 0; c < count; c++) B[(size_t)i + (size_t)c * (size_t)n] = R(i)[c];
+}
+
+/* B = L^-1 Q B of columns; `scratch` (n, 4) */
+void twx_solve_lower_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+  const size_t n = (size_t)f->n;
+  int32_t j = 0;
+  for (; j + 4 <= columns; j += 4) solve_lower_columns(f, 4, B + (size_t)j * n, scratch);
+  for (; j < columns; j++) solve_lower_columns(f, 1, B + (size_t)j * n, scratch);
 }
 
 /* B = D^-1 B */
@@ -140,20 +151,29 @@ void twx_solve_diagonal_part(const twx_factor *f, int32_t columns, double *B) {
   }
 }
 
-/* B = Q' L'^-1 B */
-void twx_solve_upper_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+static inline void solve_upper_columns(const twx_factor *f, int32_t count, double *restrict B, double *restrict r) {
   const int32_t n = f->n;
-  const double *const A = f->A;
-  for (int32_t j = 0; j < columns; j++) {
-    double *const b = B + (size_t)j * (size_t)n;
-    for (int32_t k = n - 1; k >= 0; k--)
-      for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++) b[k] -= AT(i, k) * b[i];
-    for (int32_t i = 0; i < n; i++) scratch[(int32_t)f->row[i]] = b[i];
-    memcpy(b, scratch, sizeof(double) * (size_t)n);
-  }
+  const double *restrict const A = f->A;
+  if (count == 1) memcpy(r, B, sizeof(double) * (size_t)n);
+  for (int32_t i = 0; i < n && count > 1; i++)
+    for (int32_t c = 0; c < count; c++) R(i)[c] = B[(size_t)i + (size_t)c * (size_t)n];
+  for (int32_t k = n - 1; k >= 0; k--)
+    for (int32_t i = k + (f->block[k] == 2 ? 2 : 1); i < n; i++)
+      for (int32_t c = 0; c < count; c++) R(k)[c] -= AT(i, k) * R(i)[c];
+  for (int32_t i = 0; i < n; i++)
+    for (int32_t c = 0; c < count; c++) B[(size_t)f->row[i] + (size_t)c * (size_t)n] = R(i)[c];
+}
+#undef R
+
+/* B = Q' L'^-1 B; `scratch` (n, 4) */
+void twx_solve_upper_part(const twx_factor *f, int32_t columns, double *B, double *scratch) {
+  const size_t n = (size_t)f->n;
+  int32_t j = 0;
+  for (; j + 4 <= columns; j += 4) solve_upper_columns(f, 4, B + (size_t)j * n, scratch);
+  for (; j < columns; j++) solve_upper_columns(f, 1, B + (size_t)j * n, scratch);
 }
 
-/* B = A^-1 B */
+/* B = A^-1 B; `scratch` (n, 4) */
 void twx_solve_symmetric(const twx_factor *f, int32_t columns, double *B, double *scratch) {
   twx_solve_lower_part(f, columns, B, scratch);
   twx_solve_diagonal_part(f, columns, B);

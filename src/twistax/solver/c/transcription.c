@@ -44,6 +44,13 @@ static double rows_values(twx_memory *t, const double *z, double *h, double *e) 
   return cost;
 }
 
+/* The slopes of the rows of a block by the unknowns, in `lane_moved`. */
+static void move_rows(const twx_memory *t, size_t point, size_t block, size_t rows) {
+  const size_t entries = rows * t->size;
+  twx_pack(t, block, entries, t->row_slopes, twx_is_start(t, point) ? t->lane_moved : t->lane_rows);
+  if (!twx_is_start(t, point)) twx_lanes_along(t, rows, t->lane_rows, t->size, twx_maps_at(t, point, block), t->lane_moved);
+}
+
 static void rows_jacobians(twx_memory *t, const double *z, double *gradient, double *Jh, double *Je) {
   const twx_phase *f = t->phase;
   const size_t R = (size_t)f->path_rows, size = t->size, nv = t->n + (size_t)f->m;
@@ -51,48 +58,43 @@ static void rows_jacobians(twx_memory *t, const double *z, double *gradient, dou
     if (!is_asked(t, point)) continue;
     twx_call(&f->rows.slopes, t, twx_inputs_at(t, z, point), t->K, t->row_slopes, (R + 1) * size);
     for (size_t k = 0; k < t->K; k++) {
-      const double *maps = t->maps + (point * t->K + k) * t->n * size, weight = f->widths[k] * f->weights[point];
-      twx_along(R + 1, t->n, size, t->row_slopes + k * (R + 1) * size, maps, t->row_moved);
+      const size_t lane = k % TWX_LANES;
+      const double weight = f->widths[k] * f->weights[point], *moved = t->lane_moved + lane;
+      if (lane == 0) move_rows(t, point, k / TWX_LANES, R + 1);
       for (size_t r = 0; point <= (size_t)f->substeps && r < R; r++)
-        twx_add_row(f, k, places_at(t, point, k)[r], t->row_moved + r * size, size, 0, Jh, Je);
+        twx_add_row(f, k, places_at(t, point, k)[r], moved + r * size * TWX_LANES, TWX_LANES, size, 0, Jh, Je);
       for (size_t j = 0; j < size; j++) {
-        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * t->row_moved[R * size + j];
-        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * t->row_moved[R * size + j];
+        const double slope = moved[(R * size + j) * TWX_LANES];
+        gradient[j < nv ? (size_t)f->at.v[k] + j : (size_t)f->parameters_v + j - nv] += weight * slope;
+        if (j >= nv) f->cost_slopes[k * (size - nv) + j - nv] += weight * slope;
       }
     }
   }
 }
 
-/* The upper triangle of H += G' M G, with G the sensitivities of q: maps (n, size), then the unknowns themselves. Many
- * rows of M are zero: rates are linear in most of their arguments. */
-static void add_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
-  const size_t n = t->n, size = t->size;
-  double *restrict moved = t->moved;
-  for (size_t i = 0; i < size; i++) {
-    const double *const row = M + i * size, *const map = maps + i * size;
-    if (is_zero(row, size)) continue;
-    twx_along(1, n, size, row, maps, moved);
-    for (size_t r = i < n ? 0 : i; r < (i < n ? size : i + 1); r++) {
-      const double factor = i < n ? map[r] : 1;
-      double *restrict to = H + r * size;
-      if (factor != 0)
-        for (size_t j = r; j < size; j++) to[j] += factor * moved[j];
-    }
+/* The second derivative `bends` of q at a place, of all intervals, adds to H. */
+static void add_bends(const twx_memory *t, size_t place) {
+  const size_t size = t->size, entries = size * size;
+  for (size_t block = 0; block < t->blocks; block++) {
+    twx_pack(t, block, entries, t->bends, t->lane_rows);
+    const double *const maps = twx_is_start(t, place) ? NULL : twx_maps_at(t, place, block);
+    twx_lanes_bends(t, t->lane_rows, maps, t->H + block * entries * TWX_LANES);
   }
 }
 
-/* The lower triangles of the blocks of all intervals from the upper ones. */
-static void mirror_hessians(const twx_memory *t, double *H) {
+/* The upper triangles of all intervals to their blocks, and the lower ones from them. */
+static void write_hessians(const twx_memory *t, double *H) {
   const size_t size = t->size;
   for (size_t k = 0; k < t->K; k++) {
     double *const block = twx_at_stage(H, t->phase->at.H, k);
+    const double *const lanes = t->H + k / TWX_LANES * size * size * TWX_LANES + k % TWX_LANES;
     for (size_t r = 0; r < size; r++)
-      for (size_t j = r + 1; j < size; j++) block[j * size + r] = block[r * size + j];
+      for (size_t j = r; j < size; j++) block[j * size + r] = block[r * size + j] += lanes[(r * size + j) * TWX_LANES];
   }
 }
 
 /* Second derivatives of rows and cost, and their gradients by eta. */
-static void rows_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye, double *H) {
+static void rows_hessians(twx_memory *t, const double *z, double weight, const double *y, const double *ye) {
   const twx_phase *f = t->phase;
   const size_t R = (size_t)f->path_rows, size = t->size;
   for (size_t point = 0; point < t->points; point++) {
@@ -115,8 +117,7 @@ static void rows_hessians(twx_memory *t, const double *z, double weight, const d
           pulls[k * t->n + i] += t->weights[k * (R + 1) + r] * t->row_slopes[(k * (R + 1) + r) * size + i];
     if (!f->rows.bends.run) continue;
     twx_call(&f->rows.bends, t, in, t->K, t->bends, size * size);
-    for (size_t k = 0; k < t->K; k++)
-      add_bends(t, t->bends + k * size * size, t->maps + (point * t->K + k) * t->n * size, twx_at_stage(H, f->at.H, k));
+    add_bends(t, point);
   }
 }
 
@@ -149,11 +150,14 @@ static void gap_jacobians(twx_memory *t, const double *z, double *F) {
   const twx_phase *f = t->phase;
   const size_t n = t->n, size = t->size;
   gap_slopes(t, z);
-  for (size_t k = 0; k < t->K; k++) {
-    double *to = twx_at_stage(F, f->at.F, k);
-    twx_multiply(n, n, size, t->gap_slopes + k * n * n, t->maps + ((size_t)f->substeps * t->K + k) * n * size, t->moved);
-    for (size_t j = 0; j < size; j++)
-      for (size_t i = 0; i < n; i++) to[j * n + i] = t->moved[i * size + j];
+  for (size_t block = 0; block < t->blocks; block++) {
+    twx_pack(t, block, n * n, t->gap_slopes, t->lane_rows);
+    twx_lanes_along(t, n, t->lane_rows, n, twx_maps_at(t, (size_t)f->substeps, block), t->lane_moved);
+    for (size_t l = 0; l < twx_lanes_of(t, block); l++) {
+      double *const to = twx_at_stage(F, f->at.F, block * TWX_LANES + l);
+      for (size_t j = 0; j < size; j++)
+        for (size_t i = 0; i < n; i++) to[j * n + i] = t->lane_moved[(i * size + j) * TWX_LANES + l];
+    }
   }
 }
 
@@ -176,8 +180,8 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
       for (size_t j = 0; j < n; j++) t->weights[k * n + j] += weights[k * n + i] * t->turns[(k * n + i) * n + j];
   gaps(t, z, &f->gap.bends, t->weights, t->bends, n * n);
   for (size_t k = 0; k < t->K; k++) {
-    const double *maps = t->maps + ((size_t)f->substeps * t->K + k) * n * size;
-    double *const block = twx_at_stage(H, f->at.H, k);
+    double *const maps = t->map, *const block = twx_at_stage(H, f->at.H, k);
+    twx_map_of(t, (size_t)f->substeps, k, maps);
     twx_multiply(n, n, size, t->bends + k * n * n, maps, t->moved);
     for (size_t i = 0; i < n; i++)
       for (size_t r = 0; r < size; r++)
@@ -186,7 +190,7 @@ static void gap_hessians(twx_memory *t, const double *z, const double *lambda, d
 }
 
 /* Adjoints back through the substeps of all intervals; each stage adds the second derivative of its rate. */
-static void rate_hessians(twx_memory *t, const double *z, double *adjoint, double *H) {
+static void rate_hessians(twx_memory *t, const double *z, double *adjoint) {
   const twx_phase *f = t->phase;
   const size_t S = (size_t)f->substeps, s = (size_t)f->stages, n = t->n, size = t->size;
   for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[S * t->K * n + i];
@@ -198,8 +202,7 @@ static void rate_hessians(twx_memory *t, const double *z, double *adjoint, doubl
       twx_inputs in = twx_inputs_at(t, z, place);
       in.weights = t->adjoints + i * t->K * n, in.weight_width = n;
       twx_call(&f->rate.bends, t, in, t->K, t->bends, size * size);
-      for (size_t k = 0; k < t->K; k++)
-        add_bends(t, t->bends + k * size * size, t->maps + (place * t->K + k) * n * size, twx_at_stage(H, f->at.H, k));
+      add_bends(t, place);
     }
     for (size_t i = 0; i < t->K * n; i++) adjoint[i] += t->pulls[j * t->K * n + i];
   }
@@ -246,11 +249,12 @@ int32_t twx_transcribed_hessians(void *user, const double *z, double weight, con
                                  const double *ye, double *H) {
   FOR_PHASES(user, f, t) {
     if (twx_sensitivities(&t, z)) return 1;
-    rows_hessians(&t, z, weight, y, ye, H);
+    memset(t.H, 0, sizeof(double) * t.blocks * t.size * t.size * TWX_LANES);
+    rows_hessians(&t, z, weight, y, ye);
     twx_node_hessians(&t, z, weight, y, ye, H);
     gap_hessians(&t, z, lambda, t.adjoint, H);
-    rate_hessians(&t, z, t.adjoint, H);
-    mirror_hessians(&t, H);
+    rate_hessians(&t, z, t.adjoint);
+    write_hessians(&t, H);
     if (f->join) twx_join_hessians(&t, z, lambda, H);
   }
   return 0;

@@ -81,6 +81,8 @@ static inline double twx_above(const twx_work *w, const double *v, size_t i) {
 /* dense.c: C += A B, C += A' B, y += A x, y += A' x. */
 TWX_INTERNAL void twx_add_product(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
 TWX_INTERNAL void twx_add_product_transposed(int32_t m, int32_t n, int32_t k, const double *A, int32_t la, const double *B, int32_t lb, double *C, int32_t lc);
+TWX_INTERNAL void twx_add_dots(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out, int32_t stride);
+TWX_INTERNAL void twx_add_sums(int32_t m, int32_t k, double factor, const double *A, int32_t la, const double *b, double *out);
 TWX_INTERNAL void twx_add_apply(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
 TWX_INTERNAL void twx_add_apply_transposed(int32_t m, int32_t n, const double *A, int32_t la, const double *x, double *y);
 

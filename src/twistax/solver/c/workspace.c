@@ -98,7 +98,7 @@ size_t twx_carve(twx_work *w, const twx_problem *p, double *base) {
   w->Lp = take(&a, twx_factor_size(w->np)), w->Z = take(&a, (size_t)w->np * E), w->C = take(&a, twx_factor_size(w->ne));
   w->p = take(&a, V), w->k = take(&a, t.k), w->border = take(&a, B);
   w->place = (int32_t *)(void *)take(&a, (E + 1) / 2 + 1);
-  w->t0 = take(&a, n * n), w->t1 = take(&a, (X + 2 * (size_t)t.nu) * (X + n + B) + (size_t)w->np * E), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 2 * (V + R + w->defects + E));
+  w->t0 = take(&a, n * n), w->t1 = take(&a, 2 * (n + 2 * (size_t)t.nu) * (X + n + B) + (size_t)w->np * E), w->t2 = take(&a, n * (B + 1)), w->t3 = take(&a, 4 * (V + R + w->defects + E));
   w->filter = take(&a, 2 * TWX_FILTER_ROWS);
   return a.used;
 }

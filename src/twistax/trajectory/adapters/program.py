@@ -168,7 +168,8 @@ class NonlinearProgram:
         staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
         staged.set_given(instance)
         self._latest: tuple[Array, Evaluated] | None = None
-        self._z, self._v = staged.flat(point), staged.coordinates(point)
+        self._z = staged.flat(point)
+        self._v = staged.coordinates(self._z)
         for _, control, after in self._joined:
             self._v[control] = self._v[after]
         self._x_units, self._row_units, self._cost_unit = np.ones(self.size), np.ones(self.count), 1.0
@@ -176,7 +177,7 @@ class NonlinearProgram:
             self._x_units, self._cost_unit = self._of_v(units.v), units.cost
             copies = np.broadcast_to(units.border, self._copy_rows.shape)
             self._row_units = self._of_rows(staged.after(units.v), units.rows, units.equalities, copies)
-        lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(point, instance))
+        lower, upper = (self._of_v(a) / self._x_units for a in staged.limits(self._v, instance))
         repeated = np.setdiff1d(self._copies[1:], self._copies[0])  # copies are equal: bounds of one are enough
         lower[repeated], upper[repeated] = -np.inf, np.inf
         bounds, rows = np.zeros(self.size), np.zeros(self.count)

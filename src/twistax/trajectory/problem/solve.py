@@ -292,7 +292,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
 
 def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, instance: Given) -> list[dict[str, Array]]:
     """Typical sizes of the controls of each phase by name, measured at a start."""
-    units, by_phase = core.units(point, instance), []
+    units, by_phase = core.units(point, instance, with_rows=False), []
     for part, segment, sizes in zip(problem.parts, problem.shooting.segments, units.parts):
         columns_of, states = segment.shooting.local.controls.slices, segment.shooting.dynamics.group.slices
         of_held = {name: sizes.u[columns] for name, columns in columns_of.items()}

@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import enum
 import itertools
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
@@ -260,10 +260,22 @@ def violations(rows: Array, equality: Array) -> Array:
 
 def largest_by_name(names: Sequence[str], sizes: Array) -> dict[str, float]:
     """The largest size for each name; names may repeat."""
-    largest: dict[str, float] = {}
-    for name, size in zip(names, sizes):
-        largest[name] = max(largest.get(name, 0.0), float(size))
-    return largest
+    return Labels(names).largest(sizes)
+
+
+class Labels:
+    """The distinct names of rows, in their order, and which of them each row has."""
+
+    def __init__(self, names: Iterable[str]) -> None:
+        numbers: dict[str, int] = {}
+        self.of_rows = np.array([numbers.setdefault(str(name), len(numbers)) for name in names], int)
+        self.names = list(numbers)
+
+    def largest(self, sizes: Array) -> dict[str, float]:
+        """The largest size for each name, not below zero."""
+        largest = np.zeros(len(self.names))
+        np.fmax.at(largest, self.of_rows, sizes)
+        return dict(zip(self.names, largest.tolist()))
 
 
 def check_leaves(dynamics: Dynamics, place: str, expr: Expr, *, controls: bool) -> None:

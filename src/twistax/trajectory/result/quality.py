@@ -14,7 +14,6 @@ from numpy import ndarray as Array
 
 from ...errors import IntegrationError, TrajectoryError
 from ...jax_inside import in_double
-from ..problem.statement import largest_by_name
 from ..strategy.accuracy import Accuracy
 from ..strategy.outcome import Outcome
 from ..strategy.status import AT_OPTIMUM, Status
@@ -302,8 +301,7 @@ def params_of(border: Border, outcome: Outcome, params: dict[str, Array]) -> dic
 
 def _active(shooting: Transcribed, outcome: Outcome) -> tuple[str, ...]:
     """The names of constraints with a multiplier that is not zero, the largest first."""
-    names, sizes = shooting.names, np.abs(outcome.scaled_rows)
-    largest = largest_by_name([str(name) for name in names], sizes)
+    largest = shooting.labels.largest(np.abs(outcome.scaled_rows))
     return tuple(sorted((name for name, size in largest.items() if size > _ACTIVE), key=lambda n: -largest[n]))
 
 

@@ -150,9 +150,11 @@ def multipliers_of(problem: StatedPhase, outcome: Outcome) -> dict[str, Array]:
     multipliers = {
         f"dynamics of {name}": outcome.dynamics[:, part] for name, part in problem.dynamics.group.slices.items()
     }
-    for name in dict.fromkeys(shooting.names[shooting.exists]):
-        multipliers[name] = outcome.rows[shooting.exists & (shooting.names == name)]
-    return multipliers
+    exists, labels = np.flatnonzero(shooting.exists), shooting.labels
+    by_name = exists[np.argsort(labels.of_rows[exists], kind="stable")]
+    numbers, firsts = np.unique(labels.of_rows[by_name], return_index=True)
+    of_names = np.split(outcome.rows[by_name], firsts[1:])
+    return multipliers | {labels.names[number]: rows for number, rows in zip(numbers, of_names)}
 
 
 def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Array]) -> dict[str, float]:
@@ -171,6 +173,6 @@ def violations_of(problem: StatedPhase, outcome: Outcome, params: dict[str, Arra
         largest |= largest_by_name(path.shown, np.maximum(*sizes))
     at_nodes = shooting.at_single_node
     sizes_at_nodes = violations(np.asarray(outcome.values.rows), shooting.equality)
-    largest |= largest_by_name([str(name) for name in shooting.names[at_nodes]], sizes_at_nodes[at_nodes])
+    largest |= shooting.node_labels.largest(sizes_at_nodes[at_nodes])
     xs = {name: np.asarray(values) for name, values in point.xs.items()}
     return largest | problem.node_slacks.violations(problem.conditions, xs, times_of(problem, point), params)

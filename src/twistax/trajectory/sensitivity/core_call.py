@@ -48,9 +48,9 @@ class CoreCall:
         self.units = units = core.units(start, instance)
         self._staged = staged = core.staged.alone(instance)  # a copy: solves of the problem do not change it
         numbers = staged.numbers.vector(instance)
-        self._base = SolveInputs(
-            numbers, staged.flat(start), staged.coordinates(start), *staged.limits(start, instance)
-        )
+        z = staged.flat(start)
+        v = staged.coordinates(z)
+        self._base = SolveInputs(numbers, z, v, *staged.limits(v, instance))
         self.solves = Solves(
             staged.transcription,
             Units(units.v, units.rows, units.equalities, COST * units.cost),

@@ -83,10 +83,10 @@ class CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
-    def units(self, point: Point, instance: Given, *, is_guess: bool = False) -> StartUnits:
+    def units(self, point: Point, instance: Given, *, is_guess: bool = False, with_rows: bool = True) -> StartUnits:
         """Units at a start; the durations of a guess may be far too long."""
         self.staged.set_given(instance)
-        return StartUnits(self.staged, point, instance.limits if is_guess else None)
+        return StartUnits(self.staged, point, instance.limits if is_guess else None, with_rows=with_rows)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
@@ -167,9 +167,9 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                units = StartUnits(self.staged, point, used.instance.limits)
-                if units.distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, units)
+                limits = used.instance.limits
+                if StartUnits(self.staged, point, limits, with_rows=False).distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, StartUnits(self.staged, point, limits))
                 return fresh is not None
 
             check.extra = is_misfit
@@ -192,14 +192,16 @@ class CoreSolver:
         helps.
         """
         staged, units, functions = self.staged, start.units, self.staged.transcription.functions
+        z = staged.flat(start.point)
+        v = staged.coordinates(z)
         if self._by_updates:
             functions = StageUpdates(staged.transcription, units.v, units.cost).functions
         result = solve(
             staged.transcription.stages,
             functions,
-            *staged.limits(start.point, start.instance),
-            staged.flat(start.point),
-            staged.coordinates(start.point),
+            *staged.limits(v, start.instance),
+            z,
+            v,
             units=Units(units.v, units.rows, units.equalities, COST * units.cost),
             largest_step=self.largest_step,
             options=Options(**options),
@@ -214,7 +216,8 @@ class CoreSolver:
         """A warm start for the core, and the largest violation there in the core's units."""
         staged, units = self.staged, start.units
         y, ye, zl, zu = staged.split_rows(np.asarray(rows))
-        z, v = staged.flat(start.point), staged.coordinates(start.point)
+        z = staged.flat(start.point)
+        v = staged.coordinates(z)
         at = Evaluated(staged.transcription, z)
         parts = (at.c / staged.after(units.v), np.maximum(at.h, 0.0) / units.rows, at.e / units.equalities)
         violated = max(float(np.abs(a).max(initial=0.0)) for a in parts)

@@ -11,8 +11,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy import ndarray as Array
 
+from ...integrators import RKMK, tableaus
 from ...solver.kernels import Argument
-from ...solver.transcription import INEQUALITY, NONE, CorePhase, Transcription
+from ...solver.transcription import INEQUALITY, NONE, CorePhase, Scheme, Transcription
 from ..transcription.evaluation import Evaluated, moved
 from ..transcription.methods import Collocation, MultipleShooting
 from ..transcription.points import Given, Point
@@ -21,6 +22,8 @@ from ..transcription.staged_phase import StagedPhase
 
 #: How many moves of all unknowns there are: in one of them changes may cancel.
 _MOVES = 4
+#: A method for values at nodes alone: what intervals end at has no meaning.
+_AT_NODES = MultipleShooting(RKMK(tableaus.EULER), 1)
 
 
 class Closely(NamedTuple):
@@ -48,19 +51,12 @@ class CloseIntegration:
     """
 
     def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given) -> None:
-        self._staged, self._phases = staged, list[CorePhase]()
-        for part, problem in zip(staged.parts, problems):
-            method = problem.transcription.finer.scheme
-            shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
-            self._phases.append(
-                dataclasses.replace(
-                    part.phase,
-                    method=method,
-                    path=np.full(shape, INEQUALITY),
-                    conditions=[np.full(len(rows), INEQUALITY) for rows in part.phase.conditions],
-                )
-            )
-        self._transcription = Transcription(self._phases, staged.border.size, staged.numbers.vector(instance))
+        self._staged, data = staged, staged.numbers.vector(instance)
+        self._phases = [_looking(part, p.transcription.finer.scheme) for part, p in zip(staged.parts, problems)]
+        self._transcription = Transcription(self._phases, staged.border.size, data)
+        at_nodes = [_looking(part, _AT_NODES.scheme) for part in staged.parts]
+        self._at_nodes = Transcription(at_nodes, staged.border.size, data)
+        self._signs = np.zeros((0, 0))
 
     def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
         """The accurate integrations of all phases at a point of the problem."""
@@ -71,7 +67,7 @@ class CloseIntegration:
 
     def determined_rows(self, z: Array, instance: Given) -> Array:
         """(rows,) values of the node rows that ends or other rows determine; other entries are meaningless."""
-        transcription, rows = self._transcription, []
+        transcription, rows = self._at_nodes, []
         transcription.set_data(self._staged.numbers.vector(instance))
         h = Evaluated(transcription, z).h
         for part, path, nodes in zip(self._staged.parts, transcription.path_places, transcription.node_places):
@@ -108,18 +104,29 @@ class CloseIntegration:
             length: of the moves, in these sizes.
         """
         staged, transcription = self._staged, self._staged.transcription
-        free, rng = staged.transcribed.free, np.random.default_rng(0)
+        free = staged.transcribed.free
         which = staged.step(staged.transcribed.perturbable, free.u, free.border) != 0.0
         before = Evaluated(transcription, z)
         rows, cost = np.zeros(len(staged.transcribed.exists)), 0.0
-        for _ in range(_MOVES):
-            signs = rng.choice([-1.0, 1.0], size=len(v)) * rng.uniform(0.5, 1.0, size=len(v))
+        if self._signs.shape[1] != len(v):
+            rng = np.random.default_rng(0)
+            size = len(v)
+            drawn = (rng.choice([-1.0, 1.0], size=size) * rng.uniform(0.5, 1.0, size=size) for _ in range(_MOVES))
+            self._signs = np.stack(list(drawn))
+        for signs in self._signs:
             step = np.where(which, length * v * signs, 0.0)
             there = Evaluated(transcription, moved(transcription, z, step))
             change = np.abs(staged.all_rows(there.h - before.h, there.e - before.e, step, step))
             rows = np.fmax(rows, np.where(np.isfinite(change), change, 0.0))
             cost = max(cost, abs(float(there.cost[0] - before.cost[0])))
         return Changes(rows, cost)
+
+
+def _looking(part: StagedPhase, method: Scheme) -> CorePhase:
+    """A phase by another method, with all rows as inequalities."""
+    shape = (part.phase.intervals, method.substeps + 1, part.phase.path.shape[2])
+    conditions = [np.full(len(rows), INEQUALITY) for rows in part.phase.conditions]
+    return dataclasses.replace(part.phase, method=method, path=np.full(shape, INEQUALITY), conditions=conditions)
 
 
 class CoreRollout:

@@ -22,7 +22,6 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..sizes import largest_values
 from ..transcription.points import Given
 from ..transcription.staged import Staged
 from .accuracy import Accuracy, Exceeded, FlatRow
@@ -99,12 +98,12 @@ class Judge:
         shooting, scales = self._shooting, outcome.scales
         places = shooting.phase_places
         intervals, change, exceeded, largest = [], -outcome.cost, dict[str, Exceeded](), 0.0
-        for closely, segment, place in zip(phases, shooting.segments, places):
+        for closely, segment, place, part in zip(phases, shooting.segments, places, self._staged.parts):
             phase = segment.shooting
             sizes = np.asarray(scales.d)[segment.nodes, : phase.n][1:]
             intervals.append(np.abs(closely.gaps / sizes).max(axis=1, initial=0.0))
             change += float(closely.cost + (outcome.dynamics[segment.stages, : phase.n] * closely.gaps).sum())
-            known = largest_values(phase, segment.of(outcome.point))
+            known = part.meter.largest(segment.of(outcome.point))
             spread = np.where(known > 0.0, np.minimum(known, sizes.max(axis=0)), sizes.max(axis=0))
             costates = outcome.dynamics[segment.stages, : phase.n]
             largest = max(largest, float(np.abs(costates * spread).max(initial=0.0)))

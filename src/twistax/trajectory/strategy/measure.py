@@ -84,7 +84,7 @@ class Measure:
         """The outcome of a run, with the status of the core unless another one is known."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
         at, point = Evaluated(staged.transcription, result.z), staged.point(result.z)
-        lower, upper = staged.limits(point, instance)
+        lower, upper = staged.limits(staged.coordinates(result.z), instance)
         rows = staged.all_rows(at.h, at.e, lower - result.v, result.v - upper)
         w = staged.all_rows(result.y, result.ye, result.zl, result.zu)
         if problem.determined.any():

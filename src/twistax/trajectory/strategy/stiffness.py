@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import functools
+from collections.abc import Sequence
+from typing import NamedTuple
+
 import numpy as np
 from numpy import ndarray as Array
 
 from ...integrators import tableaus
 from ...solver.kernels import Argument
+from ...solver.transcription import Scheme
 from ..transcription.methods import Collocation
 from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
@@ -20,6 +25,8 @@ IMPLICIT, IMPLICIT_NAME = Collocation(tableaus.RADAU_IIA5), "Collocation(tx.tabl
 
 #: The factor above which a mode that does not grow counts as amplified by a step.
 _AMPLIFIES = 1.2
+#: Radii and angles at which stability functions are looked at.
+_RADII, _ANGLES = np.linspace(0.02, 5.0, 250), 181
 
 
 def stiffness(staged: Staged, point: Point, instance: Given) -> float:
@@ -37,20 +44,59 @@ def amplification(staged: Staged, point: Point, instance: Given) -> list[Array]:
     Source: Hairer and Wanner, Solving ordinary differential equations II (1996), section IV.3.
     """
     amplified = []
-    for part, z in zip(staged.parts, _modes(staged, point, instance)):
-        a, b = np.asarray(part.phase.method.a, float), np.asarray(part.phase.method.b, float)
-        of_stages = np.eye(len(b)) - z[..., None, None] * a
-        grown = np.linalg.det(of_stages + z[..., None, None] * b) / np.linalg.det(of_stages)
-        factors = (np.abs(grown) / np.maximum(1.0, np.abs(np.exp(z)))).max(axis=1, initial=1.0)
+    functions = [_stability_function(part.phase.method) for part in staged.parts]
+    for function, z in zip(functions, _modes(staged, point, instance, [f.radius for f in functions])):
+        factors = function.factors(z).max(axis=1, initial=1.0)
         amplified.append(np.where(factors > _AMPLIFIES, factors, 1.0))
     return amplified
 
 
-def _modes(staged: Staged, point: Point, instance: Given) -> list[Array]:
-    """For each phase (intervals, n) eigenvalues of the rates' Jacobian at the first node times a substep, or zero."""
+class _StabilityFunction(NamedTuple):
+    r"""The stability function $R(z)$ of a method, a quotient of two polynomials.
+
+    Attributes:
+        above, below: their coefficients, the highest power first.
+        radius: a method amplifies no mode by `_AMPLIFIES` within this radius.
+    """
+
+    above: Array
+    below: Array
+    radius: float = 0.0
+
+    def factors(self, z: Array) -> Array:
+        r"""$|R(z)| / \max(1, |e^z|)$."""
+        grown = np.polyval(self.above, z) / np.polyval(self.below, z)
+        return np.asarray(np.abs(grown) / np.maximum(1.0, np.exp(z.real)))
+
+
+def _stability_function(method: Scheme) -> _StabilityFunction:
+    a, b = (np.ascontiguousarray(numbers, float) for numbers in (method.a, method.b))
+    return _stability_function_of(a.tobytes(), b.tobytes())
+
+
+@functools.lru_cache(64)
+@np.errstate(all="ignore")
+def _stability_function_of(a_bytes: bytes, b_bytes: bytes) -> _StabilityFunction:
+    b = np.frombuffer(b_bytes)
+    a = np.frombuffer(a_bytes).reshape(len(b), len(b))
+    function = _StabilityFunction(np.poly(a - b)[::-1], np.poly(a)[::-1])
+    # The moduli of R in the left half plane, and of R e^-z in the right one, are largest on the boundary: the imaginary
+    # axis and the circle.
+    angles = np.exp(1j * np.linspace(0.0, np.pi, _ANGLES))
+    factors = function.factors(_RADII[:, None] * np.append(angles, 1j))
+    bad = ~(factors < 1.0 + 0.5 * (_AMPLIFIES - 1.0)).all(axis=1)
+    return function._replace(radius=float(_RADII[max(int(bad.argmax()) - 1, 0)] if bad.any() else _RADII[-1]))
+
+
+def _modes(staged: Staged, point: Point, instance: Given, least: Sequence[float] | None = None) -> list[Array]:
+    """For each phase (intervals, n) eigenvalues of the rates' Jacobian at the first node times a substep, or zero.
+
+    Args:
+        least: of each phase, a radius within which eigenvalues may count as zero.
+    """
     staged.set_given(instance)
     data, every, border = staged.numbers.vector(instance), list[Array](), np.asarray(point.border)
-    for part, segment in zip(staged.parts, staged.transcribed.segments):
+    for part, segment, radius in zip(staged.parts, staged.transcribed.segments, least or [0.0] * len(staged.parts)):
         phase, here, n, size = part.phase, segment.of(point), part.shooting.n, part.shooting.size
         count = phase.intervals
         arguments = {
@@ -61,7 +107,8 @@ def _modes(staged: Staged, point: Point, instance: Given) -> list[Array]:
         }
         slopes = phase.kernels.rate.kernels[1](count, n * size, arguments).reshape(count, n, size)[:, :, :n]
         scaled = slopes * (phase.widths / phase.method.substeps)[:, None, None]
-        known = np.isfinite(scaled).all(axis=(1, 2))
+        largest = np.abs(scaled).sum(axis=2).max(axis=1, initial=0.0)  # no eigenvalue is larger
+        known = np.isfinite(largest) & (largest > radius)
         modes = np.zeros((count, n), complex)
         modes[known] = np.linalg.eigvals(scaled[known])
         every.append(modes)

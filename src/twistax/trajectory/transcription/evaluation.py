@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import ctypes
 import math
 from collections.abc import Iterator, Sequence
 from typing import Any
@@ -11,13 +10,6 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ...solver.transcription import Transcription
-
-_POINTER = ctypes.c_void_p
-_SIGNATURES = {
-    "values": ctypes.CFUNCTYPE(ctypes.c_int32, *[_POINTER] * 6),
-    "jacobians": ctypes.CFUNCTYPE(ctypes.c_int32, *[_POINTER] * 6),
-    "hessians": ctypes.CFUNCTYPE(ctypes.c_int32, _POINTER, _POINTER, ctypes.c_double, *[_POINTER] * 4),
-}
 
 
 class Evaluated:
@@ -35,14 +27,12 @@ class Evaluated:
         self.stages = stages = transcription.stages
         self.cost = np.zeros(1)
         self.c, self.h, self.e = map(np.zeros, stages.row_counts)
-        self._z, self._functions = np.ascontiguousarray(z), transcription.functions
+        self._z, self._transcription = np.ascontiguousarray(z), transcription
         self.failed = self._call("values", self.cost, self.c, self.h, self.e)
         transcription.check()
 
     def _call(self, name: str, *arrays: Any) -> bool:
-        function = _SIGNATURES[name](getattr(self._functions, name))
-        pointers = [a if isinstance(a, float) else a.ctypes.data for a in arrays]
-        return bool(function(self._functions.user, self._z.ctypes.data, *pointers))
+        return self._transcription.call(name, self._z, *arrays)
 
     def jacobians(self) -> bool:
         """Compute first derivatives; False if they are not finite."""
@@ -79,32 +69,36 @@ class Evaluated:
             begin, end = end, end + math.prod(shape)
             yield run, flat[begin:end].reshape(shape).swapaxes(1, 2)
 
-    def changes(self, flat: Array, rows: Sequence[int], v: Array) -> Array:
-        """By how much a step whose entries are as large as v changes each row at most, to first order: |J| v."""
-        changes = [(np.abs(J) @ self._of_stages(v, run)[..., None]).ravel() for run, J in self.batches(flat, rows)]
-        return np.concatenate(changes)
+    def changes(self, flat: Array, rows: Sequence[int], of_stages: Sequence[Array]) -> Array:
+        """By how much a step whose entries are as large as v changes each row at most, to first order: |J| v.
 
-    def curvatures(self, H: Array, v: Array) -> Array:
-        """(stages,) v' |H| v, with the entries of v that belong to each stage."""
-        return np.concatenate(
-            [
-                ((np.abs(block) @ self._of_stages(v, run)[..., None])[..., 0] * self._of_stages(v, run)).sum(axis=1)
-                for run, block in self.batches(H, self.stages.columns)
-            ]
-        )
+        Args:
+            of_stages: `by_run(v)`.
+        """
+        every = zip(self.batches(flat, rows), of_stages)
+        return np.concatenate([(np.abs(J) @ v[..., None]).ravel() for (_, J), v in every])
 
-    def _of_stages(self, v: Array, run: slice) -> Array:
-        """(stages, columns) of v, those of the parameters in each."""
-        first, split = self.stages.first[run.start], self.stages.variables - self.stages.parameters
-        count, width = run.stop - run.start, self.stages.columns[run.start] - self.stages.parameters
-        inner = v[first : first + count * width].reshape(count, width)
-        return np.concatenate([inner, np.broadcast_to(v[split:], (count, len(v) - split))], axis=1)
+    def curvatures(self, H: Array, of_stages: Sequence[Array]) -> Array:
+        """(stages,) v' |H| v, with the entries of v that belong to each stage; `of_stages` is `by_run(v)`."""
+        every = zip(self.batches(H, self.stages.columns), of_stages)
+        return np.concatenate([((np.abs(block) @ v[..., None])[..., 0] * v).sum(axis=1) for (_, block), v in every])
+
+    def by_run(self, v: Array) -> list[Array]:
+        """(stages, columns) of v for each run of stages, the parameters in each stage."""
+        stages, result = self.stages, []
+        split = stages.variables - stages.parameters
+        for run in stages.runs:
+            count, width = run.stop - run.start, stages.columns[run.start]
+            entries = np.empty((count, width))
+            first, inner = stages.first[run.start], width - stages.parameters
+            entries[:, :inner] = v[first : first + count * inner].reshape(count, inner)
+            entries[:, inner:] = v[split:]
+            result.append(entries)
+        return result
 
 
 def moved(transcription: Transcription, z: Array, step: Array) -> Array:
     """z after a step of v."""
-    result, functions = np.array(z), transcription.functions
-    retract = ctypes.CFUNCTYPE(ctypes.c_int32, *[_POINTER] * 4)(functions.retract)
-    z, step = (np.ascontiguousarray(a, float) for a in (z, step))
-    retract(functions.user, z.ctypes.data, step.ctypes.data, result.ctypes.data)
+    result = np.array(z)
+    transcription.call("retract", *(np.ascontiguousarray(a, float) for a in (z, step)), result)
     return result

@@ -12,6 +12,7 @@ the rows of constraints at the ends of its substeps, and its share of the runnin
 from __future__ import annotations
 
 import copy
+import functools
 from abc import ABC, abstractmethod
 from collections.abc import Mapping, Sequence
 from typing import Any, NamedTuple
@@ -27,7 +28,7 @@ from ...system.dynamics import Arrays, Dynamics
 from ..problem.bridges.path_bounds import PathBounds
 from ..problem.by_node import ByNode
 from ..problem.conditions import Conditions, Ends
-from ..problem.statement import Objective, PathRows
+from ..problem.statement import Labels, Objective, PathRows
 from .border import Border
 from .local import Local
 from .mesh import Mesh
@@ -95,6 +96,16 @@ class Transcribed(ABC):
     @abstractmethod
     def defect(self, stage: int, column: int) -> str:
         """The name and the place of an entry of the defects."""
+
+    @functools.cached_property
+    def labels(self) -> Labels:
+        """The names of all rows."""
+        return Labels(self.names)
+
+    @functools.cached_property
+    def node_labels(self) -> Labels:
+        """The names of the conditions at single nodes."""
+        return Labels(self.names[self.at_single_node])
 
     # Those of one phase; of several see `Joined`.
 

@@ -58,6 +58,7 @@ class Staged:
         self._assemble(instance)
 
     def _assemble(self, instance: Given) -> None:
+        self._instance: Given | None = None
         phases = [part.phase for part in self.parts]
         self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
         stages = self.transcription.stages
@@ -84,7 +85,7 @@ class Staged:
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
         self._place_rows()
-        self.places_alone = self._alone()
+        self.places_alone, self._levels = self._alone(), self._groups()
 
     def _place_rows(self) -> None:
         """The place of each row among inequalities, equalities, lower and upper bounds."""
@@ -128,6 +129,9 @@ class Staged:
 
     def set_given(self, instance: Given) -> None:
         """Set the data of the problem."""
+        if instance is self._instance:
+            return
+        self._instance = instance
         self.transcription.set_data(self.numbers.vector(instance))
         self._margins = np.broadcast_to(np.asarray(instance.margins), self._margins.shape)
         for number, (part, segment) in enumerate(zip(self.parts, self.transcribed.segments)):
@@ -151,10 +155,10 @@ class Staged:
         xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
         return Point(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
 
-    def coordinates(self, point: Point) -> Array:
-        """v of a point: states that are flat, controls and shared unknowns as they are, others zero."""
+    def coordinates(self, z: Array) -> Array:
+        """v of a point z: states that are flat, controls and shared unknowns as they are, others zero."""
         v = np.zeros(self.transcription.stages.variables)
-        v[self.plain[1]] = self.flat(point)[self.plain[0]]
+        v[self.plain[1]] = z[self.plain[0]]
         return v
 
     def step(self, d: Array, u: Array, border: Array) -> Array:
@@ -192,9 +196,8 @@ class Staged:
 
     # ---- limits and rows ------------------------------------------------------------------------------------------
 
-    def limits(self, point: Point, instance: Given) -> tuple[Array, Array]:
-        """Lower and upper bounds of v; equal where an entry is fixed."""
-        v = self.coordinates(point)
+    def limits(self, v: Array, instance: Given) -> tuple[Array, Array]:
+        """Lower and upper bounds of coordinates v; equal where an entry is fixed."""
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T
         rows, places, is_upper, limits = self._bounds
@@ -242,10 +245,24 @@ class Staged:
 
     def levelled_rows(self, inequalities: Array, equalities: Array) -> tuple[Array, Array]:
         """Sizes of rows: for a path row the largest of all its places; 1 if there is none."""
-        sizes = [np.where(np.isfinite(a) & (a > 0.0), a, 0.0) for a in (inequalities, equalities)]
-        for part, every in zip(self.parts, self.transcription.path_places):
-            for row in range(part.phase.path.shape[2]):
-                for kind, values in zip((INEQUALITY, EQUALITY), sizes):
-                    places = every[..., row][part.phase.path[..., row] == kind]
-                    values[places] = values[places].max(initial=0.0)
-        return sizes[0] + (sizes[0] == 0.0), sizes[1] + (sizes[1] == 0.0)
+        result = []
+        for values, (order, starts, groups) in zip((inequalities, equalities), self._levels):
+            sizes = np.where(np.isfinite(values) & (values > 0.0), values, 0.0)
+            if len(sizes):
+                sizes = np.maximum.reduceat(sizes[order], starts)[groups]
+            result.append(sizes + (sizes == 0.0))
+        return result[0], result[1]
+
+    def _groups(self) -> list[tuple[Array, Array, Array]]:
+        """Of inequalities and of equalities: their order by groups of equal size, where groups start, their groups."""
+        groups = []
+        for kind, count in zip((INEQUALITY, EQUALITY), self.transcription.stages.row_counts[1:]):
+            labels, used = np.arange(count), count
+            for part, every in zip(self.parts, self.transcription.path_places):
+                rows = np.broadcast_to(np.arange(part.phase.path.shape[2]), part.phase.path.shape)
+                is_kind = part.phase.path == kind
+                labels[every[is_kind]] = used + rows[is_kind]
+                used += part.phase.path.shape[2]
+            _, labels, counts = np.unique(labels, return_inverse=True, return_counts=True)
+            groups.append((np.argsort(labels, kind="stable"), np.cumsum(counts) - counts, labels))
+        return groups

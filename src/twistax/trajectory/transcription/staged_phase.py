@@ -10,6 +10,7 @@ from numpy import ndarray as Array
 
 from ...solver.transcription import EQUALITY, INEQUALITY, NONE, CorePhase, JoinKernels, PhaseKernels
 from ..problem.conditions import Conditions
+from ..sizes import SizeMeter
 from .kernels import point_of
 from .shooting import PhaseSegment, Shooting
 
@@ -39,6 +40,7 @@ class StagedPhase:
         point: a node's states as one vector.
         stages: its stages among all, the last one of the next phase's join.
         bounds: its rows that are limits of single unknowns.
+        meter: measures its sizes.
         phase: for the core.
     """
 
@@ -51,7 +53,7 @@ class StagedPhase:
         node_rows: tuple[int, int],
     ) -> None:
         self.shooting, self.stages = segment.shooting, segment.nodes
-        self.point = point_of(segment.shooting)
+        self.point, self.meter = point_of(segment.shooting), SizeMeter(segment.shooting)
         self._conditions, self._join, self._kernels, self._node_rows = conditions, join, kernels, node_rows
         self.describe()
 

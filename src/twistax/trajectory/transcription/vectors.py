@@ -73,11 +73,15 @@ class Numbers:
         sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
         self._ends = np.cumsum([0, *sizes]).tolist()
         self.size = self._ends[-1]
+        self._last: tuple[Given | None, Array] = None, np.zeros(0)
         self.names = tuple(self._params.shapes)
         self.key = (*(tuple(p.shapes.values()) for p in (self._params, *points)), self._limits)
 
     def vector(self, instance: Given) -> Array:
         """The numbers of a solve."""
+        known, vector = self._last
+        if known is instance:
+            return vector
         ends = (
             instance.final if isinstance(instance.final, PhaseEnds) else PhaseEnds((instance.final,), (instance.final,))
         )
@@ -85,7 +89,10 @@ class Numbers:
         for point, initial, final in zip(self._points, ends.initial, ends.final):
             parts += [point.joined(initial), point.joined(final)]
         rows = [part.rows(instance.params).ravel() for part in self._by_node]
-        return np.concatenate([*parts, np.ravel(instance.limits), *rows])
+        vector = np.concatenate([*parts, np.ravel(instance.limits), *rows])
+        vector.flags.writeable = False
+        self._last = instance, vector
+        return vector
 
     def node_rows(self, phase: int) -> tuple[int, int]:
         """Where the rows of a phase begin, and how many entries each has."""

@@ -1,0 +1,99 @@
+/* Matrices of several intervals side by side: entry (i, j) of all of them, then the next one. What is multiplied is a row of
+ * lanes, so that small matrices of any size run at the width of the processor.
+ */
+#include "phase.h"
+
+#define L TWX_LANES
+
+/* Rows (intervals, width) of a block of intervals as lanes (width, L); lanes beyond the last interval are zero. */
+void twx_pack(const twx_memory *t, size_t block, size_t width, const double *restrict rows, double *restrict lanes) {
+  const size_t first = block * L, count = twx_lanes_of(t, block);
+  const double *const from = rows + first * width;
+  for (size_t e = 0; e < width && count == L; e++)
+    for (size_t l = 0; l < L; l++) lanes[e * L + l] = from[l * width + e];
+  for (size_t e = 0; e < width && count < L; e++)
+    for (size_t l = 0; l < L; l++) lanes[e * L + l] = l < count ? from[l * width + e] : 0;
+}
+
+size_t twx_lanes_of(const twx_memory *t, size_t block) { return t->K - block * L < L ? t->K - block * L : L; }
+
+double *twx_maps_at(const twx_memory *t, size_t place, size_t block) {
+  return t->maps + (place * t->blocks + block) * t->n * t->size * L;
+}
+
+/* List the entries of a row that are not zero in some lane; how many there are. */
+static size_t list_entries(size_t count, const double *row, int32_t *list) {
+  size_t found = 0;
+  for (size_t i = 0; i < count; i++) {
+    double any = 0;
+    for (size_t l = 0; l < L; l++) any += fabs(row[i * L + l]);
+    if (any != 0) list[found++] = (int32_t)i;
+  }
+  return found;
+}
+
+typedef struct { /* sum of a[i] b[i] over a list of i; strides in entries */
+  size_t count;
+  const int32_t *list;
+  const double *a, *b;
+  size_t a_stride, b_stride;
+} products;
+
+/* to (columns,) += the products with as many columns of b. */
+static inline void add_columns(const products *p, size_t columns, size_t first, double *restrict to) {
+  double sums[2 * L];
+  for (size_t e = 0; e < columns * L; e++) sums[e] = to[first * L + e];
+  for (size_t q = 0; q < p->count; q++) {
+    const size_t i = (size_t)p->list[q];
+    const double *restrict a = p->a + i * p->a_stride * L, *restrict b = p->b + (i * p->b_stride + first) * L;
+    for (size_t c = 0; c < columns; c++)
+      for (size_t l = 0; l < L; l++) sums[c * L + l] += a[l] * b[c * L + l];
+  }
+  for (size_t e = 0; e < columns * L; e++) to[first * L + e] = sums[e];
+}
+
+/* The same for columns first <= j < end. */
+static void add_products(const products *p, size_t first, size_t end, double *to) {
+  size_t j = first;
+  for (; j + 2 <= end; j += 2) add_columns(p, 2, j, to);
+  if (j < end) add_columns(p, 1, j, to);
+}
+
+/* As `twx_along`, of a block. */
+void twx_lanes_along(const twx_memory *t, size_t rows, const double *M, size_t width, const double *maps, double *out) {
+  const size_t n = t->n, size = t->size;
+  for (size_t r = 0; r < rows; r++) {
+    const double *const row = M + r * width * L;
+    double *const to = out + r * size * L;
+    const products p = {list_entries(n, row, t->list), t->list, row, maps, 1, size};
+    memset(to, 0, sizeof(double) * size * L);
+    if (width > n) memcpy(to + n * L, row + n * L, sizeof(double) * (size - n) * L);
+    add_products(&p, 0, size, to);
+  }
+}
+
+/* The upper triangle of H += G' M G of a block, with G the sensitivities of q: maps (n, size), then the unknowns
+ * themselves; without maps G is one. Many rows of M are zero: rates are linear in most of their arguments. */
+void twx_lanes_bends(const twx_memory *t, const double *M, const double *maps, double *H) {
+  const size_t n = t->n, size = t->size;
+  double *const moved = t->lane_moved;
+  int32_t *const rows = t->list + size;
+  size_t count = 0;
+  for (size_t r = 0; r < size && !maps; r++)
+    for (size_t e = (r * size + r) * L; e < (r + 1) * size * L; e++) H[e] += M[e];
+  if (!maps) return;
+  for (size_t i = 0; i < size; i++) {
+    if (!list_entries(size, M + i * size * L, t->list)) continue;
+    twx_lanes_along(t, 1, M + i * size * L, size, maps, moved + i * size * L);
+    rows[count++] = (int32_t)i;
+  }
+  size_t of_states = 0; /* how many of these rows */
+  while (of_states < count && (size_t)rows[of_states] < n) of_states++;
+  for (size_t r = 0; r < size && of_states; r++) {
+    const products p = {of_states, rows, maps + r * L, moved, size, size};
+    add_products(&p, r, size, H + r * size * L);
+  }
+  for (size_t q = of_states; q < count; q++)
+    for (size_t e = (size_t)rows[q] * (size + 1) * L; e < ((size_t)rows[q] + 1) * size * L; e++) H[e] += moved[e];
+}
+#undef L
