@@ -25,6 +25,7 @@ extensions = [
     "mathml",
     "reference",
     "results",
+    "search",
 ]
 exclude_patterns = ["site", "README.md"]
 nitpicky = True
@@ -43,6 +44,9 @@ html_theme = "furo"
 html_title = f"twistax {version}"
 html_math_renderer = "mathml"
 html_static_path = ["static"]
+templates_path = ["templates"]
+#: In place of Sphinx's search: search.py writes the index, and static/search.js ranks its entries.
+html_additional_pages = {"search": "search.html"}
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False
