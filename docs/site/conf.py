@@ -32,8 +32,9 @@ nitpicky = True
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
-#: The docstrings say what arguments are; annotations hold names of our own that no reader can look up.
+#: signatures.py writes the types, as the source has them; long signatures have a line for each argument.
 autodoc_typehints = "none"
+python_maximum_signature_line_length = 70
 autodoc_class_signature = "mixed"
 autodoc_member_order = "alphabetical"
 autodoc_preserve_defaults = True

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 import execution
+import snippets
 from execution import BLOCK, DOCS, LINES, Output, Program
 
 EXAMPLE = re.compile(r"^```\{example\} (\w+)\n```$", re.MULTILINE)
@@ -44,7 +45,8 @@ def programs() -> list[Program]:
     alone = [page for page in pages() if page not in execution.TUTORIAL]
     names = [name for page in sorted(DOCS.rglob("*.md")) for name in EXAMPLE.findall(page.read_text())]
     examples = [execution.example_program(name) for name in names]
-    return [execution.page_program(*execution.TUTORIAL), *map(execution.page_program, alone), *examples]
+    written = snippets.programs()
+    return [execution.page_program(*execution.TUTORIAL), *map(execution.page_program, alone), *examples, *written]
 
 
 def pages() -> list[Path]:
@@ -88,9 +90,7 @@ def expand(app: Any, page: str, source: list[str]) -> None:
 
 def rendered(output: Output, folder: str) -> str:
     """The results of a block as Markdown."""
-    lines = output.text.rstrip().splitlines()
-    text = "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "..."])
-    parts = [_raw(f'<pre class="output">{html.escape(text)}</pre>')] if text.strip() else []
+    parts = [_raw(output_of(output.text))] if output.text.strip() else []
     if output.latex:
         parts.append(f"$$\n{output.latex}\n$$")
     for name in output.files:
@@ -100,6 +100,13 @@ def rendered(output: Output, folder: str) -> str:
         elif name.endswith(".html"):
             parts.append(_raw(f'<iframe class="animation" src="{file}" title="{name}" loading="lazy"></iframe>'))
     return "\n\n".join(parts)
+
+
+def output_of(printed: str) -> str:
+    """What a block prints, cut after some lines, as HTML."""
+    lines = printed.rstrip().splitlines()
+    text = "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "..."])
+    return f'<pre class="output">{html.escape(text)}</pre>'
 
 
 def _raw(text: str) -> str:
