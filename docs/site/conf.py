@@ -9,6 +9,7 @@ SITE = Path(__file__).parent
 sys.path.insert(0, str(SITE))
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
+import fonts  # noqa: E402
 import twistax  # noqa: E402
 
 project = "twistax"
@@ -44,7 +45,8 @@ add_module_names = False
 html_theme = "furo"
 html_title = f"twistax {version}"
 html_math_renderer = "mathml"
-html_static_path = ["static"]
+#: Besides files of this folder the font of formulas, which no commit holds.
+html_static_path = ["static", str(fonts.folder())]
 templates_path = ["templates"]
 #: In place of Sphinx's search: search.py writes the index, and static/search.js ranks its entries.
 html_additional_pages = {"search": "search.html"}

@@ -16,7 +16,7 @@ from docutils import nodes
 from names import FENCE, Name, asked, public_names
 from results import output_of
 from signatures import signature
-from snippets import Snippet, snippets
+from snippets import snippets
 from sphinx.addnodes import desc_signature, pending_xref
 from sphinx.application import Sphinx
 from sphinx.util import logging
@@ -48,16 +48,17 @@ def entry(name: Name) -> list[str]:
         members = [*value.__members__, *name.members()] if issubclass(value, enum.Enum) else name.members()
         if members:
             lines += [f"   :members: {', '.join(members)}", "   :undoc-members:"]
-        return [*lines, "", *_indented(example(snippets().get(name.path))), ""]
+        return [*lines, "", *_indented(example(name)), ""]
     if callable(value) and hasattr(value, "__name__"):
-        return [f".. autofunction:: {name.path}", "", *_indented(example(snippets().get(name.path))), ""]
+        return [f".. autofunction:: {name.path}", "", *_indented(example(name)), ""]
     text = to_rst([f"`{type(value).__name__}`: `{short(value)}`"], link)
     return [f".. py:data:: {name.path}", "", *(f"   {line}" for line in text), ""]
 
 
-def example(snippet: Snippet | None) -> list[str]:
+def example(name: Name) -> list[str]:
     """The example of a name: its code, what it prints, and the page where it stands if it is a statement of one."""
-    if snippet is None:
+    snippet = snippets().get(name.path)
+    if snippet is None or "Example:" in (name.value.__doc__ or ""):
         return []
     lines = ["Example:", "", ".. code-block:: python", "", *_indented(snippet.code.splitlines()), ""]
     if snippet.printed:
