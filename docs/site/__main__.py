@@ -6,6 +6,7 @@ The code of pages and examples is executed first, where its results are not kept
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 import time
@@ -20,6 +21,8 @@ import notebooks
 import results
 import search
 from sphinx.cmd.build import build_main
+
+import twistax
 
 SITE = Path(__file__).parent
 
@@ -84,6 +87,7 @@ def main() -> int:
     if failed or given.external:
         return failed
     results.copy_files(given.out)
+    (given.out / "versions.json").write_text(json.dumps([{"version": twistax.__version__, "address": "."}]) + "\n")
     notebooks.write(given.out / results.NOTEBOOKS, results.pages())
     found = search.write(given.out)
     dead = dead_links(given.out, [entry.address for entry in found])

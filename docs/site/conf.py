@@ -10,6 +10,7 @@ sys.path.insert(0, str(SITE))
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
 import fonts  # noqa: E402
+
 import twistax  # noqa: E402
 
 project = "twistax"

@@ -1,15 +1,18 @@
 """Formulas of docstrings, written as one types them, `$ad*_xi(mu) = -ad_xi^T mu$`, as LaTeX.
 
 Names are one letter or a word: Greek ones become their letters, sum and integral their signs, others upright. qd and
-qdd, q' and q'' are rates of q, with a dot or two; ^T is the transpose. `x` between two factors is the cross product, `[w]x` its matrix, `.` the dot product, `[a, b; c, d]` a
-matrix, `x (+) d` a move along the group; `^` and `_` take the next name, or what stands in parentheses.
+qdd, q' and q'' are rates of q, with a dot or two; ^T is the transpose. `x` between two factors is the cross product,
+`[w]x` its matrix, `.` the dot product, `[a, b; c, d]` a matrix, `x (+) d` a move along the group; `^` and `_` take the
+next name, or what stands in parentheses.
 """
 
 from __future__ import annotations
 
 import re
 
-GREEK = re.compile("alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|Delta|pi|sum")
+GREEK = re.compile(
+    "alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|Delta|pi|sum"
+)
 DUALS = {"ad": r"\mathrm{ad}^*", "Ad": r"\mathrm{Ad}^*", "h": "{h^*}", "Hbar": r"{\bar H^*}"}
 RATES = {"qd": r"\dot q", "qdd": r"\ddot q", "integral": r"\int"}
 SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{": r"\{", "}": r"\}"} | {
