@@ -150,6 +150,8 @@ def test_a_film_needs_a_browser_and_ffmpeg(tmp_path: Path, monkeypatch: pytest.M
 @pytest.mark.skipif(not (shutil.which("chromium") or shutil.which("google-chrome")), reason="no Chromium is installed")
 @pytest.mark.skipif(importlib.util.find_spec("imageio_ffmpeg") is None, reason="imageio-ffmpeg is not installed")
 @pytest.mark.filterwarnings("ignore::DeprecationWarning")
+# The browser ends with its connections open, which viser's server says in a thread of its own.
+@pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning")
 def test_a_film_shows_the_motion(tmp_path: Path) -> None:
     import imageio_ffmpeg
 

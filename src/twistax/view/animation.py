@@ -1,4 +1,4 @@
-"""A scene as numbers: what is drawn where, and when. How it is drawn is the matter of `stage.py`."""
+"""A scene as numbers: what is drawn where, and when. `stage.py` draws it."""
 
 from __future__ import annotations
 
