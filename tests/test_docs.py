@@ -14,6 +14,7 @@ from types import ModuleType
 
 import numpy as np
 import pytest
+from matplotlib.image import imread
 
 import twistax as tx
 from twistax.errors import PAGES as PAGES_OF_PARTS
@@ -76,8 +77,12 @@ def test_blocks_are_executed_once_with_what_they_print_and_draw(
         outputs = execution.executed(execution.Program("a page", blocks))
     assert count.read_text() == "x\n"
     assert [output.text for output in outputs] == ["", "printed\n3\n", "", "", ""]
-    assert [len(output.files) for output in outputs] == [0, 0, 1, 1, 0]
-    assert outputs[2].files[0].endswith(".png")
+    assert [len(output.files) for output in outputs] == [0, 0, 2, 1, 0]
+    light, dark = (imread(execution.Program("a page", blocks).folder / name) for name in sorted(outputs[2].files)[::-1])
+    assert light.mean() > 0.9, "black on white"
+    assert dark[..., :3].mean() < 0.2
+    curve = np.array([31, 119, 180]) / 255.0  # the first colour of matplotlib, in both
+    assert all((np.abs(image[..., :3] - curve).max(axis=2) < 0.02).sum() > 200 for image in (light, dark))
     assert "v" in outputs[4].latex
     with pytest.raises(RuntimeError, match=r"(?s)a page failed.*ZeroDivisionError"):
         execution.executed(execution.Program("a page", ("x = 0", "1 / x")))

@@ -1,11 +1,13 @@
 """Formulas of docstrings as the site shows them: what stands between dollars becomes LaTeX, and that is drawn."""
 
+import importlib.util
 import inspect
 import re
 
 import pytest
+from fontTools.ttLib import TTFont
 
-from test_docs import module_of_site
+from test_docs import DOCS, module_of_site
 
 FORMULAS = module_of_site("formulas")
 
@@ -20,8 +22,10 @@ FORMULAS = module_of_site("formulas")
         ("M(q) qdd + b(q, qd) = tau", r"M ( q ) \ddot q + b ( q , \dot q ) = \tau"),
         ("V.M V / 2 <= 1.5", r"V \cdot M V / 2 \le 1.5"),
         ("x = sqrt(a*b)^-1", r"x = \sqrt{ a \, b } ^{-1}"),
-        ("x (+) d = x Exp(d)", r"x \oplus d = x \mathrm{Exp} ( d )"),
+        ("x (+) d = x Exp(d)", r"x \oplus d = x \, \mathrm{Exp} ( d )"),
         ("h*^T H = e_(n+1), ...", r"{h^*} ^{T} H = e _{ n + 1 } , \ldots"),
+        ("M xi' = T_pc' c''", r"M \dot{\xi} = \dot{T} _{\mathrm{pc}} \ddot{c}"),
+        (r"\sum_k y_k \cdot g_k", r"\sum_k y_k \cdot g_k"),
         ("[w]x v = w x v", r"[ w ]_{\times} v = w \times v"),
     ],
 )
@@ -33,6 +37,11 @@ def test_a_formula_as_latex(typed: str, latex: str) -> None:
 def test_brackets_have_to_match(typed: str) -> None:
     with pytest.raises(ValueError, match="bracket"):
         FORMULAS.to_latex(typed)
+
+
+def test_a_prime_stands_after_a_name() -> None:
+    with pytest.raises(ValueError, match="prime"):
+        FORMULAS.to_latex("(a + b)' = 0")
 
 
 def docstrings() -> dict[str, str]:
@@ -57,3 +66,24 @@ def test_no_power_stands_outside_of_a_formula() -> None:
     own = {path: text for path, text in docstrings().items() if path.startswith("twistax.")}
     bare = {path: re.sub(r"\$[^$]+\$|`[^`]+`", "", text) for path, text in own.items()}
     assert [path for path, text in bare.items() if "^" in text] == []
+
+
+def test_pages_typeset_rates_and_transposes() -> None:
+    """A dot is a rate and a superscript T a transpose; in plain text a prime would have to be both."""
+    pages = [page for page in DOCS.rglob("*.md") if "report" not in page.parts and page.name != "measured.md"]
+    primes = {}
+    for page in pages:
+        text = re.sub(r"^```.*?^```$|`[^`]*`|\$[^$]+\$", "", page.read_text(), flags=re.DOTALL | re.MULTILINE)
+        primes[page.name] = re.findall(r"(?<!\w)(?:[A-Za-z]|xi|eta|mu|qd|tau)''?(?!\w)", text)
+    assert {page: found for page, found in primes.items() if found} == {}
+
+
+@pytest.mark.skipif(importlib.util.find_spec("ziamath") is None, reason="ziamath is not installed")
+def test_the_font_of_formulas_ships() -> None:
+    """A table of mathematics in it is what browsers need; the style of the site names its file."""
+    fonts = module_of_site("fonts")
+    font = TTFont(fonts.folder() / fonts.FILE)
+    assert "MATH" in font
+    assert {ord("\u02d9"), ord("\u22a4"), ord("\U0001d45e")} <= set(font.getBestCmap())
+    assert "Open Font License" in font["name"].getDebugName(13)
+    assert f'url("{fonts.FILE}")' in (DOCS / "site" / "static" / "site.css").read_text()

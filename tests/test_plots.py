@@ -135,7 +135,7 @@ def test_a_plan_has_nodes_a_rollout_steps_and_limits() -> None:
     found = panels(trajectory().plot(units={"u": "N"}))
     assert list(found) == ["p", "v", "u"]
     rollout, nodes, limit = found["p"].get_lines()
-    assert limit.get_label() == "limit"
+    assert limit.get_label() == "limit 5"
     np.testing.assert_array_equal(nodes.get_xdata(), [0.0, 1.0, 2.0])
     np.testing.assert_allclose(rollout.get_ydata(), 0.5 * np.asarray(rollout.get_xdata()) ** 2, atol=1e-9)
     assert limit.get_ydata()[0] == 5.0

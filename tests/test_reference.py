@@ -9,13 +9,14 @@ import enum
 import fnmatch
 import inspect
 import re
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-from test_docs import module_of_site
+from test_docs import execution, module_of_site
 from twistax.expr import Expr, elementwise
 
 NAMES = [name for name in module_of_site("names").public_names() if getattr(name.value, "__module__", "") != "typing"]
@@ -168,3 +169,27 @@ def test_all_kinds_are_found() -> None:
     paths = {name.path for name in DOCUMENTED}
     assert {"twistax.compile", "twistax.lie.se3.exp", "twistax.trajectory.Problem", "twistax.Abs"} <= paths
     assert sum(issubclass(name.value, Expr) for name in DOCUMENTED if inspect.isclass(name.value)) > 60
+
+
+def test_its_signature_has_types() -> None:
+    """Of every argument; enumerations and protocols are not called."""
+    signatures = module_of_site("signatures")
+    found = {name.path: signatures.signature(name.value) for name in DOCUMENTED}
+    assert {path: of.untyped for path, of in found.items() if of and of.untyped} == {}
+    assert sum(of is None for of in found.values()) < 10
+    assert found["twistax.lie.Adjoint"].arguments == (
+        "(twist1: ExprLike, twist2: ExprLike, order: Order = LINEAR_FIRST)"
+    )
+    assert found["twistax.lie.se3.exp"].returns == "Float[Array, '4 4']"
+
+
+def test_it_has_an_example(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A block of docs/reference/examples, a statement of a page or of the gallery, or a case of a node."""
+    monkeypatch.setitem(sys.modules, "execution", execution)
+    monkeypatch.setitem(sys.modules, "names", module_of_site("names"))
+    snippets = module_of_site("snippets")
+    there = snippets.snippets()
+    assert [name.path for name in DOCUMENTED if name.path not in there] == []
+    assert set(snippets.written()) - {name.path for name in NAMES} == set(), "of no public name"
+    assert "R = tx.lie.so3.exp(w)" in there["twistax.lie.so3.log"].code
+    assert there["twistax.lie.so3.log"].printed.startswith("Array([0.")

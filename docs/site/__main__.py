@@ -6,9 +6,11 @@ The code of pages and examples is executed first, where its results are not kept
 from __future__ import annotations
 
 import argparse
+import json
 import shutil
 import sys
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from html.parser import HTMLParser
 from pathlib import Path
@@ -17,7 +19,10 @@ from urllib.parse import unquote, urlsplit
 import execution
 import notebooks
 import results
+import search
 from sphinx.cmd.build import build_main
+
+import twistax
 
 SITE = Path(__file__).parent
 
@@ -39,22 +44,22 @@ class _Page(HTMLParser):
                 self.links.append(value)
 
 
-def dead_links(folder: Path) -> list[str]:
-    """Links between the pages of a built site that lead nowhere."""
+def dead_links(folder: Path, also: Sequence[str] = ()) -> list[str]:
+    """Links between the pages of a built site that lead nowhere, and addresses of its search."""
     folder = folder.resolve()
     drawn = folder / results.FOLDER
     files = [path for path in sorted(folder.rglob("*.html")) if drawn not in path.parents]
     pages = {path.resolve(): _Page(path) for path in files}
     dead = []
-    for path, page in pages.items():
-        for target in page.links:
-            parts = urlsplit(target)
-            if parts.scheme or parts.netloc:
-                continue
-            there = (path.parent / unquote(parts.path)).resolve() if parts.path else path
-            lost = there in pages and parts.fragment and unquote(parts.fragment) not in pages[there].places
-            if lost or not there.exists():
-                dead.append(f"{path.relative_to(folder)}: {target}")
+    linked = [(path, target) for path, page in pages.items() for target in page.links]
+    for path, target in [*linked, *((folder / "search.html", address) for address in also)]:
+        parts = urlsplit(target)
+        if parts.scheme or parts.netloc:
+            continue
+        there = (path.parent / unquote(parts.path)).resolve() if parts.path else path
+        lost = there in pages and parts.fragment and unquote(parts.fragment) not in pages[there].places
+        if lost or not there.exists():
+            dead.append(f"{path.relative_to(folder)}: {target}")
     return sorted(set(dead))
 
 
@@ -82,8 +87,10 @@ def main() -> int:
     if failed or given.external:
         return failed
     results.copy_files(given.out)
+    (given.out / "versions.json").write_text(json.dumps([{"version": twistax.__version__, "address": "."}]) + "\n")
     notebooks.write(given.out / results.NOTEBOOKS, results.pages())
-    dead = dead_links(given.out)
+    found = search.write(given.out)
+    dead = dead_links(given.out, [entry.address for entry in found])
     for link in dead:
         print(f"leads nowhere: {link}", file=sys.stderr)
     count = len(list(given.out.rglob("*.html")))

@@ -9,6 +9,8 @@ SITE = Path(__file__).parent
 sys.path.insert(0, str(SITE))
 os.environ.setdefault("JAX_PLATFORMS", "cpu")
 
+import fonts  # noqa: E402
+
 import twistax  # noqa: E402
 
 project = "twistax"
@@ -25,14 +27,16 @@ extensions = [
     "mathml",
     "reference",
     "results",
+    "search",
 ]
 exclude_patterns = ["site", "README.md"]
 nitpicky = True
 
 myst_enable_extensions = ["dollarmath", "colon_fence"]
 myst_heading_anchors = 4
-#: The docstrings say what arguments are; annotations hold names of our own that no reader can look up.
+#: signatures.py writes the types, as the source has them; long signatures have a line for each argument.
 autodoc_typehints = "none"
+python_maximum_signature_line_length = 70
 autodoc_class_signature = "mixed"
 autodoc_member_order = "alphabetical"
 autodoc_preserve_defaults = True
@@ -42,7 +46,11 @@ add_module_names = False
 html_theme = "furo"
 html_title = f"twistax {version}"
 html_math_renderer = "mathml"
-html_static_path = ["static"]
+#: Besides files of this folder the font of formulas, which no commit holds.
+html_static_path = ["static", str(fonts.folder())]
+templates_path = ["templates"]
+#: In place of Sphinx's search: search.py writes the index, and static/search.js ranks its entries.
+html_additional_pages = {"search": "search.html"}
 html_css_files = ["site.css"]
 html_copy_source = False
 html_show_sphinx = False

@@ -114,7 +114,7 @@ def _surroundings() -> str:
     found = hashlib.sha256(f"{sys.version_info[:2]} {metadata.version('jax')}".encode())
     folders = [Path(_source_folder()) / "twistax", EXAMPLES]
     files = [path for folder in folders for path in sorted(folder.rglob("*")) if path.is_file()]
-    for path in [Path(__file__), *files]:
+    for path in [Path(__file__), Path(__file__).with_name("dark.py"), *files]:
         if "__pycache__" not in path.parts and not (path.parent == EXAMPLES and path.suffix == ".py"):
             found.update(path.name.encode() + path.read_bytes())
     return found.hexdigest()
@@ -170,6 +170,9 @@ def _no_exit(name: str) -> Iterator[None]:
 
 
 def main() -> int:
+    import dark
+
+    dark.save_figures_twice()
     jobs: list[Any] = json.load(sys.stdin)
     for job, folder in jobs:
         program = Program(**job)

@@ -1,15 +1,18 @@
 """Formulas of docstrings, written as one types them, `$ad*_xi(mu) = -ad_xi^T mu$`, as LaTeX.
 
-Names are one letter or a word: Greek ones become their letters, sum and integral their signs, qd and qdd rates of q,
-others upright. `x` between two factors is the cross product, `[w]x` its matrix, `.` the dot product, `[a, b; c, d]` a
-matrix, `x (+) d` a move along the group; `^` and `_` take the next name, or what stands in parentheses.
+Names are one letter or a word: Greek ones become their letters, sum and integral their signs, others upright. qd and
+qdd, q' and q'' are rates of q, with a dot or two; ^T is the transpose. `x` between two factors is the cross product,
+`[w]x` its matrix, `.` the dot product, `[a, b; c, d]` a matrix, `x (+) d` a move along the group; `^` and `_` take the
+next name, or what stands in parentheses.
 """
 
 from __future__ import annotations
 
 import re
 
-GREEK = re.compile("alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|pi|sum")
+GREEK = re.compile(
+    "alpha|beta|gamma|delta|epsilon|theta|lambda|mu|nu|xi|eta|rho|sigma|tau|phi|psi|omega|Omega|Delta|pi|sum"
+)
 DUALS = {"ad": r"\mathrm{ad}^*", "Ad": r"\mathrm{Ad}^*", "h": "{h^*}", "Hbar": r"{\bar H^*}"}
 RATES = {"qd": r"\dot q", "qdd": r"\ddot q", "integral": r"\int"}
 SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{": r"\{", "}": r"\}"} | {
@@ -18,12 +21,16 @@ SIGNS = {"<=": r"\le", ">=": r"\ge", "->": r"\to", ".": r"\cdot", "*": r"\,", "{
 }
 COLUMN = r"\end{bmatrix}"
 _TOKEN = re.compile(
-    r"\s*(?:(\d+(?:\.\d+)?)|(sqrt)\(|([A-Za-z]+\d*)(\*?)|(\^|_)(-?\w+|\()|(\(\+\)|\.\.\.|\]x(?!\w)|<=|>=|->|\S))"
+    r"\s*(?:(\d+(?:\.\d+)?)|(sqrt)\(|([A-Za-z]+\d*)(\*?)|(\^|_)(-?\w+|\()|('+|\(\+\)|\.\.\.|\]x(?!\w)|<=|>=|->|\S))"
 )
 
 
 def to_latex(text: str) -> str:
-    """The LaTeX of a formula. Raises ValueError for brackets that do not match."""
+    """The LaTeX of a formula; one with a backslash is LaTeX. Raises ValueError for brackets that do not match, and for
+    a prime after no name.
+    """
+    if "\\" in text:
+        return text.strip()
     written: list[str] = []
     closing: list[str] = []  # what ends the brackets that are open
     at, text = 0, text.strip()
@@ -37,11 +44,16 @@ def to_latex(text: str) -> str:
         elif root:
             written.append(r"\sqrt{")
             closing.append("}")
+        elif sign and sign[0] == "'":
+            _add_dots(written, len(sign))
         elif word:
             # The star of Ad* is part of the name, that of a * b a product.
             dual = star and word in DUALS
             crossed = word == "x" and _between(text[: token.start(3)], text[at:])
-            written.append(r"\times" if crossed else DUALS[word] if dual else name(word))
+            latex = r"\times" if crossed else DUALS[word] if dual else name(word)
+            # An upright name stands apart from the factor before it.
+            apart = latex.startswith(r"\mathrm") and re.search(r"[\w)\]'] +$", text[: token.start(3)])
+            written += [r"\,", latex] if apart else [latex]
             at -= bool(star) and not dual
         elif script and scripted == "(":
             written.append(f"{script}{{")
@@ -66,6 +78,14 @@ def to_latex(text: str) -> str:
     if closing:
         raise ValueError(f"the formula {text!r} has a bracket that is not closed")
     return " ".join(written)
+
+
+def _add_dots(written: list[str], count: int) -> None:
+    """Put the dots of a rate over the last name, which may have indices."""
+    at = max((i for i, part in enumerate(written) if part[0] not in "^_"), default=-1)
+    if at < 0 or not written[at].lstrip("\\")[:1].isalpha():
+        raise ValueError(f"a formula has a prime after no name: {' '.join(written)}")
+    written[at] = rf"\{'d' * count}ot{{{written[at]}}}"
 
 
 def _between(before: str, after: str) -> bool:

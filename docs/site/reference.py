@@ -8,12 +8,16 @@ from __future__ import annotations
 import enum
 import inspect
 import re
+from collections import Counter
 from typing import Any
 
 from docstrings import to_rst
 from docutils import nodes
 from names import FENCE, Name, asked, public_names
-from sphinx.addnodes import pending_xref
+from results import output_of
+from signatures import signature
+from snippets import snippets
+from sphinx.addnodes import desc_signature, pending_xref
 from sphinx.application import Sphinx
 from sphinx.util import logging
 
@@ -44,11 +48,30 @@ def entry(name: Name) -> list[str]:
         members = [*value.__members__, *name.members()] if issubclass(value, enum.Enum) else name.members()
         if members:
             lines += [f"   :members: {', '.join(members)}", "   :undoc-members:"]
-        return [*lines, ""]
+        return [*lines, "", *_indented(example(name)), ""]
     if callable(value) and hasattr(value, "__name__"):
-        return [f".. autofunction:: {name.path}", ""]
+        return [f".. autofunction:: {name.path}", "", *_indented(example(name)), ""]
     text = to_rst([f"`{type(value).__name__}`: `{short(value)}`"], link)
     return [f".. py:data:: {name.path}", "", *(f"   {line}" for line in text), ""]
+
+
+def example(name: Name) -> list[str]:
+    """The example of a name: its code, what it prints, and the page where it stands if it is a statement of one."""
+    snippet = snippets().get(name.path)
+    if snippet is None or "Example:" in (name.value.__doc__ or ""):
+        return []
+    lines = ["Example:", "", ".. code-block:: python", "", *_indented(snippet.code.splitlines()), ""]
+    if snippet.printed:
+        lines += [".. raw:: html", "", *_indented(output_of(snippet.printed).splitlines()), ""]
+    if snippet.source.startswith("docs/"):
+        lines.append(f"from :doc:`/{snippet.source.removeprefix('docs/').removesuffix('.md')}`")
+    elif snippet.source:
+        lines.append(f"from ``{snippet.source}``")
+    return lines
+
+
+def _indented(lines: list[str]) -> list[str]:
+    return [f"   {line}".rstrip() for line in lines]
 
 
 def short(value: Any) -> str:
@@ -63,6 +86,8 @@ _PATHS = {name.path for name in public_names()}
 _SHORT: dict[str, str] = {}
 for _name in public_names():
     _SHORT.setdefault(_name.path.rpartition(".")[2], _name.path)
+_LAST = Counter(path.rpartition(".")[2] for path in _PATHS)
+_SHARED = {name for name, count in _LAST.items() if count > 1}
 _MEMBERS = {f"{name.path}.{member}" for name in public_names() for member in name.members()}
 
 
@@ -93,6 +118,37 @@ def docstring(app: Sphinx, what: str, path: str, value: Any, options: Any, lines
     if formula:
         at = lines.index("") + 1
         lines[at:at] = [f".. math:: {formula}", ""]
+
+
+def typed(app: Sphinx, what: str, path: str, value: Any, options: Any, *written: Any) -> tuple[str, str | None] | None:
+    """The signature with types as the source writes them; that of an enumeration says nothing."""
+    if what not in ("class", "function", "method") or not (inspect.isclass(value) or inspect.isroutine(value)):
+        return None
+    found = signature(value, lambda text: _unambiguous(text, inspect.getmodule(value)))
+    return ("", None) if found is None else (found.arguments, found.returns)
+
+
+def _unambiguous(text: str, module: Any) -> str:
+    """A type whose short name two public names share, by the path of the one that the module of its function means."""
+    paths = {id(name.value): name.path for name in public_names() if name.path.rpartition(".")[2] in _SHARED}
+
+    def path(word: re.Match[str]) -> str:
+        found = paths.get(id(getattr(module, word[0], None)))
+        return f"~{found}" if found else word[0]
+
+    return re.sub(r"\b[A-Z]\w+\b", path, text)
+
+
+def types_in_signatures(app: Sphinx, env: Any, node: pending_xref, text: nodes.Element) -> nodes.Element | None:
+    """A type in a signature leads to its entry if it is public, and is plain text if not."""
+    parent = node.parent
+    while parent is not None and not isinstance(parent, desc_signature):
+        parent = parent.parent
+    if parent is None:
+        return None
+    path = target(node.get("reftarget", ""))
+    resolve = env.domains["py"].resolve_xref
+    return (resolve(env, node["refdoc"], app.builder, "obj", path, node, text) if path in _PATHS else None) or text
 
 
 def public_bases(value: type) -> list[str]:
@@ -146,6 +202,8 @@ def back_links(app: Sphinx, page: str, template: str, context: dict[str, Any], t
 def setup(app: Sphinx) -> dict[str, bool]:
     app.connect("source-read", expand)
     app.connect("autodoc-process-docstring", docstring)
+    app.connect("autodoc-process-signature", typed)
+    app.connect("missing-reference", types_in_signatures)
     app.connect("doctree-read", link_literals)
     app.connect("html-page-context", back_links)
     app.connect("env-check-consistency", check)

@@ -17,6 +17,8 @@ from pathlib import Path
 from typing import Any
 
 import execution
+import snippets
+from dark import dark_name
 from execution import BLOCK, DOCS, LINES, Output, Program
 
 EXAMPLE = re.compile(r"^```\{example\} (\w+)\n```$", re.MULTILINE)
@@ -44,7 +46,8 @@ def programs() -> list[Program]:
     alone = [page for page in pages() if page not in execution.TUTORIAL]
     names = [name for page in sorted(DOCS.rglob("*.md")) for name in EXAMPLE.findall(page.read_text())]
     examples = [execution.example_program(name) for name in names]
-    return [execution.page_program(*execution.TUTORIAL), *map(execution.page_program, alone), *examples]
+    written = snippets.programs()
+    return [execution.page_program(*execution.TUTORIAL), *map(execution.page_program, alone), *examples, *written]
 
 
 def pages() -> list[Path]:
@@ -88,18 +91,33 @@ def expand(app: Any, page: str, source: list[str]) -> None:
 
 def rendered(output: Output, folder: str) -> str:
     """The results of a block as Markdown."""
-    lines = output.text.rstrip().splitlines()
-    text = "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "..."])
-    parts = [_raw(f'<pre class="output">{html.escape(text)}</pre>')] if text.strip() else []
+    parts = [_raw(output_of(output.text))] if output.text.strip() else []
     if output.latex:
         parts.append(f"$$\n{output.latex}\n$$")
     for name in output.files:
         file = f"{folder}/{name}"
+        if name.endswith(".dark.png"):
+            continue
         if name.endswith((".png", ".svg")):
-            parts.append(_raw(f'<img class="output" src="{file}" alt="{name}" loading="lazy">'))
+            parts.append(_raw(picture(file, name, dark_name(name).name in output.files)))
         elif name.endswith(".html"):
             parts.append(_raw(f'<iframe class="animation" src="{file}" title="{name}" loading="lazy"></iframe>'))
     return "\n\n".join(parts)
+
+
+def picture(file: str, text: str, is_twice: bool, kind: str = "output") -> str:
+    """A figure as HTML; the theme shows the one that was drawn for its ground."""
+    if not is_twice:
+        return f'<img class="{kind}" src="{file}" alt="{text}" loading="lazy">'
+    files = {"light": file, "dark": dark_name(file).as_posix()}
+    return "".join(f'<img class="{kind} only-{g}" src="{f}" alt="{text}" loading="lazy">' for g, f in files.items())
+
+
+def output_of(printed: str) -> str:
+    """What a block prints, cut after some lines, as HTML."""
+    lines = printed.rstrip().splitlines()
+    text = "\n".join(lines if len(lines) <= LINES else [*lines[: LINES - 1], "..."])
+    return f'<pre class="output">{html.escape(text)}</pre>'
 
 
 def _raw(text: str) -> str:
@@ -125,9 +143,11 @@ def _gallery(pages: str, up: str) -> str:
 
 
 def _card(page: str, name: str, up: str) -> str:
-    picture = f'<img src="{up}{FOLDER}/examples/{name}/{name}.png" alt="" loading="lazy">'
+    (output,) = execution.executed(execution.example_program(name))
+    is_twice = dark_name(f"{name}.png").name in output.files
+    thumbnail = picture(f"{up}{FOLDER}/examples/{name}/{name}.png", "", is_twice, "thumbnail")
     anchor = name.replace("_", "-")
-    return f'<a href="{page}.html#{anchor}">{picture}<span>{html.escape(example(name)[0])}</span></a>'
+    return f'<a href="{page}.html#{anchor}">{thumbnail}<span>{html.escape(example(name)[0])}</span></a>'
 
 
 def setup(app: Any) -> dict[str, bool]:

@@ -196,7 +196,7 @@ def known_arguments(
 
 
 def path_of(place: str, value: Any) -> Path:
-    """A path, given as one or as text. Raises InputError."""
+    """A path, from a `Path` or a string. Raises InputError."""
     if not isinstance(value, (str, os.PathLike)):
         raise InputError(f"{place} expects a path, got {short(value)}")
     return Path(value)

@@ -238,8 +238,9 @@ def _draw(axes: Any, panel: Panel, over: str) -> None:
         if panel.marks is not None:
             label = name if panel.curve is None else None
             axes.plot(panel.marks[0], panel.marks[1][:, k], ".", color=color, markersize=5, label=label)
+    named = f"limit{'s' if len(panel.limits) > 1 else ''} {', '.join(f'{limit:.4g}' for limit in panel.limits)}"
     for number, limit in enumerate(panel.limits):
-        axes.axhline(limit, color=_LIMIT, linestyle="--", linewidth=0.9, label=None if number else "limit")
+        axes.axhline(limit, color=_LIMIT, linestyle="--", linewidth=0.9, label=None if number else named)
     if 1 < len(panel.names) + bool(panel.limits) <= _NAMED:
         # Beside the axes: no curve is hidden.
         axes.legend(fontsize="x-small", loc="upper left", bbox_to_anchor=(1.0, 1.0), frameon=False)

@@ -65,7 +65,7 @@ def known(a: Array) -> np.ndarray | None:
 def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
     """A rotation (3, 3) or a pose (4, 4) as it came. Where it is traced and not an element, NaN in its place.
 
-    A map of a reflection or of zeros has no meaning, and would be a plausible one. Raises InputError.
+    A map of a reflection or of zeros has no meaning, and would look plausible. Raises InputError.
     """
     numbers = known(g)
     if numbers is None:

@@ -47,7 +47,7 @@ def inside_small_call() -> bool:
 
 @contextlib.contextmanager
 def whole_kernel() -> Iterator[None]:
-    """A function that traces anything in here is compiled as a kernel: small calls are part of it."""
+    """Functions that are traced within this context are compiled as kernels, which include small calls."""
     before = _IN_KERNEL.set(True)
     try:
         yield
@@ -57,7 +57,7 @@ def whole_kernel() -> Iterator[None]:
 
 @contextlib.contextmanager
 def no_small_call() -> Iterator[None]:
-    """A function that traces anything in here is not compiled as a small function."""
+    """Functions that are traced within this context are not compiled as small functions."""
     inside = _INSIDE.set(False)
     try:
         yield

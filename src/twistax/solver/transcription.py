@@ -297,7 +297,7 @@ class Transcription:
                 ctypes.c_double.from_address(structure.work).value = 0.0  # integrated states are out of date
 
     def states(self, phase: int, substep: int) -> Array:
-        """(intervals, n) eta where a substep ends, of the point that was evaluated last."""
+        """Coordinates eta (intervals, n) at the end of a substep, at the point that was evaluated last."""
         eta = np.zeros((self.phases[phase].intervals, self.phases[phase].n))
         library().phase_states(ctypes.addressof(self._structures[phase]), substep, eta.ctypes.data)
         return eta

@@ -4,7 +4,8 @@ Nothing here needs more than NumPy and SciPy but `Scene.save` and `Scene.live`, 
 """
 
 from .animation import Arrow, Body
+from .meshes import Mesh
 from .scene import Scene
 from .shapes import Box, Capsule, Cone, Cylinder, Ellipsoid, Shape, Sphere
 
-__all__ = ["Arrow", "Body", "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "Scene", "Shape", "Sphere"]
+__all__ = ["Arrow", "Body", "Box", "Capsule", "Cone", "Cylinder", "Ellipsoid", "Mesh", "Scene", "Shape", "Sphere"]

@@ -1,9 +1,9 @@
-"""A scene as numbers: what is drawn where, and when. How it is drawn is the matter of `stage.py`."""
+"""A scene as numbers: what is drawn where, and when. `stage.py` draws it."""
 
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 import numpy as np
@@ -23,6 +23,9 @@ _SHORTEST, _LONGEST = 2.0, 20.0
 
 #: The longest arrow, as a part of the size of the scene, where its scale is not given.
 _LONG = 0.2
+
+#: How many of its lengths are seen about a body that the camera follows.
+_LENGTHS = 4.0
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -111,11 +114,28 @@ class Animation:
     shapes: tuple[Shape, ...] = ()
     up: Sequence[float] | Array = (0.0, 0.0, 1.0)
     seconds: float | None = None
+    follow: str | None = None
+    caption: Mapping[str, Array] = dataclasses.field(default_factory=dict)
+    ground: bool = True
 
     @property
     def duration(self) -> float:
         """How long the animation takes, s."""
         return float(np.clip(self.ts[-1] - self.ts[0], _SHORTEST, _LONGEST) if self.seconds is None else self.seconds)
+
+    @property
+    def followed(self) -> Body | None:
+        """The body that stays in the middle of the picture."""
+        return next((body for body in self.bodies if body.name == self.follow), None)
+
+    @property
+    def view_size(self) -> float:
+        """The length that fills the picture, m: of the whole scene, or some lengths of the body that is followed."""
+        body = self.followed
+        if body is None or not body.shapes:
+            return self.size if body is None else 0.2 * self.size
+        corners = np.concatenate([_ends(shape) for shape in body.shapes])
+        return min(self.size, _LENGTHS * float(np.linalg.norm(np.ptp(corners, axis=0))))
 
     def extent(self) -> Array:
         """The least and largest coordinates (2, 3) of all that is drawn but arrows, m."""
@@ -168,9 +188,14 @@ class Animation:
             )
             for vector in self.vectors
         )
-        seconds = self.duration
+        caption = {name: line(values.reshape(len(values), -1)) for name, values in self.caption.items()}
         return dataclasses.replace(
-            self, ts=np.asarray(times), bodies=tuple(moved.values()), vectors=vectors, seconds=seconds
+            self,
+            ts=np.asarray(times),
+            bodies=tuple(moved.values()),
+            vectors=vectors,
+            seconds=self.duration,
+            caption=caption,
         )
 
     def frames(self: A) -> A:

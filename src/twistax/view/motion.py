@@ -69,7 +69,11 @@ def shown(
     axes: Iterable[str] | None = None,
     up: Any = (0.0, 0.0, 1.0),
     seconds: float | None = None,
+    follow: str | None = None,
+    caption: Iterable[str] = (),
+    ground: bool = True,
     live: bool = False,
+    opened: bool = True,
 ) -> Scene:
     """The scene of a motion, written, served or opened; see `Solution.show`."""
     if seconds is not None:
@@ -80,12 +84,17 @@ def shown(
     motion = _reached(motion)
     drawn = _drawn(_bodies(motion, bodies), trails, axes)
     vectors = [vector for name, looks in (arrows or {}).items() for vector in _vectors(motion, drawn, name, looks)]
-    scene = Scene(motion.ts, drawn, tuple(vectors), _shapes("shapes", shapes), upwards, seconds)
+    if follow is not None:
+        _named(drawn, follow)
+    values = {name: motion.value(name) for name in ((caption,) if isinstance(caption, str) else caption)}
+    scene = Scene(
+        motion.ts, drawn, tuple(vectors), _shapes("shapes", shapes), upwards, seconds, follow, values, bool(ground)
+    )
     if path is not None:
         scene.save(path)
     if live:
         scene.live()
-    elif path is None and not _in_notebook():
+    elif path is None and opened and not _in_notebook():
         webbrowser.open(scene.save(Path(tempfile.mkdtemp(prefix="twistax")) / "scene.html").as_uri())
     return scene
 

@@ -9,6 +9,7 @@ from typing import Any
 from ..checks import path_of, whole
 from ..errors import InputError
 from .animation import Animation
+from .film import film
 from .stage import page, served
 
 
@@ -23,6 +24,9 @@ class Scene(Animation):
         shapes: what stands still.
         up: (3,) the direction that is drawn upwards.
         seconds: how long the animation takes; the time of the motion, from 2 to 20 s, unless given.
+        follow: the name of the body that stays in the middle of the picture; none unless given.
+        caption: (n, ...) values by name that are written beside the time.
+        ground: whether a plane is drawn below everything, with shadows.
     """
 
     def html(self) -> str:
@@ -46,6 +50,20 @@ class Scene(Animation):
         except OSError as error:
             raise InputError(f"save cannot write {str(file)!r}: {error.strerror}") from None
         return file
+
+    def video(self, path: Any, *, size: tuple[int, int] = (1280, 720)) -> Path:
+        """Write the animation as a film, such as flight.mp4, with thirty pictures a second.
+
+        A Chromium or Chrome of this machine draws the pictures, without a window; imageio-ffmpeg writes the file.
+
+        Args:
+            path: of the file; one that is there is written over. Its ending is that of the format.
+            size: width and height in pixels, even numbers.
+        Raises:
+            InputError: a path that cannot be written, or sizes that are no such numbers.
+            ModelError: viser or imageio-ffmpeg is not installed, no browser is found, or it draws nothing.
+        """
+        return film(self, path_of("video: path", path), size)
 
     def live(self, port: int = 8080) -> Any:
         """Serve the scene to browsers of this machine, with a slider for the time, at a free port.

@@ -18,14 +18,15 @@ from .shapes import Capsule, Ellipsoid, Shape, Sphere
 #: The scene is drawn this large, whatever its size: GPUs have single precision, cameras a nearest distance.
 _DRAWN = 10.0
 _TRAIL = (31, 95, 153)
+_GROUND, _CELLS, _SECTIONS = (238, 240, 243), (214, 218, 224), (184, 190, 200)
 _CAMERA = np.array([0.4, -0.78, 0.33])
 
 
 def page(scene: Animation) -> str:
     """The animation as one HTML page."""
-    with _server() as server:
+    with silent_server() as server:
         frames = scene.frames()
-        stage = _Stage(server, frames)
+        stage = Stage(server, frames)
         recorded = server.get_scene_serializer()
         for k in range(1, len(frames.ts)):
             recorded.insert_sleep(frames.duration / (len(frames.ts) - 1))
@@ -37,7 +38,7 @@ def served(scene: Animation, port: int) -> Any:
     """A server of the scene, with a slider; the animation goes on in a thread of its own until the server stops."""
     server = _viser().ViserServer(host="127.0.0.1", port=port)
     frames = scene.frames()
-    stage, last = _Stage(server, frames), len(frames.ts) - 1
+    stage, last = Stage(server, frames), len(frames.ts) - 1
     playing = server.gui.add_checkbox("play", True)
     slider = server.gui.add_slider("picture", 0, last, 1, 0)
     slider.on_update(lambda _: stage.draw(int(slider.value)))
@@ -69,7 +70,7 @@ def _viser() -> Any:
 
 
 @contextlib.contextmanager
-def _server() -> Iterator[Any]:
+def silent_server() -> Iterator[Any]:
     """A server without clients: viser records what it would send. Its message with the address is suppressed."""
     viser = _viser()
     with contextlib.redirect_stdout(io.StringIO()):
@@ -80,49 +81,56 @@ def _server() -> Iterator[Any]:
             server.stop()
 
 
-class _Stage:
+class Stage:
     """The nodes of a scene on a server, and their poses in picture k."""
 
     def __init__(self, server: Any, scene: Animation) -> None:
         low, high = scene.extent()
         self.scene, self.nodes = scene, server.scene
-        self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.size
+        self.center, self.zoom = 0.5 * (low + high), _DRAWN / scene.view_size
         self.turn = _upwards(np.asarray(scene.up))
         server.scene.set_up_direction(tuple(self.turn[:, 2]))
         server.initial_camera.up = tuple(self.turn[:, 2])
         server.initial_camera.look_at = (0.0, 0.0, 0.0)
         server.initial_camera.position = tuple(self.turn @ (_DRAWN * _CAMERA))
+        # All that has a place in the world is below one frame, which goes back as the followed body goes on.
+        self.world = self.nodes.add_frame("/world", show_axes=False)
         square = self._grid(low, high)
-        self.note = f"   squares of {square:g} m"
+        self.note = f"   squares of {square:g} m" if scene.ground else ""
         self.bodies = [self._body(body) for body in scene.bodies]
         for i, shape in enumerate(scene.shapes):
-            self._solid(f"/shapes/{i}", shape, self.center)
-        self.arrows = [self._arrow(f"/arrows/{vector.name}", vector.color) for vector in scene.vectors]
+            self._solid(f"/world/shapes/{i}", shape, self.center)
+        self.arrows = [self._arrow(f"/world/arrows/{vector.name}", vector.color) for vector in scene.vectors]
         self.ends = [self._drawn(vector.ends(scene.scale_of(vector))) for vector in scene.vectors]
         self.label = self.nodes.add_label("/time", "", position=tuple(self.turn @ [0.0, 0.0, 0.45 * _DRAWN]))
         self.digits = max(0, int(np.ceil(-np.log10((scene.ts[-1] - scene.ts[0]) / len(scene.ts)))))
+        followed = scene.followed
+        self.middles = None if followed is None else self._drawn(followed.poses[:, :3, 3])
         self.draw(0)
 
     def draw(self, k: int) -> None:
         """Move everything to picture k."""
+        if self.middles is not None:
+            self.world.position = -self.middles[k]
         for node, places, turns in self.bodies:
             node.position, node.wxyz = places[k], turns[k]
         for arrow, ends in zip(self.arrows, self.ends):
             arrow.visible = bool(np.linalg.norm(ends[k, 1] - ends[k, 0]) > 0.01)
             arrow.points = ends[k][None].astype(np.float32)
-        self.label.text = f"t = {self.scene.ts[k]:.{self.digits}f} s{self.note}"
+        values = [f"{name} = {_listed(of[k])}" for name, of in self.scene.caption.items()]
+        self.label.text = "   ".join([f"t = {self.scene.ts[k]:.{self.digits}f} s", *values]) + self.note
 
     def _drawn(self, points: Array) -> Array:
         return (points - self.center) * self.zoom
 
     def _body(self, body: Body) -> tuple[Any, Array, Array]:
-        name, places = f"/bodies/{body.name.replace('/', ' ')}", self._drawn(body.poses[:, :3, 3])
+        name, places = f"/world/bodies/{body.name.replace('/', ' ')}", self._drawn(body.poses[:, :3, 3])
         node = self.nodes.add_frame(name, show_axes=body.axes, axes_length=0.6, axes_radius=0.02)
         for i, shape in enumerate(body.shapes):
             self._solid(f"{name}/{i}", shape, np.zeros(3))
         if body.trail:
             lines = np.stack([places[:-1], places[1:]], axis=1).astype(np.float32)
-            self.nodes.add_line_segments(f"/trails{name}", lines, _TRAIL, thickness=2.0, thickness_units="screen")
+            self.nodes.add_line_segments(f"/world/trails{name}", lines, _TRAIL, thickness=2.0, thickness_units="screen")
         return node, places, quaternions(body.poses[:, :3, :3])
 
     def _solid(self, name: str, shape: Shape, origin: Array) -> None:
@@ -149,22 +157,34 @@ class _Stage:
         corners = np.array([[x, y, z] for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])])
         least = (corners @ self.turn[:, 2]).min()
         height = 0.0 if abs(least) < 0.15 * self.scene.size else least
-        rough = self.scene.size / 8.0
+        rough = self.scene.view_size / 8.0
         power = 10.0 ** np.floor(np.log10(rough))
         square = float(power * max(n for n in (1.0, 2.0, 5.0) if n * power <= rough))
         # Its lines lie on whole numbers of squares.
         place = np.round(self.center @ self.turn / square) * square
         place[2] = height
+        width = 2.0 * _DRAWN + 2.0 * self.zoom * self.scene.size
         self.nodes.add_grid(
-            "/grid",
-            2.0 * _DRAWN,
-            2.0 * _DRAWN,
+            "/world/ground",
+            width,
+            width,
+            visible=self.scene.ground,
+            plane_color=_GROUND,
+            plane_opacity=1.0,
+            shadow_opacity=0.4,
+            cell_color=_CELLS,
+            section_color=_SECTIONS,
             cell_size=square * self.zoom,
             section_size=5.0 * square * self.zoom,
             wxyz=tuple(quaternions(self.turn[None])[0]),
             position=tuple(self._drawn(self.turn @ place)),
         )
         return square
+
+
+def _listed(value: Array) -> str:
+    """A number, or the entries of a small array."""
+    return ", ".join(f"{float(entry):.3g}" for entry in np.ravel(value)[:6])
 
 
 def quaternions(R: Array) -> Array:

@@ -37,7 +37,7 @@ def solve_positive(A: jax.Array, b: jax.Array) -> jax.Array:
 
 
 def inverse_factor(A: jax.Array) -> jax.Array:
-    """V (n, n), lower triangular, with A^-1 = V V'; above its diagonal A is not read.
+    """V (n, n), lower triangular, with A^-1 = V V^T; above its diagonal A is not read.
 
     Of A = L' D L it is L^-1 D^(-1/2): a row has entries where that of L has, for the freedoms before it in a tree.
     """
@@ -107,7 +107,7 @@ class InversePositive(_OfPositive):
 
 
 class InverseFactor(_OfPositive):
-    """V, lower triangular, with $A^-1 = V V'$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
+    """V, lower triangular, with $A^-1 = V V^T$ of a symmetric positive definite A. Shape: (n, n) -> (n, n).
 
     For many right-hand sides with zeros: x = V (V' b) leaves out what is structurally zero on the way.
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import jax
@@ -152,6 +153,10 @@ class PhasedSolution(AnySolution):
         params = {name: value for p in parts if p.stepper is not None for name, value in p.stepper.params.items()}
         ts = np.concatenate([np.asarray(part.ts) for part in parts])
         return shown(Motion(ts, joined([part.xs for part in parts]), signals, params), path, **choices)
+
+    def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
+        """A film of what `show` draws; see `Solution.video`."""
+        return self.show(opened=False, **choices).video(path, size=size)
 
     def _columns(self, layout: Any) -> list[Column]:
         tables, count = [], []

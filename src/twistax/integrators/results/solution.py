@@ -6,6 +6,7 @@ import dataclasses
 import functools
 from abc import ABC, abstractmethod
 from collections.abc import Callable, Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import jax
@@ -322,7 +323,12 @@ class Solution(AnySolution):
                 axes: names of those whose axes are drawn, x red, y green, z blue; of states unless given.
                 up: (3,) the direction that is drawn upwards; z unless given.
                 seconds: how long the animation takes; real time, from 2 to 20 s, unless given.
+                follow: the name of a body or frame that stays in the middle of the picture, which is then drawn some
+                    lengths of it wide; the whole motion is in the picture unless given.
+                caption: names of states, controls and outputs whose values are written beside the time.
+                ground: whether a plane is drawn below everything, with shadows; True unless given.
                 live: serve it to a browser of this machine, too, with a slider; needs no file.
+                opened: open it in a browser where no path is given; True unless given.
         Returns:
             the scene, a `tx.view.Scene`, which can be saved, served and looked at as numbers.
         Raises:
@@ -337,6 +343,17 @@ class Solution(AnySolution):
             return shown(Motion(np.asarray(self.ts), self.xs), path, **choices)
         signals = (lambda: self.us, lambda: self.outputs)
         return shown(Motion(np.asarray(self.ts), self.xs, signals, self.stepper.params), path, **choices)
+
+    def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
+        """A film of the motion, such as `solution.video("flight.mp4", follow="g")`; see `tx.view.Scene.video`.
+
+        Args:
+            path, size: of the file, and width and height of its pictures in pixels.
+            choices: those of `show`.
+        Raises:
+            InputError, ModelError: as `show` and `tx.view.Scene.video`.
+        """
+        return self.show(opened=False, **choices).video(path, size=size)
 
     def _columns(self, layout: Any) -> list[Column]:
         from .table_export import columns_of

@@ -183,7 +183,7 @@ class BodyInertia:
     center: tuple[Number, ...] = ()  # of mass, in the body's frame
 
     def momenta(self, velocity: Components) -> Components:
-        """The momenta about the centre, of a velocity of the body's frame or of a rate of one."""
+        """The momenta about the centre of mass from the velocity of the frame, or their rates from its acceleration."""
         v, w = velocity[:-3], velocity[-3:]
         p = scale(self.mass, add(v, cross(w, arrays(self.center, w[0])))) if v else ()
         return (*_times(self.spin.tensor, w), *p)
@@ -195,7 +195,7 @@ class BodyInertia:
         return (*v, *w)
 
     def centered(self, momentum: Components) -> Components:
-        """The momenta about the centre, of momenta about the frame's origin."""
+        """The momenta about the centre of mass, from those about the origin of the frame."""
         p, L = momentum[:-3], momentum[-3:]
         return (*add(L, cross(p, arrays(self.center, p[0]))), *p) if p else L
 

@@ -29,10 +29,11 @@ def load(
 ) -> Mechanism:
     """The mechanism that a file describes, in URDF or in MJCF; its root element says which.
 
-    MJCF is compiled by MuJoCo (`pip install twistax[models]`). Boxes, cylinders, balls and capsules are what
-    `solution.show` draws. `mechanism.notes` says what the file has that is not used, such as meshes or an attribute
-    that is not known, and what was read in a way that the file does not say. Nothing in a file is run. Of URDF no other
-    file is opened, of MJCF included files and the meshes that a mass follows from.
+    MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules
+    and meshes: of URDF those whose file is found, of MJCF those that a mass follows from. `mechanism.notes` says what
+    the file has that is not used, such as other meshes or an attribute that is not known, and what was read in a way
+    that the file does not say. Nothing in a file is run. Meshes of URDF are opened when they are drawn, of MJCF
+    included files and the meshes that a mass follows from when the model is loaded.
 
     Masses and inertias are checked. Links that are fixed together count as one body. A link with a mass or inertia that
     no body has is refused if the equations of motion may have no solution or several: its body has a mass or a
@@ -99,7 +100,7 @@ def _folder(root: Element, within: str | Path | None) -> Path:
 
 def _read(root: Element, choices: Choices, floating: bool, quarter_turns: float, folder: Path) -> Urdf | Mjcf:
     if root.tag == "robot":
-        return Urdf(root, choices, floating=floating, quarter_turns=quarter_turns)
+        return Urdf(root, choices, floating=floating, quarter_turns=quarter_turns, folder=folder)
     if root.tag == "mujoco" and floating:
         raise root.wrong(
             "floating=True is for URDF; MJCF says itself which bodies are free.\n"

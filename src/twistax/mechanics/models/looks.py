@@ -1,4 +1,4 @@
-"""Shapes of links from the boxes, cylinders, balls and capsules of a file. What cannot be drawn is noted.
+"""Shapes of links from the boxes, cylinders, balls, capsules and meshes of a file. What cannot be drawn is noted.
 
 Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readthedocs.io, body/geom.
 """
@@ -6,14 +6,16 @@ Source: the pages of http://wiki.ros.org/urdf/XML/link and https://mujoco.readth
 from __future__ import annotations
 
 import collections
+import re
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ...errors import TwistaxError
-from ...view import Box, Capsule, Cylinder, Ellipsoid, Shape, Sphere
+from ...view import Box, Capsule, Cylinder, Ellipsoid, Mesh, Shape, Sphere
 from ...view.shapes import STEEL, Color
 from ..arguments import matrix
 from .xml_file import Element
@@ -28,14 +30,20 @@ class UrdfLooks:
     Args:
         robot: the root element; its materials are known by name.
         placed: the rotation and position that an <origin> says.
+        folder: where the file is; `within`: the folder that meshes may be in. Meshes are read when they are drawn.
     Attributes:
         notes: what of <visual> is not drawn.
     """
 
     def __init__(
-        self, robot: Element, placed: Callable[[Element | None], tuple[NDArray[np.float64], NDArray[np.float64]]]
+        self,
+        robot: Element,
+        placed: Callable[[Element | None], tuple[NDArray[np.float64], NDArray[np.float64]]],
+        folder: Path,
+        within: Path,
     ) -> None:
         self._placed, self._left_out = placed, collections.Counter[str]()
+        self._folder, self._within = folder, within
         visuals = [visual for link in robot.all("link") for visual in link.all("visual")]
         self._colors = dict[str, tuple[Color, float]]()
         for material in [m for place in (robot, *visuals) for m in place.all("material")]:
@@ -69,6 +77,10 @@ class UrdfLooks:
             if solid.tag in ("cylinder", "capsule"):
                 kind = Cylinder if solid.tag == "cylinder" else Capsule
                 return [kind(solid.number("radius"), solid.number("length"), **looks)]
+            file = self._file(solid.text("filename")) if solid.tag == "mesh" else None
+            if file is not None:
+                scale = solid.numbers("scale", 3) if "scale" in solid.attributes else 1.0
+                return [Mesh(file, scale, **looks)]
             why = f"<{solid.tag}> of <{element.tag}>"
         except TwistaxError as error:
             what = str(error).splitlines()[0].removeprefix(f"{solid.place}: ")
@@ -76,6 +88,18 @@ class UrdfLooks:
         if element.tag == "visual":
             self._left_out[f"not drawn: {why}"] += 1
         return []
+
+    def _file(self, name: str) -> Path | None:
+        """The file of a mesh; None if it is not there, or outside of the folder that may be read.
+
+        `package://NAME/PATH` is PATH in a folder NAME about the model, or beside it: no path of ROS is known here.
+        """
+        rest = re.sub(r"^(package|file|model)://", "", name)
+        inner = rest.partition("/")[2]
+        folders = [self._folder, *(p for p in self._folder.parents if p.is_relative_to(self._within))]
+        candidates = [folder / part for folder in folders for part in (rest, inner) if part]
+        files = (path.resolve() for path in candidates if path.is_file())
+        return next((path for path in files if path.is_relative_to(self._within)), None)
 
     def _looks(self, material: Element | None) -> tuple[Color, float]:
         color = None if material is None else material.first("color")
@@ -105,7 +129,7 @@ def looks_of_mjcf(
         model: a `mujoco.MjModel`.
         rotation: the matrix of a quaternion.
     Returns:
-        the shapes, and how many geoms have none: meshes, planes and height fields.
+        the shapes, and how many geoms have none: planes and height fields.
     """
     kinds, left_out = mujoco.mjtGeom, 0
     known: dict[int, Callable[..., Shape]] = {
@@ -128,8 +152,18 @@ def looks_of_mjcf(
         }
         a, b, c = (float(x) for x in model.geom_size[i])
         kind, body = int(model.geom_type[i]), int(model.geom_bodyid[i])
-        if kind in known:
+        if kind == int(kinds.mjGEOM_MESH):
+            shown[body].append(Mesh(_triangles(model, int(model.geom_dataid[i])), **looks))
+        elif kind in known:
             (hidden if model.geom_group[i] > _SHOWN else shown)[body].append(known[kind](a, b, c, looks))
         else:
             left_out += 1
     return {i: tuple(shown[i] or hidden[i]) for i in range(model.nbody)}, left_out
+
+
+def _triangles(model: Any, number: int) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Corners and triangles of a mesh of a compiled model, in the axes of its geom."""
+    corners, count = int(model.mesh_vertadr[number]), int(model.mesh_vertnum[number])
+    faces, face_count = int(model.mesh_faceadr[number]), int(model.mesh_facenum[number])
+    vertices = np.array(model.mesh_vert[corners : corners + count], dtype=np.float64)
+    return vertices, np.array(model.mesh_face[faces : faces + face_count], dtype=np.int64)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import collections
 import math
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -42,7 +43,7 @@ class Urdf:
     Raises: ModelError with file and line.
     """
 
-    def __init__(self, robot: Element, choices: Choices, *, floating: bool, quarter_turns: float) -> None:
+    def __init__(self, robot: Element, choices: Choices, *, floating: bool, quarter_turns: float, folder: Path) -> None:
         self.choices, self.quarter_turns = choices, quarter_turns
         self.gravity, self.driven, self.loops = (0.0, 0.0, -9.81), None, ()
         self.notes = notes_on(robot)
@@ -51,7 +52,7 @@ class Urdf:
         self._remarks = collections.defaultdict[str, list[str]](list)
         self._names = {*tree.links, *tree.joints}
         choices.length = self._length(robot)
-        self._looks = UrdfLooks(robot, self._placed)
+        self._looks = UrdfLooks(robot, self._placed, robot.path.resolve().parent, folder)
         root = tree.links[tree.root]
         alone = not tree.joints  # then the root is what the mechanism consists of
         self.base = free_name("world", tree.links) if floating or alone else tree.root

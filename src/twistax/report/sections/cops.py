@@ -16,7 +16,7 @@ from .problems import stated
 def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
     """Least time of an arm that turns and slides, between two points: problem 8, 9.14093.
 
-    Its length is rho, of 5, its angles theta and phi; torques and force are at most 1.
+    Its length is rho, at most 5, and its angles are theta and phi. Torques and the force are at most 1.
     """
     limits = {"rho": (0.0, 5.0), "theta": (-math.pi, math.pi), "phi": (0.0, math.pi)}
     places = [tx.State(name, min=low, max=high) for name, (low, high) in limits.items()]

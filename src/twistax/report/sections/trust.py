@@ -40,7 +40,7 @@ _FAR = 2.0
 
 @dataclasses.dataclass(frozen=True)
 class Restated:
-    """Gives a problem in other units, and with limits that bind nothing.
+    """The same problem in other units, or with limits so wide that none is active.
 
     An old unit is `size` new ones for the first state, 1 / size for the next, and so on over states and controls; size
     for times, 1 / size for the objective. Limits of the final time are `width` times as far apart. Sides of states

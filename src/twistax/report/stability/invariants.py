@@ -44,9 +44,9 @@ class MovingBody:
     def invariants(self, xs: Mapping[str, Array]) -> dict[str, tuple[Array, Array]]:
         """The invariants of states with a leading axis, (n, ...), and their sizes (n,), by name.
 
-        Under a weight that is the energy and the vertical momentum; else also the linear momentum, and both, about the
-        first position. Their size is that of what they are the sum of: the arm, which grows with the way, times the
-        linear one.
+        With a weight these are the energy and the vertical angular momentum; without one also the linear momentum, and
+        the angular momentum about the first position. Its size is that of its summands: the lever arm, which grows with
+        the distance, times the linear momentum.
         """
         R = xs["R"] if "R" in xs else xs["g"][:, :3, :3]
         invariants = {"R'R - I": (np.swapaxes(R, 1, 2) @ R - np.eye(3), np.ones(len(R)))}

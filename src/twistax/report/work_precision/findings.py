@@ -98,7 +98,7 @@ class Curve(tuple[ReportRow, ...]):
         return next((row for row in self if _error(row) <= error), None)
 
     def time_at(self, error: float) -> float:
-        """Seconds for an error, on straight lines between the runs in logarithms of both.
+        """The run time for an error, interpolated linearly between runs in the logarithms of both.
 
         Of an error that the fastest run undercuts it is the time of that run. NaN where no run is accurate enough:
         nothing is extrapolated.
@@ -111,7 +111,7 @@ class Curve(tuple[ReportRow, ...]):
 class Findings:
     """Rows put together by scene and line, without methods that disagree with the truth of a scene.
 
-    The order of the integrators is that of tables.
+    Integrators stand in the order of the tables.
     """
 
     def __init__(self, rows: Iterable[ReportRow], integrators: Mapping[str, Integrator] = INTEGRATORS) -> None:
@@ -144,7 +144,7 @@ class Findings:
         return self.curve(scene, line).time_at(error)
 
     def ranking(self, scene: str, error: float, lines: Iterable[Integrator]) -> list[tuple[float, Integrator]]:
-        """Seconds and line of those that reach an error, the fastest first."""
+        """Run time and name of each method that reaches an error, the fastest first."""
         times = [(self.time(scene, line, error), line) for line in lines]
         return sorted((pair for pair in times if math.isfinite(pair[0])), key=lambda pair: pair[0])
 

@@ -226,7 +226,7 @@ def _mesh(accuracy: Accuracy, status: Status) -> str:
 
 @dataclasses.dataclass(frozen=True)
 class Attempts:
-    """Runs of the solver on a problem.
+    """How often and how long the solver ran on a problem.
 
     Attributes:
         outcomes: of all tries.

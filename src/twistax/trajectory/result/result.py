@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -109,6 +110,10 @@ class TrajectoryResult(Quality):
     def show(self, path: Any = None, **choices: Any) -> Scene:
         """As `Trajectory.show`; phases one after the other, with the states and controls that all of them have."""
         return animated(self.phases, path, choices)
+
+    def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
+        """A film of what `show` draws; see `Trajectory.video`."""
+        return self.show(opened=False, **choices).video(path, size=size)
 
     def _by_phase(self, attribute: str) -> dict[str, Any]:
         self._need_finite()

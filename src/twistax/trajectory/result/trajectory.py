@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import functools
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -105,6 +106,10 @@ class Trajectory:
         Where the rollout does not reach its end, the nodes and straight lines between them.
         """
         return animated([self], path, choices)
+
+    def video(self, path: Any, *, size: tuple[int, int] = (1280, 720), **choices: Any) -> Path:
+        """A film of what `show` draws; see `Solution.video`."""
+        return self.show(opened=False, **choices).video(path, size=size)
 
     def replay(self, method: Any = None, steps: int = 20, *, rtol: float = 1e-10, atol: float = 1e-10) -> Replay:
         """Roll out the controls of the solution from the first node, and measure errors and violations.

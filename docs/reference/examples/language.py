@@ -1,0 +1,59 @@
+# tx.Add tx.Mul tx.Power
+a, b = tx.State("a"), tx.State("b")
+type(a + b).__name__, type(a * b).__name__, type(a**2).__name__
+
+# tx.Bilerp
+x, y = tx.State("x"), tx.State("y")
+tx.Bilerp(x, y, [0.0, 1.0], [0.0, 1.0], [[0.0, 1.0], [2.0, 3.0]])
+
+# tx.Linterp
+height = tx.State("height")
+density = tx.Linterp(height, [0.0, 1000.0, 2000.0], [1.225, 1.112, 1.007])
+tx.lower(density)(0.0, {"height": 500.0}, {})
+
+# tx.Constraint tx.Inequality tx.Equality
+F = tx.Control("F", shape=(3,))
+[type(constraint).__name__ for constraint in (tx.linalg.Norm(F) <= 10.0, F[2] == 0.0)]
+
+# tx.Less
+x = tx.State("x")
+tx.Where(x < 0.0, -x, x)
+
+# tx.Hstack tx.Stack
+p, q = tx.State("p", shape=(3,)), tx.State("q", shape=(3,))
+tx.Hstack(p, q).shape, tx.Stack(p, q).shape
+
+# tx.Expr tx.to_expr
+x = tx.State("x")
+isinstance(x + 1.0, tx.Expr), tx.to_expr(2.0)
+
+# tx.Leaf tx.Variable
+[isinstance(tx.State("x"), kind) for kind in (tx.Leaf, tx.Variable)], isinstance(tx.Time(), tx.Variable)
+
+# tx.Example
+case = tx.Abs.example()[0]
+case.expr, case.values, case.smooth
+
+# tx.Rate
+x, v = tx.State("x"), tx.State("v")
+tx.Rate(x**2, {x: v})
+
+# tx.Soft
+p = tx.State("p", shape=(2,))
+tx.Soft(tx.linalg.Norm(p) >= 1.0, l1=100.0)  # may be violated, at 100 a unit of length
+
+# tx.Vmap
+p = tx.State("p", shape=(2,))
+posts = np.array([[0.0, 1.0], [2.0, 0.0]])
+tx.Vmap(lambda post: tx.linalg.Norm(p - post), batch=posts).shape
+
+# tx.tables.Linear tx.tables.MonotoneCubic tx.tables.Extrapolated
+height = tx.State("height")
+density = tx.Interp(
+    height,
+    axes=[[0.0, 1000.0, 2000.0]],
+    values=[1.225, 1.112, 1.007],
+    kind=tx.tables.MonotoneCubic(),
+    outside=[tx.tables.Extrapolated()],
+)
+tx.lower(density)(0.0, {"height": 2500.0}, {})

@@ -1,0 +1,76 @@
+# tx.mechanics.mass_matrix tx.mechanics.bias_forces tx.mechanics.coriolis_forces tx.mechanics.gravity_forces
+from twistax import mechanics
+
+arm = mechanics.chain_models.panda()
+terms = {
+    "M": mechanics.mass_matrix(arm),
+    "b": mechanics.bias_forces(arm),
+    "c": mechanics.coriolis_forces(arm),
+    "g": mechanics.gravity_forces(arm),
+}
+values = tx.lower(terms)(0.0, {"q": 0.1 * np.arange(7.0), "qd": 0.1 * np.ones(7)}, {})
+{name: value.shape for name, value in values.items()}
+
+# tx.mechanics.kinetic_energy tx.mechanics.potential_energy
+arm = tx.mechanics.chain_models.panda()
+energy = tx.mechanics.kinetic_energy(arm) + tx.mechanics.potential_energy(arm)
+tx.lower(energy)(0.0, {"q": np.zeros(7), "qd": np.ones(7)}, {})  # J
+
+# tx.mechanics.center_of_mass tx.mechanics.total_mass tx.mechanics.centroidal_matrix
+arm = tx.mechanics.chain_models.panda()
+tx.lower(tx.mechanics.center_of_mass(arm))(0.0, {"q": np.zeros(7)}, {}), tx.mechanics.centroidal_matrix(arm).shape
+
+# tx.mechanics.frame_twist tx.mechanics.frame_jacobian_rate
+arm = tx.mechanics.chain_models.equal_links(2)
+last = list(arm.frames)[-1]
+tx.mechanics.frame_twist(arm, last).shape, tx.mechanics.frame_jacobian_rate(arm, last).shape
+
+# tx.mechanics.forward_dynamics_derivatives tx.mechanics.inverse_dynamics_derivatives
+arm = tx.mechanics.chain_models.equal_links(2)
+[part.shape for part in tx.mechanics.inverse_dynamics_derivatives(arm)]
+
+# tx.mechanics.closed_dynamics tx.mechanics.loops.Pose tx.mechanics.loops.Loop tx.mechanics.loops.Metric
+from twistax import mechanics
+from twistax.mechanics import Link, Mechanism, SpatialInertia, joints, loops
+
+rod = SpatialInertia(mass=1.0, center_of_mass=[0.5, 0.0, 0.0], inertia=np.diag([0.01, 0.1, 0.1]))
+along, y = tx.pose(position=[1.0, 0.0, 0.0]), [0.0, 1.0, 0.0]
+links = [
+    Link(joints.Revolute("upper", y), rod, np.eye(4)),
+    Link(joints.Revolute("lower", y), rod, along, parent="upper"),
+    Link(joints.Fixed("tip"), None, along, parent="lower"),
+    Link(joints.Prismatic("slider", [1.0, 0.0, 0.0]), rod, np.eye(4)),
+]
+tied = Mechanism(links, loops=[loops.Point("pin", "tip", "slider")])
+qdd, wrenches = mechanics.closed_dynamics(tied)
+qdd.shape, list(wrenches)
+
+# tx.mechanics.power
+F, V = tx.State("F", shape=(6,)), tx.State("V", shape=(6,))
+tx.mechanics.power(F, V)
+
+# tx.mechanics.Mimic
+tx.mechanics.Mimic("left_finger", ratio=-1.0)
+
+# tx.mechanics.chain_models.equal_links tx.mechanics.chain_models.modified_dh
+chain = tx.mechanics.chain_models.equal_links(3)
+list(chain.frames), tx.mechanics.chain_models.modified_dh(a=0.1, d=0.2, quarter_turns=1)
+
+# tx.mechanics.joints.Joint tx.mechanics.joints.Screws
+elbow = tx.mechanics.joints.Revolute("elbow", [0.0, 0.0, 1.0])
+elbow.screws.motion_subspace, elbow.screws.constraint_basis.shape
+
+# tx.mechanics.joints.Cylindrical tx.mechanics.joints.Helical tx.mechanics.joints.Planar
+from twistax.mechanics import joints
+
+z = [0.0, 0.0, 1.0]
+[joints.Cylindrical("sleeve", z), joints.Helical("lead_screw", z, pitch=0.001), joints.Planar("puck")]
+
+# tx.mechanics.GivenForces
+from twistax import mechanics
+from twistax.mechanics import Link, Mechanism, SpatialInertia, joints
+
+box = SpatialInertia(mass=2.0, center_of_mass=[0.0, 0.0, 0.0], inertia=np.diag([0.1, 0.1, 0.1]))
+hopper = Mechanism([Link(joints.Prismatic("leg", [0.0, 0.0, 1.0]), box, np.eye(4))])
+given = mechanics.given_forces(hopper, ["leg"], friction=0.6)
+list(given.controls), list(given.cones)

@@ -1,0 +1,92 @@
+# tx.trajectory.TrajectoryResult tx.trajectory.Status
+x, v, u = tx.State("x"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
+car = tx.compile(tx.System(rates={x: v, v: u}))
+problem = tx.trajectory.Problem(
+    car, tx.Minimize(running=u**2), nodes=11, final_time=4.0, initial={x: 0.0, v: 0.0}, final={x: 1.0, v: 0.0}
+)
+result = problem.solve()
+result.status, result.cost
+
+# tx.trajectory.WarmStart
+result = problem.solve(warm=result.warm)
+result.iterations
+
+# tx.trajectory.Optimality tx.trajectory.Accuracy
+result.optimality, result.accuracy.change
+
+# tx.trajectory.Meshed
+[(mesh.nodes, mesh.error) for mesh in problem.solve(refine=1e-2).meshes]
+
+# tx.trajectory.TrajectoryResults
+many = problem.solve_many(initial={x: np.array([0.0, 0.2, 0.4])})
+many.cost
+
+# tx.trajectory.Progress
+problem.solve(progress=tx.trajectory.Progress(cost="effort {:.3f}", shown=False)).status
+
+# tx.trajectory.Strategy
+problem.solve(strategies=[tx.trajectory.Strategy.RESCALING]).status
+
+# tx.trajectory.Solution
+optimum = tx.trajectory.solution(problem)
+optimum().cost
+
+# tx.trajectory.Objective
+objective = tx.Minimize(x**2, running=u**2)  # of the end, and along the way
+isinstance(objective, tx.trajectory.Objective)
+
+# tx.trajectory.Minimum tx.trajectory.Maximum
+tx.Minimize(tx.trajectory.Maximum(tx.Abs(u)))
+
+# tx.trajectory.Rate tx.trajectory.Spline
+tx.trajectory.Problem(
+    car,
+    tx.Minimize(running=tx.trajectory.Rate(u) ** 2),
+    nodes=11,
+    final_time=4.0,
+    initial={x: 0.0, v: 0.0},
+    final={x: 1.0, v: 0.0},
+    controls={u: tx.trajectory.Spline(degree=2)},
+).solve().cost
+
+# tx.trajectory.Held
+tx.trajectory.Problem(
+    car,
+    tx.Minimize(running=u**2),
+    nodes=11,
+    final_time=4.0,
+    initial={x: 0.0},
+    final={x: 1.0},
+    controls={u: tx.trajectory.Held()},
+)
+
+# tx.trajectory.Collocation tx.trajectory.MultipleShooting
+[
+    tx.trajectory.Collocation(tx.tableaus.RADAU_IIA5),
+    tx.trajectory.MultipleShooting(tx.RKMK(tx.tableaus.RK4), substeps=2),
+]
+
+# tx.trajectory.GaussNewton tx.trajectory.QuasiNewton
+tx.trajectory.Problem(
+    car,
+    tx.Minimize(running=u**2),
+    nodes=11,
+    final_time=4.0,
+    initial={x: 0.0},
+    final={x: 1.0},
+    hessian=tx.trajectory.GaussNewton(),
+).solve().status
+
+# tx.trajectory.IPOPT tx.trajectory.Fatrop
+solver = tx.trajectory.IPOPT({"tol": 1e-8})  # problem.solve(solver=solver)
+solver
+
+# tx.trajectory.Discretization tx.trajectory.Linearization
+tx.trajectory.linearize(car, 0.0, {"x": 0.0, "v": 0.0}, {"u": 0.0}).A
+
+# tx.trajectory.PhasedResult tx.trajectory.PhasedResults
+phases = [
+    tx.trajectory.Phase(car, name="push", nodes=8, final_time=2.0, initial={x: 0.0, v: 0.0}),
+    tx.trajectory.Phase(car, tx.Minimize(running=u**2), name="brake", nodes=8, final_time=2.0, final={x: 1.0, v: 0.0}),
+]
+tx.trajectory.Problem(phases).solve().durations
