@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from . import expr, lie, linalg, spatial
 from .errors import (
+    EstimationError,
     ImmutableError,
     InputError,
     IntegrationError,
@@ -38,7 +39,20 @@ from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Pro
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
+    from . import (
+        charts,
+        columns,
+        compositions,
+        diffrax,
+        estimation,
+        mechanics,
+        tableaus,
+        testing,
+        trajectory,
+        units,
+        view,
+    )
+    from .estimation import Measurement
     from .integrators import (
         RKMK,
         AtStart,
@@ -79,13 +93,13 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-    "Crossings", "Dynamics",
+    "Crossings", "Dynamics", "EstimationError",
     "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "ImmutableError", "ImplicitRKMK",
-    "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode", "ModelError", "Native",
+    "InputError", "IntegrationError", "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Native",
     "OperationError", "Order", "OrderError", "Phase", "PhasedSolution", "PiecewisePolynomial", "Product", "Result",
     "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
     "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns", "compile", "compositions",
-    "diffrax", "fast", "integrate",
+    "diffrax", "estimation", "fast", "integrate",
     "integrate_phases", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial", "sweep",
     "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
@@ -96,9 +110,10 @@ __all__ += expr.__all__
 # fmt: off
 _LATER = {
     "": (
-        "charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "testing", "trajectory", "units",
-        "view",
+        "charts", "columns", "compositions", "diffrax", "estimation", "mechanics", "tableaus", "testing",
+        "trajectory", "units", "view",
     ),
+    ".estimation": ("Measurement",),
     ".integrators": (
         "RKMK", "AtStart", "Between", "CommutatorFree", "Crossings", "Event", "FirstOrderHold", "FreeBody",
         "FreeParticle", "ImplicitRKMK", "Magnus", "Phase", "PhasedSolution", "PiecewisePolynomial", "Result",
@@ -138,7 +153,19 @@ def _where_else(name: str) -> str:
     if importlib.util.find_spec(f"{__name__}.{name}"):
         return f".\n  fix: import {__name__}.{name}"
     known = {public.lower(): public for public in __all__}
-    faces = ("lie", "linalg", "spatial", "tables", "tableaus", "charts", "units", "trajectory", "mechanics", "testing")
+    faces = (
+        "lie",
+        "linalg",
+        "spatial",
+        "tables",
+        "tableaus",
+        "charts",
+        "units",
+        "trajectory",
+        "estimation",
+        "mechanics",
+        "testing",
+    )
     for home in faces:
         for public in importlib.import_module(f"{__name__}.{home}").__all__:
             known.setdefault(public.lower(), f"{home}.{public}")

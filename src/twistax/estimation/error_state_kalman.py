@@ -1,0 +1,103 @@
+"""The error-state Kalman filter, multiplicative on groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+
+from ..checks import callable_with
+from ..errors import ModelError
+from ..groups import Product
+from ..system.dynamics import Dynamics
+from .filter import Filter, Prediction, Update
+from .measurement import Measurement
+from .stochastic_model import Point
+
+
+class ErrorStateKalman(Filter):
+    """The extended Kalman filter on the group of the state, multiplicative (an MEKF) on rotations and poses.
+
+    The state stays on the group; the covariance P is that of the error d with $x_true = x Exp(d)$, in the tangent space
+    at x. A prediction integrates the mean by the method and carries the covariance, $P = Phi P Phi^T + Q$, Phi the
+    derivative of the step and Q by Van Loan. An update is
+
+        $S = H P H^T + R, K = P H^T S^-1, d = K Log(h(x)^-1 z),$
+        $x = x Exp(d), P = J_r(d) ((I - K H) P (I - K H)^T + K R K^T) J_r(d)^T$,
+
+    in Joseph's form, symmetric. The right Jacobian J_r(d) moves the covariance to the tangent space at the new state.
+
+    Args:
+        dynamics: the compiled system, with `tx.Noise` in its rates.
+        measurements: `tx.Measurement` each.
+        method: of the mean; RKMK with RK4 if left out.
+        max_step: the longest step of a prediction in s; one step between two times if left out.
+        gate: a probability. A measurement is used only if its normalised innovation squared lies below that quantile of
+            chi-square.
+        reset: (group, d) -> (n, n), what moves covariances to the new state; `group.right_jacobian(d)` if left out,
+            which is exact to first order.
+    Raises:
+        ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
+            rates and in measurements, a gate outside of (0, 1), a reset that is no function of two arguments.
+
+    Example: `tx.estimation.ErrorStateKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
+
+    Source: Markley, Attitude error representations for Kalman filtering, JGCD 26 (2003), eq. 38-45; Sola, Quaternion
+    kinematics for the error-state Kalman filter (2017), sec. 6.3, for the reset.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        measurements: Iterable[Measurement],
+        *,
+        method: Any = None,
+        max_step: float | None = None,
+        gate: float | None = None,
+        reset: Callable[[Product, jax.Array], jax.Array] = Product.right_jacobian,
+    ) -> None:
+        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate)
+        callable_with("reset", reset, ("group", "d"), ModelError)
+        self.reset = reset
+
+    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+        x, transition, Q = self.model.step(point, h)
+        return Prediction(x, _symmetric(transition @ P @ transition.T + Q), transition)
+
+    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: Any) -> Update:
+        model = self.model
+        group = model.measurements[name].group
+        value, H, R = model.sensitivity(name, point)
+        residual = group.difference(value, z).reshape(group.dimension)
+        S = _symmetric(H @ P @ H.T + R)
+        factor = jnp.linalg.cholesky(S)
+        gain = jax.scipy.linalg.cho_solve((factor, True), H @ P).T
+        whitened = jax.scipy.linalg.solve_triangular(factor, residual, lower=True)
+        nis = whitened @ whitened
+        used = jnp.ones((), bool) if limit is None else nis <= limit
+        d = gain @ residual
+        keep = jnp.eye(model.dimension, dtype=P.dtype) - gain @ H
+        reset = self.reset(model.group, d)
+        new_P = _symmetric(reset @ (keep @ P @ keep.T + gain @ R @ gain.T) @ reset.T)
+        new_x = model.group.retract(point.x, d)
+        information = H.T @ jnp.linalg.solve(R, H)
+        size = residual.size
+        likelihood = -0.5 * (nis + size * jnp.log(2.0 * jnp.pi)) - jnp.sum(jnp.log(jnp.diag(factor)))
+        x = {key: jnp.where(used, new_x[key], point.x[key]) for key in point.x}
+        zero = jnp.zeros((), P.dtype)
+        return Update(
+            x,
+            jnp.where(used, new_P, P),
+            residual,
+            S,
+            nis,
+            used,
+            jnp.where(used, information, zero),
+            jnp.where(used, likelihood, zero),
+        )
+
+
+def _symmetric(P: jax.Array) -> jax.Array:
+    return 0.5 * (P + P.T)
