@@ -6,15 +6,15 @@ from collections.abc import Callable, Iterable
 from typing import Any
 
 import jax
-import jax.numpy as jnp
 
 from ..checks import callable_with
 from ..errors import ModelError
 from ..groups import Product
 from ..system.dynamics import Dynamics
-from .filter import Filter, Prediction, Update
+from .filter import Filter, Prediction
 from .measurement import Measurement
 from .stochastic_model import Point
+from .update import Update, linear_update, symmetric
 
 
 class ErrorStateKalman(Filter):
@@ -64,40 +64,10 @@ class ErrorStateKalman(Filter):
 
     def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)
-        return Prediction(x, _symmetric(transition @ P @ transition.T + Q), transition)
+        return Prediction(x, symmetric(transition @ P @ transition.T + Q), transition)
 
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: Any) -> Update:
-        model = self.model
-        group = model.measurements[name].group
-        value, H, R = model.sensitivity(name, point)
-        residual = group.difference(value, z).reshape(group.dimension)
-        S = _symmetric(H @ P @ H.T + R)
-        factor = jnp.linalg.cholesky(S)
-        gain = jax.scipy.linalg.cho_solve((factor, True), H @ P).T
-        whitened = jax.scipy.linalg.solve_triangular(factor, residual, lower=True)
-        nis = whitened @ whitened
-        used = jnp.ones((), bool) if limit is None else nis <= limit
-        d = gain @ residual
-        keep = jnp.eye(model.dimension, dtype=P.dtype) - gain @ H
-        reset = self.reset(model.group, d)
-        new_P = _symmetric(reset @ (keep @ P @ keep.T + gain @ R @ gain.T) @ reset.T)
-        new_x = model.group.retract(point.x, d)
-        information = H.T @ jnp.linalg.solve(R, H)
-        size = residual.size
-        likelihood = -0.5 * (nis + size * jnp.log(2.0 * jnp.pi)) - jnp.sum(jnp.log(jnp.diag(factor)))
-        x = {key: jnp.where(used, new_x[key], point.x[key]) for key in point.x}
-        zero = jnp.zeros((), P.dtype)
-        return Update(
-            x,
-            jnp.where(used, new_P, P),
-            residual,
-            S,
-            nis,
-            used,
-            jnp.where(used, information, zero),
-            jnp.where(used, likelihood, zero),
-        )
-
-
-def _symmetric(P: jax.Array) -> jax.Array:
-    return 0.5 * (P + P.T)
+    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+        measured = self.model.measurements[name].group
+        value, H, R = self.model.sensitivity(name, point)
+        residual = measured.difference(value, z)
+        return linear_update(self.model.group, point.x, P, residual, H, R, limit, self.reset)

@@ -20,6 +20,7 @@ from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
 from .records import Grid, Records, controls_on, grid_of, jumps_of
 from .stochastic_model import Point, StochasticModel
+from .update import Update
 
 
 class Estimate(NamedTuple):
@@ -35,29 +36,6 @@ class Prediction(NamedTuple):
     x: Arrays
     P: jax.Array
     transition: jax.Array
-
-
-class Update(NamedTuple):
-    """The estimate after a measurement.
-
-    Attributes:
-        x, P: state and covariance, as they were where the measurement was not used.
-        residual: (m,) $Log(h(x)^-1 z)$, in the tangent space of the measurement.
-        S: (m, m), its covariance.
-        nis: normalised innovation squared $r^T S^-1 r$, of mean m for an honest filter.
-        used: whether it passed the gate.
-        information: (n, n) $H^T R^-1 H$, what the measurement tells of the state.
-        log_likelihood: of the measurement.
-    """
-
-    x: Arrays
-    P: jax.Array
-    residual: jax.Array
-    S: jax.Array
-    nis: jax.Array
-    used: jax.Array
-    information: jax.Array
-    log_likelihood: jax.Array
 
 
 class Filter(ABC):

@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import listed
 from ..errors import ModelError
 from ..expr import Control, Expr, Noise, State, leaves_of, substitute
-from ..integrators import RKMK
+from ..integrators import RKMK, VectorField
 from ..linear.discretize import Controls, method_of, step_derivatives, value_and_jacobian
 from ..linear.linearize import around
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
@@ -92,8 +92,18 @@ class StochasticModel:
         t, x, u, params = point
         flat = self.controls.join(u, t.dtype)
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
-        middle = self.group.retract(x, 0.5 * self.group.difference(x, x1))
-        return x1, transition, self.process_noise(Point(t + 0.5 * h, middle, u, params), h)
+        return x1, transition, self.process_noise(self.halfway(point, x1, h), h)
+
+    def moved(self, point: Point, h: jax.Array) -> Arrays:
+        """The mean after h seconds."""
+        field = VectorField(self.dynamics, lambda _: point.u, point.params)
+        increment = self.method.increment(field, point.t, point.x, h)
+        return self.group.retract(point.x, self.group.join(increment))
+
+    def halfway(self, point: Point, x1: Arrays, h: jax.Array) -> Point:
+        """The middle of the geodesic from a point to the state h seconds later."""
+        middle = self.group.retract(point.x, 0.5 * self.group.difference(point.x, x1))
+        return point._replace(t=point.t + 0.5 * h, x=middle)
 
     def process_noise(self, point: Point, h: jax.Array) -> jax.Array:
         """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, (n, n), of noise with the intensity W.
