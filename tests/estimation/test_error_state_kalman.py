@@ -170,6 +170,18 @@ def test_a_prediction_on_a_group_is_that_of_gtsam() -> None:
     np.testing.assert_allclose(prediction.P, peer.covariance(), atol=1e-12)
 
 
+def test_noise_turns_with_the_body() -> None:
+    """Of a density for each axis: $Q = int_0^h Exp(-w s) W Exp(w s) ds$, by quadrature."""
+    density = np.array([0.1, 0.3, 0.2])
+    rates = {q: tx.Control("rate", shape=(3,)) + tx.Noise("n", shape=(3,), density=density)}
+    kalman = ErrorStateKalman(tx.compile(tx.System(rates=rates)), [])
+    Q = kalman.predict(0.0, {"q": ROTATED}, 0.0, 0.8, {"rate": RATE}).P
+    nodes, weights = np.polynomial.legendre.leggauss(20)
+    turns = [expm(-_hat(RATE) * 0.4 * (node + 1.0)) for node in nodes]
+    exact_Q = sum(0.4 * weight * turn @ np.diag(density**2) @ turn.T for weight, turn in zip(weights, turns))
+    np.testing.assert_allclose(Q, exact_Q, atol=1e-12)
+
+
 def test_poses_are_those_of_gtsam() -> None:
     """Its Pose3 has tangents [w; v]; the measurement is a position."""
     gtsam = pytest.importorskip("gtsam")
