@@ -61,7 +61,7 @@ def simulate(key):
 runs, truths = jax.jit(jax.vmap(simulate))(jax.random.split(jax.random.key(0), RUNS))
 verdict = runs.consistency(truths)
 errors, deviations = np.linalg.norm(runs.errors(truths)[..., 6:9], axis=-1), np.asarray(runs.deviations()["p"])
-before, after = (int(round(t / STEP)) for t in OUTAGE)
+before, after = (round(t / STEP) for t in OUTAGE)
 print(f"position: {errors[:, before].mean():.2f} m before the outage, {errors[:, after].mean():.1f} m at its end")
 print(f"by the covariance: {np.linalg.norm(deviations[:, after], axis=-1).mean():.1f} m at its end")
 print(verdict)

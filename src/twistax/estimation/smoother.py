@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -49,7 +49,7 @@ class RauchTungStriebel:
         """The smoothed states of the estimates `post`, (x, P), and predictions `prior`, (x, P, Phi), at times (k,)."""
         xs, Ps = post
 
-        def back(later: tuple[Arrays, jax.Array], row: tuple[Arrays, jax.Array, Arrays, jax.Array, jax.Array]):
+        def back(later: Any, row: Any) -> tuple[Any, Any]:
             s, N = later
             x, P, y, M, transition = row
             C = _over(P @ transition.T, M)
