@@ -166,7 +166,7 @@ def test_threads_solve_side_by_side() -> None:
 
 def test_every_option_has_a_source() -> None:
     assert list(SOURCES) == list(Options.__dataclass_fields__)
-    words = r"\[WB\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding"
+    words = r"\[WB\]|\[BV\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding"
     assert all(re.search(words, source) for source in SOURCES.values())
 
 

@@ -300,7 +300,7 @@ def test_what_is_better_than_a_saddle_counts_where_its_search_has_no_end() -> No
     result = Problem(
         dynamics, tx.Minimize(1.0 / (1.0 + x * x)), nodes=5, final_time=1.0, initial={x: 0.0}, **EULER
     ).solve(max_iterations=100)
-    assert result.status in (Status.MAX_ITERATIONS, Status.SOLVED)
+    assert result.status in (Status.MAX_ITERATIONS, Status.STALLED)
     assert result.cost < 1e-6
     assert not result.saddle
 

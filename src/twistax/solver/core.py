@@ -137,7 +137,18 @@ class ProblemStructure(ctypes.Structure):
 
 
 #: Numbers of `twx_statistics`, in its order.
-_MEASURES = ("cost", "error", "stationarity", "violation", "complementarity", "barrier", "cost_scale", "minimum")
+_MEASURES = (
+    "cost",
+    "error",
+    "stationarity",
+    "violation",
+    "complementarity",
+    "barrier",
+    "cost_scale",
+    "minimum",
+    "excess",
+    "worth",
+)
 _COUNTS = (
     *("status", "iterations", "evaluations", "factorizations", "corrections", "restorations"),
     *("restoration_iterations", "filter_resets", "inertia_corrections"),

@@ -21,7 +21,10 @@ from .stages import Stages
 from .transcription import Transcription, TranscriptionStructure
 
 #: What a result has after its arrays, in the order of members.h.
-MEASURES = ("cost", "error", "violation", "stationarity", "complementarity", "minimum", "status", "iterations")
+MEASURES = (
+    *("cost", "error", "violation", "stationarity", "complementarity", "minimum", "excess", "worth"),
+    *("status", "iterations"),
+)
 
 #: Words of the calls that run at once: TWX_JOBS TWX_JOB_WORDS of members.h.
 _JOBS = 16 * 16

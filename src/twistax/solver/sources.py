@@ -24,6 +24,7 @@ _FILES = (
     "filter",
     "line_search",
     "restoration",
+    "optimum",
     "solve",
     "linearised",
     "kernels",

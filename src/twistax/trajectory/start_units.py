@@ -47,12 +47,27 @@ class StartUnits:
             for change, of_rows, at_place in zip(changes, staged.stages_of_rows, places):
                 change[at_place] += 0.5 * curvatures[of_rows[at_place]]
         self.rows, self.equalities = staged.levelled_rows(*changes)
-        change_of_cost = np.abs(at.gradient) @ self.v + 0.5 * at.curvatures(at.H, self.v).sum()
+        moves = self._followed(at)
+        change_of_cost = np.abs(at.gradient) @ moves + 0.5 * at.curvatures(at.H, moves).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
             step = np.random.default_rng(0).uniform(0.5, 1.0, len(self.v)) * self.v
             there = Evaluated(staged.transcription, moved(staged.transcription, staged.flat(point), step))
             change_of_cost = abs(there.cost[0] - at.cost[0])
         self.cost = float(change_of_cost) if np.isfinite(change_of_cost) and change_of_cost > 0.0 else 1.0
+
+    def _followed(self, at: Evaluated) -> Array:
+        """Moves by the units, shorter where a state at the end of the interval moves by more than its unit."""
+        stages, moves = at.stages, self.v.copy()
+        for run, F in at.batches(at.F, stages.after):
+            count, width = run.stop - run.start, stages.columns[run.start] - stages.parameters
+            first, rows = stages.first[run.start], stages.after[run.start]
+            if not rows:
+                continue
+            inner = moves[first : first + count * width].reshape(count, width)
+            ends = np.stack([self.v[stages.first[k + 1] :][:rows] for k in range(run.start, run.stop)])
+            ratio = (np.abs(F[:, :, :width]) * inner[:, None, :] / ends[:, :, None]).max(axis=1)
+            inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
+        return moves
 
     def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""

@@ -22,7 +22,7 @@
 #include <stdint.h>
 
 typedef enum {
-  TWX_SOLVED = 0,            /* the scaled error is at most the tolerance */
+  TWX_SOLVED = 0,            /* the scaled error is at most the tolerance, and so is the excess of the cost */
   TWX_MAX_ITERATIONS = 1,
   TWX_INFEASIBLE = 2,        /* a stationary point of the violation */
   TWX_STALLED = 3,           /* the search direction is too small, or the line search fails at a feasible point */
@@ -76,6 +76,7 @@ typedef struct { /* one iteration */
 typedef struct {
   double cost, error, stationarity, violation, complementarity, barrier, cost_scale;
   double minimum;             /* 1: of a solution, the second-order conditions of a minimum hold */
+  double excess, worth;       /* estimate of the cost less that of the minimum nearby, and what it is measured by */
   int32_t status, iterations, evaluations, factorizations, corrections, restorations, restoration_iterations,
       filter_resets, inertia_corrections;
   twx_record *log; /* rows for the first `log_rows` iterations, or NULL */

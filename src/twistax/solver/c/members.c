@@ -95,7 +95,8 @@ static void solve_member(const twx_form *form, const double *row, double *result
   problem.lower = v + n.variables, problem.upper = problem.lower + n.variables;
   problem.user = memory, problem.stop = is_stopped;
   twx_solve(&problem, &form->options, z, &solution, memory + used, &t);
-  const double found[TWX_MEASURES] = {t.cost, t.error, t.violation, t.stationarity, t.complementarity, t.minimum, t.status, t.iterations};
+  const double found[TWX_MEASURES] = {t.cost, t.error, t.violation, t.stationarity, t.complementarity, t.minimum,
+                                      t.excess, t.worth, t.status, t.iterations};
   memcpy(measures, found, sizeof found);
 }
 

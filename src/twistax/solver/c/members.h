@@ -1,7 +1,8 @@
 /* Many problems of one form at once: each member of a batch is a row of numbers.
  *
  * A row of a solve is data | z | v | lower | upper. Its result is
- * z | v | s | lambda | y | ye | zl | zu | cost, error, violation, stationarity, complementarity, minimum, status, iterations.
+ * z | v | s | lambda | y | ye | zl | zu | cost, error, violation, stationarity, complementarity, minimum, excess, worth,
+ * status, iterations.
  * A row of a linearisation is z | lambda | y | ye | bound_weights | row_weights | solved, beside it right sides as
  * `twx_linearised` has them. Its result are the moves; these are NaN where `solved` is 0, or there is no strict minimum.
  */
@@ -9,7 +10,7 @@
 #define TWX_MEMBERS_H
 #include "transcription.h"
 
-#define TWX_MEASURES 8
+#define TWX_MEASURES 10
 #define TWX_JOBS 16
 #define TWX_JOB_WORDS 16
 

@@ -67,10 +67,27 @@ static void measure_step(twx_work *w, phase *f) {
   f->merit = merit_of(w, f, &w->here), f->bounds = twx_barrier_of_bounds(w, &w->here, f->barrier);
 }
 
+static int32_t is_lower(twx_work *w, const phase *f, double length) {
+  return merit_of(w, f, &w->trial) <= f->merit + 1e-4 * length * f->slope + 10 * TWX_EPSILON * fabs(f->merit);
+}
+
+/* A second-order correction of the dynamics at the trial, as in [WB] A-5.9: without one the penalty of curved dynamics
+ * rejects all but short steps. */
+static int32_t correct_defects(twx_work *w, const phase *f, double length) {
+  twx_residual *r = &w->correction;
+  memcpy(r->v, w->right.v, sizeof(double) * w->variables), memcpy(r->s, w->right.s, sizeof(double) * w->rows);
+  memcpy(r->h, w->right.h, sizeof(double) * w->rows), memcpy(r->e, w->right.e, sizeof(double) * (size_t)w->ne);
+  for (size_t i = 0; i < w->defects; i++) r->c[i] = length * w->right.c[i] + w->trial.c[i];
+  twx_solve_system(w, r, &w->corrected, 0);
+  w->statistics->corrections++;
+  return !twx_move(w, &w->corrected, twx_primal_length(w, &w->corrected)) && is_lower(w, f, length);
+}
+
 static double search_merit(twx_work *w, const phase *f) {
-  for (double length = twx_primal_length(w, &w->step); length > LENGTH_LEAST; length *= 0.5) {
+  const double longest = twx_primal_length(w, &w->step);
+  for (double length = longest; length > LENGTH_LEAST; length *= 0.5) {
     if (twx_move(w, &w->step, length)) continue;
-    if (merit_of(w, f, &w->trial) <= f->merit + 1e-4 * length * f->slope + 10 * TWX_EPSILON * fabs(f->merit)) return length;
+    if (is_lower(w, f, length) || (length == longest && correct_defects(w, f, length))) return length;
   }
   return 0;
 }

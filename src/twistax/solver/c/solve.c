@@ -16,7 +16,7 @@ static twx_status update_barrier(twx_work *w, twx_search *search) {
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
     if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
-    const double before = w->barrier, least = twx_min(o->tolerance, o->complementarity) / (o->barrier_error + 1);
+    const double before = w->barrier, least = w->closer * o->barrier_least;
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
     w->filter_rows = search->by_filter = search->shortened = 0;
@@ -78,12 +78,22 @@ static double largest_variable(const twx_work *w) {
   return most;
 }
 
-/* Keep the iterate with the smallest error. */
-static void keep_best(twx_work *w, const twx_measures *m) {
-  if (!(m->error < w->best_error)) return;
-  w->best_error = m->error;
+static void keep(twx_work *w) {
   twx_copy_iterate(w, &w->best, &w->iterate);
   memcpy(w->best_z, w->here.z, sizeof(double) * w->points);
+}
+
+/* Keep the iterate with the smallest error, unless one was acceptable. */
+static void keep_best(twx_work *w, const twx_measures *m) {
+  if (m->error < w->best_error) w->best_error = m->error, keep(w);
+}
+
+/* Keep the iterate that meets the conditions with the smallest excess, if that is acceptable. */
+static void keep_acceptable(twx_work *w) {
+  const twx_statistics *t = w->statistics;
+  if (!(t->excess <= w->options->excess_acceptable * t->worth) || (w->nearly > 0 && !(t->excess < w->best_excess))) return;
+  w->best_error = -INFINITY, w->best_excess = t->excess, w->nearly = twx_max(w->nearly, 1);
+  keep(w);
 }
 
 /* How a solve ends that came to no end: with the best iterate, if it is better than the last one. */
@@ -95,10 +105,16 @@ static void end_at_best(twx_work *w) {
   report(w, &best);
 }
 
-static int32_t is_solution(const twx_work *w, const twx_measures *m) {
+/* Whether the optimality conditions hold, and the cost is as close to the minimum as asked for. If the units say the
+ * first and the estimate does not agree, the search goes on to a smaller barrier. */
+static int32_t is_solution(twx_work *w, const twx_measures *m) {
   const twx_options *o = w->options;
-  return m->error <= o->tolerance && m->violation <= o->violation &&
-         (m->complementarity <= o->complementarity || m->gap <= o->gap * fabs(w->here.cost));
+  if (!(m->error <= o->tolerance && m->violation <= o->violation)) return 0;
+  if (!(m->complementarity <= o->complementarity || m->gap <= o->gap * fabs(w->here.cost))) return 0;
+  if (twx_measure_optimum(w)) return 1;
+  if (m->error <= w->closer * o->tolerance) w->closer *= o->closer;
+  keep_acceptable(w);
+  return 0;
 }
 
 static twx_status iterate(twx_work *w) {
@@ -114,6 +130,7 @@ static twx_status iterate(twx_work *w) {
     keep_best(w, &m);
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
+    if (w->nearly > 0 && w->nearly++ > o->acceptable_iterations) return TWX_ACCEPTABLE;
     if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;
@@ -128,13 +145,6 @@ static twx_status iterate(twx_work *w) {
     if (status != TWX_SOLVED) return status;
   }
   return TWX_STALLED;
-}
-
-/* Whether a solution is a minimum to second order: the linear system has the inertia of one, but for rounding. */
-static double is_minimum(twx_work *w) {
-  if (twx_differentiate_twice(w)) return 0;
-  twx_right_side(w, w->barrier);
-  return twx_factorize_weighted(w, w->options->curvature);
 }
 
 /* The result in the problem's units. */
@@ -171,7 +181,7 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   twx_work work, *const w = &work;
   twx_statistics fresh = {0};
   fresh.log = statistics->log, fresh.log_rows = statistics->log_rows;
-  fresh.cost = fresh.error = fresh.stationarity = fresh.violation = fresh.complementarity = NAN;
+  fresh.cost = fresh.error = fresh.stationarity = fresh.violation = fresh.complementarity = fresh.excess = NAN;
   *statistics = fresh;
   if (!twx_workspace_size(problem)) return statistics->status = TWX_BAD_PROBLEM;
   twx_carve(w, problem, workspace);
@@ -181,9 +191,11 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   if (status == TWX_BAD_PROBLEM) return statistics->status = status;
   if (status == TWX_SOLVED) {
     status = iterate(w);
-    if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) end_at_best(w);
+    if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) {
+      end_at_best(w);
+      if (status != TWX_NON_FINITE && status != TWX_STOPPED) twx_measure_optimum(w);
+    }
   }
-  if (status == TWX_SOLVED || status == TWX_ACCEPTABLE) statistics->minimum = is_minimum(w);
   unscale(w, z, solution);
   return statistics->status = status;
 }

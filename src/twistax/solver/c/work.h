@@ -46,7 +46,7 @@ typedef struct {
   twx_iterate iterate, step, corrected, refinement, watchdog, best;
   twx_values here, trial;
   double *watchdog_z, *best_z, *moved; /* moved: a step in the problem's units */
-  double best_error;
+  double best_error, best_excess;
   twx_residual right, correction, residual;
   double *lower, *upper, *size, *free; /* of v; free: 1 or 0 */
   double *row_scale, *equality_scale, cost_scale;
@@ -56,6 +56,8 @@ typedef struct {
   double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
   double *filter;
   int32_t filter_rows;
+  double closer;     /* factor of the tolerances to which the barrier falls */
+  double nearly;     /* iterations since the excess was acceptable */
   double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
   double softening, border_softness, local_softness; /* of equalities that depend on each other */
 } twx_work;
@@ -127,6 +129,9 @@ TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32
 TWX_INTERNAL double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier);
 TWX_INTERNAL double twx_barrier(const twx_work *w, const twx_values *at);
 TWX_INTERNAL twx_measures twx_measure(twx_work *w, double barrier);
+
+/* optimum.c */
+TWX_INTERNAL int32_t twx_measure_optimum(twx_work *w);
 
 /* start.c */
 TWX_INTERNAL int32_t twx_read_problem(twx_work *w);

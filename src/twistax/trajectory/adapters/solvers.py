@@ -166,7 +166,7 @@ class _Casadi:
             if not result.success:  # the units of the statement may be what it failed by
                 units, here = core.units(start.point if isinstance(start, WarmStart) else start, instance), start
                 continue
-            here = strategies.warm_at(outcome, instance)
+            here = WarmStart(None, outcome.point, outcome.dynamics, outcome.rows, outcome.scales, instance.params)
             if not turned:
                 units = core.units(reached.point, instance)
         return run.at_rest(outcome)

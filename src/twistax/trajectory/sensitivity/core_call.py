@@ -119,7 +119,8 @@ class CoreCall:
     def is_solved(self, values: Mapping[str, Any]) -> Any:
         """Whether it is, as far as the core knows: it has no rows that ends alone decide."""
         most = jnp.maximum(COST * values["error"], values["violation"])
-        return (values["status"] == CoreStatus.SOLVED.value) | (most <= self._tolerance)
+        is_close = values["excess"] <= self._tolerance * values["worth"]
+        return (values["status"] == CoreStatus.SOLVED.value) | ((most <= self._tolerance) & is_close)
 
 
 def _put(array: Any, places: Array, value: Any, is_fixed: Any) -> Any:

@@ -25,11 +25,8 @@ from .outcome import Outcome
 from .status import Status
 from .warm import WarmStart
 
-#: The core's tolerance over that of a solve, and of complementarity over that; what slacks can change of the objective
-#: counts as a sum, so it is smaller where there are more inequalities than so many.
-_CLOSER, _FEW, _EXACT = 0.1, 2, 0.005
-#: The factor of that for a warm start, which begins near, and is one of many solves.
-_NEAR = 10.0
+#: The core's tolerance over that of a solve, and its least barrier parameter, by which bounds are relaxed, over that.
+_CLOSER, _LEAST = 0.1, 1e-3
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
@@ -76,11 +73,11 @@ class CoreSolver:
         stages = staged.transcription.stages
         self.largest_step = np.where(staged.turning, _TURN, np.inf)
         self.largest_step[stages.variables - stages.parameters + np.arange(staged.border.phases)] = -_CHANGE
-        inequalities = max(1, int((self.transcribed.exists & ~self.transcribed.equality).sum()))
-        closest = self._closest = _EXACT * _CLOSER * tolerance * min(1.0, _FEW / inequalities) / COST
-        self._exactly = {"tolerance": _CLOSER * tolerance / COST, "violation": _CLOSER * tolerance}
-        self._exactly |= {"complementarity": closest, "gap": _CLOSER * tolerance, "acceptable": tolerance / COST}
-        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, closest)}
+        scaled = _CLOSER * tolerance / COST
+        self._exactly = {"tolerance": scaled, "complementarity": scaled, "violation": _CLOSER * tolerance}
+        self._exactly |= {"barrier_least": _LEAST * tolerance}
+        self._exactly |= {"excess": _CLOSER * tolerance, "excess_acceptable": tolerance, "acceptable": tolerance / COST}
+        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, _LEAST * tolerance)}
 
     def alone(self, instance: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
@@ -120,9 +117,10 @@ class CoreSolver:
             is_guess: whether a point may be far from a trajectory.
         """
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
-        if isinstance(start, WarmStart) and start.units is not None and not as_stated:
+        known = start.units if isinstance(start, WarmStart) and not as_stated else None
+        if known is not None and known.fit(self.staged, point):
             self.staged.set_given(instance)
-            units = copy.copy(start.units)
+            units = copy.copy(known)
         else:
             units = self.units(point, instance, is_guess=is_guess and not isinstance(start, WarmStart))
         units.cost = max(units.cost, cost_floor)
@@ -141,9 +139,7 @@ class CoreSolver:
             outcome = self._as_it_is(warm, begin)
             if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
                 return outcome
-        closer = min(_CLOSER * self.tolerance, _NEAR * self._closest)
-        near = {"complementarity": closer, **_near(violated)}
-        return self.measure.outcome(self._call(begin, {**options, **near}, warm, check), units, instance)
+        return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
 
     def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""

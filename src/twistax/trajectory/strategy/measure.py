@@ -124,8 +124,9 @@ class Measure:
         numbers, tolerance = result.statistics, self._tolerance
         holds = numbers["violation"] <= tolerance and violated <= tolerance
         optimal = max(errors.stationarity, errors.complementarity, errors.gap) <= tolerance
-        if result.status is CoreStatus.SOLVED or (holds and optimal):
+        excess = numbers["excess"] / numbers["worth"] if numbers["excess"] > 0.0 else 0.0
+        if result.status is CoreStatus.SOLVED or (holds and optimal and excess <= tolerance):
             return Status.SOLVED
         if result.status in _STATUS:
             return _STATUS[result.status]
-        return Status.ACCEPTABLE if numbers["error"] <= _ACCEPTABLE * tolerance else Status.STALLED
+        return Status.ACCEPTABLE if max(numbers["error"], excess) <= _ACCEPTABLE * tolerance else Status.STALLED

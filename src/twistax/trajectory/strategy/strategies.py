@@ -21,14 +21,8 @@ from .outcome import Outcome, Scales
 from .status import AT_OPTIMUM, Status
 from .warm import WarmStart
 
-#: A result whose errors are so many tolerances in units that fit it is left as it is.
-_CLOSE = 10.0
-#: Rounds in better units; no unit of the objective is a smaller share of the one before.
-_ROUNDS, _SMALL = 10, 1e-6
-#: So many tolerances of the objective are the error of a result.
-_NOISE = 100.0
-#: Where the unit of the objective was so many times too large, multipliers are worth nothing, too.
-_USELESS = 1e3
+#: No unit of the objective at the end of a run is a smaller share of the one before.
+_SMALL = 1e-6
 #: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
@@ -37,6 +31,8 @@ _MOST = 500
 _ASIDE, _ASIDE_TIMES = 0.01, 2
 #: Runs that end so may have been led there by durations that are free.
 _AT_REST = {Status.INFEASIBLE, Status.STALLED, Status.MAX_ITERATIONS}
+#: Runs that end so at a lower objective than that of a saddle count; others do where they meet every constraint.
+_BETTER = (Status.SOLVED, Status.UNBOUNDED)
 #: Steps away from a solution that is no minimum, in sizes: a longer one where the search comes back.
 _AWAY = (0.1, 0.3, 1.0)
 
@@ -145,45 +141,19 @@ class _Search:
 
 
 def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
-    """Solve again with the objective in a unit that fits the result, if that of the start was far off.
+    """Solve, and once more in units that fit the end of a failed run, if those of its start were far off.
 
-    What it changes: an exponential of a state that is far away at the start has a unit of 1e21, in which any point is
-    optimal.
+    What it changes: an exponential of a state that is far away at the start has a unit of 1e21.
     """
     result = solve(start, instance)
-    known = start.units if isinstance(start, WarmStart) and result.status is Status.SOLVED else None
-    if known is not None and known.fit(solver.staged, result.point):  # those of an earlier result close by
+    if result.status in (*AT_OPTIMUM, Status.NON_FINITE, Status.UNBOUNDED):
         return result
-    for _ in range(_ROUNDS):
-        if result.status in (Status.NON_FINITE, Status.UNBOUNDED):
-            break
-        fresh, used = solver.units(result.point, instance), result.scales
-        floor = _SMALL * float(used.cost)
-        ratio, far = float(used.cost) / max(fresh.cost, floor), _are_far(solver, fresh, used)
-        error = max(result.errors.stationarity, result.errors.gap)
-        if not far and (ratio <= 1.0 or (result.status in AT_OPTIMUM and ratio * error <= _CLOSE * solver.tolerance)):
-            result = dataclasses.replace(result, units=fresh)  # for warm starts there
-            break
-        if result.status in AT_OPTIMUM:
-            measured = solver.run_once(warm_at(result, instance), instance, 0)
-            if measured.status in AT_OPTIMUM:
-                result = dataclasses.replace(measured, iterations=result.iterations, saddle=result.saddle)
-                break
-        # Multipliers are worth something where the units were.
-        near = ratio <= _USELESS and not far and result.status in AT_OPTIMUM
-        again = solve(warm_at(result, instance) if near else result.point, instance, floor, is_guess=False)
-        if again.status not in AT_OPTIMUM or again.cost > result.cost + _NOISE * solver.tolerance * float(used.cost):
-            break
-        settled = abs(again.cost - result.cost) <= solver.tolerance * float(again.scales.cost)
-        result = again
-        if settled:
-            break
-    return result
-
-
-def warm_at(result: Outcome, instance: Given) -> WarmStart:
-    """A warm start from a result."""
-    return WarmStart(None, result.point, result.dynamics, result.rows, result.scales, instance.params)
+    fresh, used = solver.units(result.point, instance), result.scales
+    floor = _SMALL * float(used.cost)
+    if max(fresh.cost, floor) >= float(used.cost) and not _are_far(solver, fresh, used):
+        return result
+    again = solve(result.point, instance, floor, is_guess=False)
+    return again if again.status in AT_OPTIMUM else result
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
@@ -205,7 +175,9 @@ def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: 
             other = solve(other_starts.beside(solver, result.point, result.scales, size, seed, controls_alone=True))
             seed += 1
             lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)
-            if lower and other.status in (Status.SOLVED, Status.UNBOUNDED):
+            if lower and (
+                other.status in _BETTER or (other.status in _AT_REST and other.violation <= solver.tolerance)
+            ):
                 better = other
                 break
         if better is None:

@@ -1,0 +1,48 @@
+/* What a point is to second order: whether it is a minimum, and by how much its cost may be above that of the minimum. */
+#include "work.h"
+
+/* The worth of violations at the present multipliers. */
+static double worth_of_violations(const twx_work *w) {
+  const twx_iterate *q = &w->iterate;
+  double sum = 0;
+  for (size_t i = 0; i < w->defects; i++) sum += fabs(q->lambda[i] * w->here.c[i]);
+  for (size_t i = 0; i < w->rows; i++) sum += fabs(q->y[i] * (w->here.h[i] + q->s[i]));
+  for (size_t i = 0; i < (size_t)w->ne; i++) sum += fabs(q->ye[i] * w->here.e[i]);
+  return sum;
+}
+
+/* The largest change of the cost, to first order, where a state moves by as much as it reaches, but at most by its unit. */
+static double worth_of_states(const twx_work *w) {
+  double most = 0;
+  FOR_STAGES(w, k, s) {
+    for (int32_t i = 0; i < s->next; i++) {
+      double reach = 0;
+      for (int32_t other = 0; other <= w->N; other++)
+        if (i < w->stages[other].nx) reach = twx_max(reach, fabs(w->iterate.v[w->stages[other].v + (size_t)i]));
+      most = twx_max(most, fabs(w->iterate.lambda[s->c + (size_t)i]) * (reach > 0 ? twx_min(1, reach) : 1));
+    }
+  }
+  return most;
+}
+
+/* Sets `minimum`, whether the linear system has the inertia of a minimum but for rounding, and `excess`, the slope of the
+ * cost along Newton's step to a barrier of zero with the worth of violations: no unit changes it. Returns whether the
+ * excess is small beside the cost, or beside what states are worth where the cost is near zero.
+ * Source: S. Boyd and L. Vandenberghe, Convex Optimization (2004), 9.5.1, the square of Newton's decrement. */
+int32_t twx_measure_optimum(twx_work *w) {
+  const twx_options *o = w->options;
+  twx_statistics *t = w->statistics;
+  t->minimum = 0, t->excess = INFINITY;
+  t->worth = twx_max(TWX_EPSILON * TWX_EPSILON, twx_max(fabs(w->here.cost), twx_min(1, worth_of_states(w))));
+  if (twx_differentiate_twice(w)) return 0;
+  twx_right_side(w, 0);
+  t->minimum = twx_factorize_weighted(w, 0);
+  for (double identity = 1e-12; !(t->minimum > 0) && identity <= o->curvature; identity *= 100) t->minimum = twx_factorize_weighted(w, identity);
+  if (t->minimum > 0 || twx_correct_inertia(w)) {
+    twx_solve_system(w, &w->right, &w->step, 1);
+    t->excess = fabs(twx_slope(w, &w->step)) + worth_of_violations(w);
+  }
+  const int32_t is_close = t->excess <= o->excess * t->worth;
+  t->excess /= w->cost_scale, t->worth /= w->cost_scale;
+  return is_close;
+}
