@@ -94,11 +94,11 @@ def test_the_gate_leaves_outliers_out() -> None:
 
 
 def test_controls_may_be_a_table_that_jumps_between_records() -> None:
-    table = tx.ZeroOrderHold([0.0, 0.17], [1.0, -2.0])
+    table = tx.ZeroOrderHold([0.0, 0.1705], [1.0, -2.0])
     start: Any = ({"x": np.array([1.0, 0.0])}, 1.0)
     jump = filter_of().run({"position": ([0.3], [0.5])}, *start, t0=0.0, u={"u": table}).prior_xs["x"][-1]
     m = np.array([1.0, 0.0])
-    for h, u in ((0.17, 1.0), (0.13, -2.0)):
+    for h, u in ((0.1705, 1.0), (0.1295, -2.0)):
         F = expm(A * h)
         m = F @ m + np.linalg.solve(A, (F - np.eye(2)) @ B) * u
     np.testing.assert_allclose(jump, m, atol=1e-12)
@@ -127,6 +127,8 @@ def test_single_precision_stays_single() -> None:
     start: Any = ({"x": np.zeros(2, np.float32)}, np.float32(1.0))
     run = ErrorStateKalman(OSCILLATOR, [POSITION]).run({"position": (TIMES, VALUES)}, *start, u={"u": 0.0})
     assert {a.dtype for a in jax.tree.leaves(run)} == {np.dtype("float32"), np.dtype(bool)}
+    late = ErrorStateKalman(OSCILLATOR, [POSITION]).run({"position": (TIMES + 1e6, VALUES)}, *start, u={"u": 0.0})
+    np.testing.assert_allclose(late.P, run.P, rtol=1e-5)
 
 
 # ---- on groups -------------------------------------------------------------------------------------------------------

@@ -148,7 +148,9 @@ class Filter(ABC):
         grid = grid_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
         controls = controls_on(u, grid.ts, point.t.dtype)
         covariance = self._covariance(P0, point)
-        traced = self._scan(grid.ts, grid.values, grid.present, controls, point.x, covariance, point.params)
+        # Lengths are differences in double precision: single precision loses them where times are large.
+        ts, lengths = (jnp.asarray(a, point.t.dtype) for a in (grid.ts, np.diff(grid.ts, prepend=grid.ts[0])))
+        traced = self._scan(ts, lengths, grid.values, grid.present, controls, point.x, covariance, point.params)
         run = self._result(grid, *traced)
         if not is_traced(traced):
             run.check()
@@ -173,10 +175,7 @@ class Filter(ABC):
 
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
-        def scan(ts: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
-            dtype = P0.dtype
-            lengths = jnp.diff(ts, prepend=ts[:1]).astype(dtype)
-
+        def scan(ts: Any, lengths: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
             def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
                 t, h, z, seen, u = row
                 before = Point(t - h, carry.x, u, params)
@@ -189,11 +188,10 @@ class Filter(ABC):
                 post = Estimate(x, P)
                 return post, (prior, post, updates)
 
-            rows = (ts.astype(dtype), lengths, values, present, controls)
+            rows = (ts, lengths, values, present, controls)
             return jax.lax.scan(advance, Estimate(x0, P0), rows)[1]
 
-        jitted = jax.jit(scan)
-        return lambda ts, *arrays: jitted(jnp.asarray(ts), *arrays)
+        return jax.jit(scan)
 
     def _if_present(self, name: str, point: Point, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
