@@ -249,3 +249,15 @@ def test_bad_records_are_refused(records: Any, options: dict[str, Any], message:
 
 def _hat(w: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
+
+
+@pytest.mark.parametrize(("nis", "used"), [(3.8, True), (3.9, False)])
+def test_the_gate_is_a_quantile_of_chi_square(nis: float, used: bool) -> None:
+    """3.841 at 0.95, of one degree of freedom; with P = R = 1 the innovation has the variance 2."""
+    p = tx.State("p")
+    dynamics = tx.compile(tx.System(rates={p: 0.0}))
+    kalman = ErrorStateKalman(dynamics, [tx.Measurement("y", p, covariance=1.0)], gate=0.95)
+    update = kalman.update("y", 0.0, {"p": 0.0}, 1.0, np.sqrt(2.0 * nis))
+    np.testing.assert_allclose(update.nis, nis, rtol=1e-12)
+    assert bool(update.used) is used
+    np.testing.assert_allclose(update.P, [[0.5 if used else 1.0]])
