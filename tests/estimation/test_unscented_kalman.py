@@ -36,6 +36,15 @@ def test_the_mean_of_a_square_has_the_variance() -> None:
     np.testing.assert_allclose(update.S, [[4.0 * 1.5**2 * 0.3 + 0.01]], rtol=1e-12)
 
 
+def test_what_a_line_does_not_explain_is_noise() -> None:
+    """Of two states the points lie at $+- 2^(1/2)$ deviations, so squares have the variance 4 m^2 P + P^2."""
+    x = tx.State("x", shape=(2,))
+    square = tx.Measurement("y", x[0] ** 2, covariance=0.01)
+    kalman = UnscentedKalman(tx.compile(tx.System(rates={x: np.zeros(2)})), [square])
+    update = kalman.update("y", 0.0, {"x": np.array([1.5, 0.0])}, 0.3, 4.0)
+    np.testing.assert_allclose(update.S, [[4.0 * 1.5**2 * 0.3 + 0.3**2 + 0.01]], rtol=1e-12)
+
+
 def test_small_covariances_on_a_group_are_those_of_the_error_state_filter() -> None:
     q = tx.State("q", group=tx.SO3)
     rates = {q: tx.Control("rate", shape=(3,)) + tx.Noise("n", shape=(3,), density=1e-4)}
