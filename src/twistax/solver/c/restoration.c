@@ -11,6 +11,7 @@
 #define BARRIER_DECREASE 0.1
 #define LENGTH_LEAST 1e-12
 #define PENALTY_LEAST 1.0     /* multipliers that vanish would leave the defects free */
+#define SLOPE_NEAR 1e-2       /* over the least barrier; over others [WB] (7), kappa_epsilon */
 #define SLOPE_STEEP 1e-3      /* relative to the same: more is none, though rounding may hide the decrease */
 #define SLOPE_LEAST 1e-8      /* relative to the squares and the defects: less is a stationary point */
 
@@ -117,7 +118,8 @@ static twx_status reduce_violation(twx_work *w) {
       if (violation <= o->restoration_decrease * before && twx_filter_accepts(w, violation, twx_barrier(w, &w->here)))
         return TWX_SOLVED;
     }
-    if (length == 0 || f.slope > -1e-2 * f.barrier) {
+    const double near = f.barrier < BARRIER_LEAST ? SLOPE_NEAR : o->barrier_error;
+    if (length == 0 || f.slope > -near * f.barrier) {
       /* Where no step helps though a large part of the violation would vanish by one, or it overflows, nothing is
        * stationary. */
       const int32_t steep = !(f.slope >= -SLOPE_STEEP * (f.merit - f.bounds));

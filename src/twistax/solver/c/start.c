@@ -24,7 +24,8 @@ static double pushed(const twx_options *o, double v, double lower, double upper)
   return v;
 }
 
-/* Bounds relaxed, and the start moved inside of them. */
+/* Bounds relaxed relative to themselves, so that none at zero changes the sign of what is divided by; and the start moved
+ * inside of them. */
 static int32_t push_inside(twx_work *w) {
   const twx_options *o = w->options;
   double *const d = w->step.v, *const v = w->iterate.v;
@@ -34,8 +35,8 @@ static int32_t push_inside(twx_work *w) {
       d[i] = w->lower[i] - v[i];
       continue;
     }
-    if (twx_has(w->lower[i])) w->lower[i] -= o->bound_relaxation * twx_max(1, fabs(w->lower[i]));
-    if (twx_has(w->upper[i])) w->upper[i] += o->bound_relaxation * twx_max(1, fabs(w->upper[i]));
+    if (twx_has(w->lower[i])) w->lower[i] -= o->bound_relaxation * fabs(w->lower[i]);
+    if (twx_has(w->upper[i])) w->upper[i] += o->bound_relaxation * fabs(w->upper[i]);
     d[i] = pushed(o, v[i], w->lower[i], w->upper[i]) - v[i];
   }
   memset(w->step.s, 0, sizeof(double) * w->rows);

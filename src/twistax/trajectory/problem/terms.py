@@ -1,4 +1,5 @@
-"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which is twice differentiable.
+"""Norms as second-order cones: |a| <= b as a.a <= b^2 and b >= 0, which is twice differentiable. Where b is a variable
+of its own, |a|^2 / b <= b, whose multiplier stays finite as b goes to zero.
 
 Roots of squares are norms, and magnitudes of entries go likewise: |a| <= b as a <= b and -a <= b.
 """
@@ -26,6 +27,7 @@ from ...expr import (
     Parameter,
     Power,
     Sqrt,
+    State,
     Sub,
     leaves_of,
 )
@@ -64,12 +66,11 @@ def without_norms(residual: Expr) -> list[Expr]:
 
 def bound_rows(s: Control, size: Expr) -> list[Expr]:
     """Smooth rows, <= 0, that say size <= s where s is not negative."""
-    rows = [_square(size) - s * s] if is_norm(size) else without_norms((size - s).canonicalize())
-    return [row.canonicalize() for row in rows]
+    return [bound_row(size, s)] if is_norm(size) else without_norms((size - s).canonicalize())
 
 
-def continuous_bound(size: Expr, s: Control) -> Expr:
-    """A residual, <= 0 where size <= s, s > 0, for an s that is a state: |a|^2 / s - s for a norm.
+def bound_row(size: Expr, s: State | Control) -> Expr:
+    """A residual, <= 0 where size <= s, s > 0: |a|^2 / s - s for a norm.
 
     Its multiplier stays finite as s goes to zero. That of a square goes like 1 / s, and steps halve s.
     Source: H. Y. Benson, R. J. Vanderbei, Solving problems with semidefinite and related constraints using

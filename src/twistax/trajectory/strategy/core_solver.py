@@ -25,8 +25,8 @@ from .outcome import Outcome
 from .status import Status
 from .warm import WarmStart
 
-#: The core's tolerance over that of a solve, and its least barrier parameter, by which bounds are relaxed, over that.
-_CLOSER, _LEAST = 0.1, 1e-3
+#: Over the tolerance of a solve: the core's tolerance, its least barrier parameter, and by how much it relaxes bounds.
+_CLOSER, _LEAST, _RELAXED = 0.1, 1e-3, 1e-2
 #: The largest turn of a step, rad, and the largest change of a duration, relative: one that falls faster is at
 #: its limit before states and controls have followed it.
 _TURN, _CHANGE = 1.5, 0.2
@@ -75,9 +75,9 @@ class CoreSolver:
         self.largest_step[stages.variables - stages.parameters + np.arange(staged.border.phases)] = -_CHANGE
         scaled = _CLOSER * tolerance / COST
         self._exactly = {"tolerance": scaled, "complementarity": scaled, "violation": _CLOSER * tolerance}
-        self._exactly |= {"barrier_least": _LEAST * tolerance}
+        self._exactly |= {"barrier_least": _LEAST * tolerance, "row_relaxation": 0.0}
+        self._exactly |= {"bound_relaxation": min(1e-8, _RELAXED * tolerance)}
         self._exactly |= {"excess": _CLOSER * tolerance, "excess_acceptable": tolerance, "acceptable": tolerance / COST}
-        self._exactly |= {"row_relaxation": 0.0, "bound_relaxation": min(1e-8, _LEAST * tolerance)}
 
     def alone(self, instance: Given) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""

@@ -22,7 +22,7 @@ from ....system.dynamics import Dynamics
 from ...transcription.mesh import Mesh
 from ..controls import Linear, Spline, continuous_controls, rates_among
 from ..statement import Objective
-from ..terms import continuous_bound, is_mixed, sizes_in
+from ..terms import bound_row, is_mixed, sizes_in
 from .bridge import Bridge, Path, Statement, extended
 
 #: Names of what free node times add.
@@ -65,7 +65,7 @@ class ContinuousControls(Bridge):
         if continuous:
             running, bounds = _with_bounds(statement.objective, set(continuous))
             self._smooth |= {s.name: s for s, _ in bounds}
-            rows = {s.name: continuous_bound(size, s) <= 0.0 for s, size in bounds}
+            rows = {s.name: bound_row(size, s) <= 0.0 for s, size in bounds}
             self.bounds = {s.name: size for s, size in bounds}
             objective = type(statement.objective)(statement.objective.final, running=running)
             statement = dataclasses.replace(statement, objective=objective)
