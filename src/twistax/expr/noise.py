@@ -35,7 +35,7 @@ class Noise(Leaf):
     """
 
     density: Expr
-    cases = ((lambda cls: cls("w", shape=(2,), density=0.1), {}),)
+    cases = ((lambda cls, w: cls("w", shape=(2,), density=0.1), {"w": [0.3, -1.0]}),)
 
     def __init__(self, name: str, shape: Shape | int = (), *, density: Any) -> None:
         shape = shape_of(name, shape)
