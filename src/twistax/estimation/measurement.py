@@ -31,7 +31,7 @@ class Measurement:
         ModelError: a covariance that is not symmetric and positive definite; neither covariance nor Noise; a Noise
             without a period; true or false as a value.
 
-    Example: `tx.Measurement("gps", g[:3, 3], covariance=4.0)`, in m^2.
+    Example: `tx.Measurement("gps", g[:3, 3], covariance=4.0)`, in m2.
 
     Source: Sola, Deray, Atchuthan, A micro Lie theory for state estimation in robotics (2018), sec. IV.
     """
