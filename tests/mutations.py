@@ -49,6 +49,7 @@ TESTS = {
     "mechanics/models": "mechanics/test_m*.py mechanics/test_urdf_files.py mechanics/test_daveml.py",
     "solver": "solver/test_*.py",
     "linear": "linear/test_*.py",
+    "estimation": "estimation/test_*.py",
     "trimming": "trimming/test_*.py",
     "trajectory": "internals/trajectory/test_*.py trajectory/test_known_answers.py trajectory/test_[bcdhlnoptu]*.py",
     "trajectory/sensitivity": "trajectory/test_sens*.py trajectory/test_solution*.py trajectory/test_by_node.py",

@@ -37,7 +37,9 @@ by_name = pytest.mark.parametrize("name", DOCUMENTED, ids=lambda name: name.path
 #: Why some say nothing of errors.
 NO_ERRORS = {
     "users get these and do not make them": """
-        AtStart Between Crossings Dynamics Mode Order PhasedSolution Result columns.Column Simulator Solution Statistics
+        AtStart Between Crossings Dynamics Mode Order PhasedSolution Result columns.Column Simulator
+        estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
+        estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData

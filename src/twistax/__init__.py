@@ -21,6 +21,7 @@ from typing import TYPE_CHECKING
 
 from . import expr, kinds, lie, linalg, spatial
 from .errors import (
+    EstimationError,
     ImmutableError,
     InputError,
     IntegrationError,
@@ -40,7 +41,20 @@ from .kinds import FreeVector, Momentum, Point, Twist, Wrench
 from .system import System
 
 if TYPE_CHECKING:  # what `_LATER` loads, for editors and type checkers
-    from . import charts, columns, compositions, diffrax, mechanics, tableaus, testing, trajectory, units, view
+    from . import (
+        charts,
+        columns,
+        compositions,
+        diffrax,
+        estimation,
+        mechanics,
+        tableaus,
+        testing,
+        trajectory,
+        units,
+        view,
+    )
+    from .estimation import Measurement
     from .expr.functions.function import Function
     from .expr.functions.parameter_tree import ParameterTree
     from .integrators import (
@@ -85,25 +99,15 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-<<<<<<< HEAD
-    "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "FreeVector",
-    "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError", "Magnus", "Maximize",
-    "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError", "Order", "OrderError", "Phase",
-    "PhasedSolution", "PiecewisePolynomial", "Point", "Product", "Result", "ShapeError", "Simulator", "Solution",
-    "Splitting", "Statistics", "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError",
-    "Wrench", "ZeroOrderHold", "charts", "columns", "compile", "compositions", "diffrax", "fast", "integrate",
-    "integrate_phases", "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "simulator", "spatial",
-    "sweep", "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
-=======
-    "Crossings", "Dynamics", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle", "Function",
-    "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "Magnus", "Maximize", "Minimize", "Mode",
-    "ModelError", "Native", "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution",
-    "PiecewisePolynomial", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics",
-    "StepControl", "Sweep", "System", "TrajectoryError", "Trim", "TwistaxError", "ZeroOrderHold", "charts", "columns",
-    "compile", "compositions", "diffrax", "fast", "integrate", "integrate_phases", "join", "lie", "linalg", "load",
-    "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables", "tangent_grad",
-    "testing", "trajectory", "trim", "units", "view",
->>>>>>> w-terms
+    "Crossings", "Dynamics", "EstimationError", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle",
+    "FreeVector", "Function", "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError",
+    "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError",
+    "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial", "Point", "Product",
+    "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
+    "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts", "columns", "compile",
+    "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join", "kinds", "lie",
+    "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables",
+    "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__
@@ -112,9 +116,10 @@ __all__ += expr.__all__
 # fmt: off
 _LATER = {
     "": (
-        "charts", "columns", "compositions", "diffrax", "mechanics", "tableaus", "testing", "trajectory", "units",
-        "view",
+        "charts", "columns", "compositions", "diffrax", "estimation", "mechanics", "tableaus", "testing",
+        "trajectory", "units", "view",
     ),
+    ".estimation": ("Measurement",),
     ".integrators": (
         "RKMK", "AtStart", "Between", "CommutatorFree", "Crossings", "Event", "FirstOrderHold", "FreeBody",
         "FreeParticle", "ImplicitRKMK", "Magnus", "Phase", "PhasedSolution", "PiecewisePolynomial", "Result",
@@ -168,10 +173,11 @@ def _where_else(name: str) -> str:
         "charts",
         "units",
         "trajectory",
+        "estimation",
         "mechanics",
         "testing",
     )
-    for home in (*faces, "testing"):
+    for home in faces:
         for public in importlib.import_module(f"{__name__}.{home}").__all__:
             known.setdefault(public.lower(), f"{home}.{public}")
     if expr.operators.takes_expressions(name.lower()):

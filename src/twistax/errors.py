@@ -16,6 +16,7 @@ PAGES = {
     "twistax.monte_carlo": "docs/monte_carlo.md",
     "twistax.trimming": "docs/trim.md",
     "twistax.trajectory": "docs/trajectory.md",
+    "twistax.estimation": "docs/estimation.md",
     "twistax.linear": "docs/trajectory.md",
     "twistax.mechanics.models.daveml": "docs/daveml.md",
     "twistax.mechanics.models": "docs/howto/mechanism_from_a_file.md",
@@ -138,6 +139,12 @@ class TrajectoryError(TwistaxError, RuntimeError):
     """A trajectory problem could not be set up or solved."""
 
     page = "docs/trajectory.md#stating-a-problem"
+
+
+class EstimationError(TwistaxError, RuntimeError):
+    """A filter lost its covariance, or its numbers are not finite. The message names when."""
+
+    page = "docs/estimation.md#what-a-run-returns"
 
 
 @contextlib.contextmanager

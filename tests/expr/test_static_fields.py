@@ -33,6 +33,7 @@ OTHER: dict[str, Callable[[Any], Any]] = {
     "model": lambda model: dataclasses.replace(model, radius=np.nextafter(model.radius, 9.0)),
     "tolerance": lambda tolerance: np.nextafter(tolerance, 1.0).item(),
     "blocks": lambda blocks: (*blocks, 1),
+    "density": lambda density: density + 1.0,
     "unit": lambda unit: np.nextafter(unit, 9.0).item(),
     "name": lambda name: f"{name}_",
     "Constant.name": lambda name: None,

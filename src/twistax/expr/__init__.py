@@ -12,6 +12,7 @@ from .matrices.linalg import Cross, Diag, Dot, Norm, Outer, Sum, Trace, Transpos
 from .matrices.solve import Inv, Solve
 from .matrices.solve_positive import InverseFactor, InversePositive, SolvePositive
 from .node import Expr, all_nodes, to_expr
+from .noise import Noise
 from .operations.arithmetic import Add, Div, MatMul, Mul, Neg, Power, Sub
 from .operations.array import Block, Concat, Hstack, Index, Stack, Vstack
 from .operations.choice import All, Any, Cond, LogSumExp, Max, Min, Not, Where
@@ -50,8 +51,8 @@ __all__ = [
     "Abs", "Acos", "Add", "All", "Any", "Asin", "Atan", "Atan2", "Bilerp", "Block", "Cinterp", "Concat", "Cond",
     "Constant", "Constraint", "Control", "Cos", "Cosh", "Div", "Equality", "Example", "Exp", "Expr", "Hstack", "Huber",
     "Index", "Inequality", "Interp", "Leaf", "Less", "Linterp", "Log", "LogSumExp", "MatMul", "Max", "Min", "Mul",
-    "Neg", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Soft", "Sqrt",
-    "Square", "Stack", "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr",
+    "Neg", "Noise", "Not", "Parameter", "PositivePart", "Power", "Rate", "Sign", "Sin", "Sinh", "SmoothReLU", "Soft",
+    "Sqrt", "Square", "Stack", "State", "Sub", "Tan", "Tanh", "Time", "Variable", "Vmap", "Vstack", "Where", "to_expr",
     "traverse",
 ]
 # fmt: on

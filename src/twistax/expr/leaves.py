@@ -285,7 +285,7 @@ class Control(Variable):
         kind: Kind | None = None,
         unit: Any = None,
     ) -> None:
-        group = Euclidean(_shape_of(name, shape))
+        group = Euclidean(shape_of(name, shape))
         self._declare(name, group.shape, **_choice(name, group, min, max, guess, scale), kind=kind, unit=unit)
 
     def read(self, inputs: Inputs) -> jax.Array:
@@ -322,7 +322,7 @@ class Parameter(Leaf):
             unit = _common_unit(value)
         if value is not None:
             value = reals(f"{name!r}: value", value, ModelError).astype(np.float64)
-        shape = _shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
+        shape = shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
         if value is not None and value.shape != shape:
             raise ShapeError(f"{name!r}: value expects shape {shape}, got {value.shape}")
         self._declare(name, shape, value=value, kind=kind, unit=unit)
@@ -351,7 +351,8 @@ def _common_unit(value: Any) -> Unit | None:
 # ---- what leaves are given, checked ------------------------------------------------------------------------------
 
 
-def _shape_of(name: str, shape: Shape | int) -> Shape:
+def shape_of(name: str, shape: Shape | int) -> Shape:
+    """A shape as a tuple. Raises ModelError unless it is made of positive whole numbers."""
     sizes = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
     if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 1 for n in sizes):
         raise ModelError(f"{name!r}: shape expects a tuple of positive whole numbers, got {shape!r}")
@@ -365,7 +366,7 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
                 f"State {name!r}: order= is for poses, got a state without a group.\n"
                 "  fix: group=tx.SE3, or leave order out; the Lie nodes carry their own"
             )
-        return Euclidean(_shape_of(name, () if shape is None else shape))
+        return Euclidean(shape_of(name, () if shape is None else shape))
     if not isinstance(group, Group):
         made = f".\n  fix: give one of them: group={group.__name__}()" if isinstance(group, type) else ""
         raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}{made}")
@@ -376,7 +377,7 @@ def _group(name: str, shape: Shape | int | None, group: Group | None, order: Ord
             f"State {name!r}: group must be a value that is compared and hashed, got {group!r}.\n"
             f"  fix: make {type(group).__name__} a frozen dataclass: @dataclasses.dataclass(frozen=True)"
         ) from None
-    if shape is not None and _shape_of(name, shape) != group.shape:
+    if shape is not None and shape_of(name, shape) != group.shape:
         raise ShapeError(
             f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
             hint="leave shape out: the group brings its own",

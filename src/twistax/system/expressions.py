@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping
 from typing import Any
 
+import numpy as np
+
 from ..checks import listed
 from ..errors import ModelError
-from ..expr import Constant, Expr, Parameter, canonicalize_all, substitute
+from ..expr import Constant, Expr, Noise, Parameter, canonicalize_all, substitute
 from ..jax_inside import is_traced
 
 
@@ -38,6 +40,11 @@ def constants_of(parameters: tuple[Parameter, ...], bake: Mapping[str, Any]) -> 
             )
         constants[known[name].key()] = Constant(known[name].replace(value=value).value)
     return constants
+
+
+def silent(noises: Iterable[Noise]) -> dict[str, Constant]:
+    """Zeros in place of noise: key of the leaf -> constant."""
+    return {noise.key(): Constant(np.zeros(noise.shape)) for noise in noises}
 
 
 def canonical(exprs: Mapping[str, Expr], constants: Mapping[str, Expr]) -> dict[str, Expr]:

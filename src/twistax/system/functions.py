@@ -33,7 +33,7 @@ from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
 from ..scalar.walk import uncollected
-from .expressions import canonical, chosen_outputs, constants_of
+from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
 from .system import System, entry_names
@@ -92,7 +92,7 @@ class Functions:
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
-        constants = constants_of(system.parameters, bake)
+        constants = constants_of(system.parameters, bake) | silent(system.noises)
         self.system, self.backend = system, backend
         self.baked = {p.name: constants[p.key()].value for p in system.parameters if p.name in bake}
         self.states, self.controls, self.group = system.states, system.controls, system.group

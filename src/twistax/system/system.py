@@ -24,6 +24,7 @@ from ..expr import (
     Leaf,
     Mul,
     Neg,
+    Noise,
     Parameter,
     Stack,
     State,
@@ -72,7 +73,7 @@ class System(Composable):
             and controls in no other way is not differentiated again.
 
     Attributes:
-        states, controls, parameters: tuples of leaves in order.
+        states, controls, parameters, noises: tuples of leaves in order.
         rates, outputs, constraints, corrections: mappings from name to expression.
         soft: mapping from the names of soft constraints to their `Soft`.
         slopes, labels: mappings from the name of a leaf to pairs as above.
@@ -84,6 +85,8 @@ class System(Composable):
         OrderError: a [v; w] quantity meets a [w; v] one.
         KindError: values that must agree differ in kind, frame or unit, as leaves declare them.
     """
+
+    noises: tuple[Noise, ...] = ()  # for pickles of earlier versions
 
     def __init__(
         self,
@@ -102,9 +105,8 @@ class System(Composable):
             raise ModelError(f"a System needs at least one state with a rate: rates={{x: expression}}, got {got}")
         if outputs is not None and not isinstance(outputs, Mapping):
             raise ModelError(f"outputs must be a dict from names to expressions, got {type(outputs).__name__}")
-        for name in outputs or ():
-            if not isinstance(name, str):
-                raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
+        for name in (name for name in outputs or () if not isinstance(name, str)):
+            raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
         named = _named_constraints(constraints)
@@ -121,16 +123,16 @@ class System(Composable):
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        leaves = list(leaves_of(*self._roots.values()))
-        no_elements(leaves)
+        no_elements(leaves := list(leaves_of(*self._roots.values())))
         for leaf in leaves:
             leaf.check_in_system()
-        used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter))]
+        used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter, Noise))]
         self.states: tuple[State, ...] = _states(rates, used)
         self.rates: dict[str, Expr] = dict(zip((s.name for s in self.states), expressions.values(), strict=True))
         self.controls: tuple[Control, ...] = self._declared(Control, controls, used)
         self.parameters: tuple[Parameter, ...] = self._declared(Parameter, parameters, used)
-        self._check_names([*self.states, *self.controls, *self.parameters], used)
+        self.noises = self._declared(Noise, None, used)
+        self._check_names([*self.states, *self.controls, *self.parameters, *self.noises], used)
         self.group = Product({state.name: state.group for state in self.states})
         self._check_shapes()
         self._check_corrections()
@@ -141,8 +143,8 @@ class System(Composable):
         check_kinds(self._roots, rate_of, leaves)
 
     def __repr__(self) -> str:
-        kinds = (("states", self.states), ("controls", self.controls), ("parameters", self.parameters))
-        return f"System({', '.join(f'{kind}={[leaf.name for leaf in leaves]}' for kind, leaves in kinds)})"
+        kinds = ("states", "controls", "parameters")
+        return f"System({', '.join(f'{kind}={[leaf.name for leaf in getattr(self, kind)]}' for kind in kinds)})"
 
     def latex(self) -> str:
         """The equations in LaTeX, without dollar signs: the rate of a pose or rotation is its body velocity."""

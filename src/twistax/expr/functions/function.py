@@ -13,6 +13,7 @@ from ...checks import short
 from ...errors import ModelError, ShapeError
 from ...jax_inside import is_traced
 from ..fields import Operands
+from ..kinds import rules
 from ..node import Expr, Shape, to_expr
 from .parameter_tree import ParameterTree
 
@@ -102,6 +103,7 @@ class Call(Expr, init=False):
     name: str
     trees: tuple[ParameterTree | None, ...]
     of_numbers = True
+    kinds = rules.OPEN
     cases = (
         (lambda cls, x: Function(_sine, name="sine")(x), {"x": [0.3, -2.0]}),
         (lambda cls, A, x: Function(_product, (2,))(A, x), {"A": [[1.0, 2.0], [0.5, -1.0]], "x": [0.3, -2.0]}),

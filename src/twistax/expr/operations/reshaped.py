@@ -6,6 +6,7 @@ import math
 
 from ...errors import ShapeError
 from ..fields import Operand
+from ..kinds import rules
 from ..node import Expr, Numbers, Shape
 
 
@@ -22,6 +23,7 @@ class Reshaped(Expr):
 
     operand: Operand
     target: Shape
+    kinds = rules.OPEN
     by_operators = True
     cases = ({"operand": [[1.0, 2.0, 3.0], [4.0, 5.0, -6.0]], "target": (3, 2)},)
 

@@ -1,0 +1,107 @@
+"""Is a covariance honest? Normalised errors against their chi-square distribution, over independent runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import enum
+from typing import Any
+
+import numpy as np
+
+from ..checks import number, reals, whole
+from ..errors import InputError
+
+
+class Verdict(enum.Enum):
+    """What independent runs say of a covariance.
+
+    CONSISTENT: the errors are as large as the covariance says. OPTIMISTIC: they are larger. PESSIMISTIC: they are
+    smaller. UNDECIDED: there are too few runs to tell.
+    """
+
+    CONSISTENT = "consistent"
+    OPTIMISTIC = "optimistic"
+    PESSIMISTIC = "pessimistic"
+    UNDECIDED = "undecided"
+
+
+@dataclasses.dataclass(frozen=True)
+class Consistency:
+    """The test of normalised squared errors $e^T P^-1 e$, of mean n for an honest covariance.
+
+    Attributes:
+        verdict: a `Verdict`.
+        level: of the confidence interval and of the band.
+        runs: how many independent runs there were.
+        ratio: the mean of the statistic over n; 1 for an honest covariance.
+        interval: the confidence interval of the ratio, from the spread of the means of the runs.
+        mean: (k,) the mean over the runs at each time.
+        band: where the mean lies at one time with the probability `level`: quantiles of chi-square with runs n degrees
+            of freedom, over the number of runs.
+        inside: the share of times at which it does.
+    """
+
+    verdict: Verdict
+    level: float
+    runs: int
+    ratio: float
+    interval: tuple[float, float]
+    mean: np.ndarray
+    band: tuple[float, float]
+    inside: float
+
+    def __str__(self) -> str:
+        low, high = self.interval
+        return (
+            f"{self.verdict.name} at level {self.level:g} from {self.runs} run{'s' if self.runs > 1 else ''}: "
+            f"mean over degrees of freedom {self.ratio:.3f}, interval [{low:.3f}, {high:.3f}]; "
+            f"{100.0 * self.inside:.0f} % of times within [{self.band[0]:.2f}, {self.band[1]:.2f}]"
+        )
+
+
+def consistency(statistic: Any, freedom: int, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
+    """The test of normalised squared errors over independent runs.
+
+    Errors of one run are correlated over time, so each run counts as one sample: its mean over time. The confidence
+    interval of the ratio, the mean of these samples over the degrees of freedom, is Student's. Above 1 the filter is
+    OPTIMISTIC, below 1 PESSIMISTIC. If it contains 1 and is no wider than $1 +- tolerance$, the filter is CONSISTENT;
+    else, and always from one run, the test is UNDECIDED.
+
+    Args:
+        statistic: (runs, k) NEES or NIS, or (k,) of one run; NaN where there is none.
+        freedom: n, the length of the error; dimensionless.
+        level: probability of the interval and the band.
+        tolerance: the largest half width of an interval that counts as evidence.
+    Raises:
+        InputError: another shape, negative values, a level outside of (0, 1).
+
+    Source: Bar-Shalom, Li, Kirubarajan, Estimation with Applications to Tracking and Navigation (2001), sec. 5.4.2.
+    """
+    from scipy.stats import chi2, t
+
+    values = np.atleast_2d(reals("statistic", statistic, InputError).astype(float))
+    whole("freedom", freedom)
+    number("level", level, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0)
+    number("tolerance", tolerance, "a positive number", lambda w: w > 0.0)
+    if values.ndim != 2 or not values.size or (values < 0.0).any():
+        raise InputError(f"statistic expects numbers that are not negative, of shape (runs, k), got {values.shape}")
+    values = values[:, np.isfinite(values).all(axis=0)]
+    if not values.size:
+        raise InputError("statistic expects a time at which all runs have a finite value, got none")
+    runs = len(values)
+    samples = values.mean(axis=1) / freedom
+    ratio, half = float(samples.mean()), np.inf
+    if runs > 1:
+        half = float(t.ppf(0.5 * (1.0 + level), runs - 1) * samples.std(ddof=1) / np.sqrt(runs))
+    interval = (max(ratio - half, 0.0), ratio + half)
+    tail = 0.5 * (1.0 - level)
+    band = tuple(float(chi2.ppf(p, runs * freedom) / runs) for p in (tail, 1.0 - tail))
+    mean = values.mean(axis=0)
+    inside = float(np.mean((mean >= band[0]) & (mean <= band[1])))
+    if runs > 1 and interval[0] > 1.0:
+        verdict = Verdict.OPTIMISTIC
+    elif runs > 1 and interval[1] < 1.0:
+        verdict = Verdict.PESSIMISTIC
+    else:
+        verdict = Verdict.CONSISTENT if half <= tolerance else Verdict.UNDECIDED
+    return Consistency(verdict, level, runs, ratio, interval, mean, (band[0], band[1]), inside)

@@ -1,0 +1,73 @@
+"""The error-state Kalman filter, multiplicative on groups."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import jax
+
+from ..checks import callable_with
+from ..errors import ModelError
+from ..groups import Product
+from ..system.dynamics import Dynamics
+from .filter import Filter, Prediction
+from .measurement import Measurement
+from .stochastic_model import Point
+from .update import Update, linear_update, symmetric
+
+
+class ErrorStateKalman(Filter):
+    """The extended Kalman filter on the group of the state, multiplicative (an MEKF) on rotations and poses.
+
+    The state stays on the group; the covariance P is that of the error d with $x_true = x Exp(d)$, in the tangent space
+    at x. A prediction integrates the mean by the method and carries the covariance, $P = Phi P Phi^T + Q$, Phi the
+    derivative of the step and Q by Van Loan. An update is
+
+        $S = H P H^T + R, K = P H^T S^-1, d = K Log(h(x)^-1 z),$
+        $x = x Exp(d), P = J_r(d) ((I - K H) P (I - K H)^T + K R K^T) J_r(d)^T$,
+
+    in Joseph's form, symmetric. The right Jacobian J_r(d) moves the covariance to the tangent space at the new state.
+
+    Args:
+        dynamics: the compiled system, with `tx.Noise` in its rates.
+        measurements: `tx.Measurement` each.
+        method: of the mean; RKMK with RK4 if left out.
+        max_step: the longest step of a prediction in s; one step between two times if left out.
+        gate: a probability. A measurement is used only if its normalised innovation squared lies below that quantile of
+            chi-square.
+        reset: (group, d) -> (n, n), what moves covariances to the new state; `group.right_jacobian(d)` if left out,
+            which is exact to first order.
+    Raises:
+        ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
+            rates and in measurements, a gate outside of (0, 1), a reset that is no function of two arguments.
+
+    Example: `tx.estimation.ErrorStateKalman(dynamics, [gps]).run({"gps": (times, positions)}, x0, P0)`.
+
+    Source: Markley, Attitude error representations for Kalman filtering, JGCD 26 (2003), eq. 38-45; Sola, Quaternion
+    kinematics for the error-state Kalman filter (2017), sec. 6.3, for the reset.
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        measurements: Iterable[Measurement],
+        *,
+        method: Any = None,
+        max_step: float | None = None,
+        gate: float | None = None,
+        reset: Callable[[Product, jax.Array], jax.Array] = Product.right_jacobian,
+    ) -> None:
+        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate)
+        callable_with("reset", reset, ("group", "d"), ModelError)
+        self.reset = reset
+
+    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+        x, transition, Q = self.model.step(point, h)
+        return Prediction(x, symmetric(transition @ P @ transition.T + Q), transition)
+
+    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+        measured = self.model.measurements[name].group
+        value, H, R = self.model.sensitivity(name, point)
+        residual = measured.difference(value, z)
+        return linear_update(self.model.group, point.x, P, residual, H, R, limit, self.reset)

@@ -1,0 +1,258 @@
+"""The interface of filters: one prediction, one update, and a run over records."""
+
+from __future__ import annotations
+
+import functools
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed, number, real_array, reals
+from ..errors import InputError, ModelError, ShapeError
+from ..jax_inside import is_traced
+from ..system.dynamics import Arrays, Dynamics
+from ..system.inputs import Values, precision
+from .filter_run import FilterRun, Innovations
+from .measurement import Measurement, check_definite
+from .records import Grid, Records, controls_on, grid_of, jumps_of
+from .stochastic_model import Point, StochasticModel
+from .update import Update
+
+
+class Estimate(NamedTuple):
+    """The estimate $x_true = x Exp(d)$: x the states by name, P (n, n) the covariance of d, in squares of its units."""
+
+    x: Arrays
+    P: jax.Array
+
+
+class Prediction(NamedTuple):
+    """The estimate x, P before a measurement, and the transition (n, n), $d(t + h) = Phi d(t)$, of errors to it."""
+
+    x: Arrays
+    P: jax.Array
+    transition: jax.Array
+
+
+class Filter(ABC):
+    """A filter for a compiled system with noise and measurements.
+
+    Args:
+        dynamics: the compiled system.
+        measurements: what sensors measure, `Measurement` each.
+        method: of the mean; RKMK with RK4 if left out.
+        max_step: the longest step of a prediction in s; one step between two times of a run if left out.
+        gate: a probability: a measurement is used only if its normalised innovation squared lies below the quantile of
+            chi-square; all are used if left out.
+    Raises:
+        ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
+            rates and in measurements, a gate outside of (0, 1).
+    """
+
+    def __init__(
+        self,
+        dynamics: Dynamics,
+        measurements: Iterable[Measurement],
+        *,
+        method: Any = None,
+        max_step: float | None = None,
+        gate: float | None = None,
+    ) -> None:
+        self.model = StochasticModel(dynamics, measurements, method)
+        if max_step is not None:
+            number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
+        if gate is not None:
+            number("gate", gate, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0, ModelError)
+        self.max_step, self.gate = max_step, gate
+        self._limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
+
+    # ---- what a filter is --------------------------------------------------------------------------------------------
+
+    @abstractmethod
+    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+        """The estimate h seconds later. Arguments are prepared."""
+
+    @abstractmethod
+    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+        """The estimate after a measurement of which the normalised innovation is below the limit."""
+
+    # ---- one step ----------------------------------------------------------------------------------------------------
+
+    def predict(
+        self, t: Any, x: Values, P: Any, h: Any, u: Values | None = None, params: Values | None = None
+    ) -> Prediction:
+        """The estimate h seconds after t, with constant controls. Traceable.
+
+        Args:
+            P: (n, n) covariance in the tangent space at x; a number or (n,) for a diagonal one.
+            h: s.
+        Raises:
+            InputError, ShapeError: as a call of the dynamics does; a covariance of another shape.
+        """
+        point = self._point(t, x, u, params, True, ())
+        return self._jitted_predict(point, self._covariance(P, point), jnp.asarray(number("h", h), point.t.dtype))
+
+    def update(
+        self, name: str, t: Any, x: Values, P: Any, z: Any, u: Values | None = None, params: Values | None = None
+    ) -> Update:
+        """The estimate after the value z of a measurement at time t; unchanged where z has a NaN. Traceable.
+
+        Raises:
+            InputError, ShapeError: as a call of the dynamics does; an unknown measurement; a value of another shape.
+        """
+        known = self.model.measurements
+        if name not in known:
+            raise InputError(f"the filter has the measurements {listed(known, name)}, got {name!r}")
+        point = self._point(t, x, u, params, False, (name,))
+        value = real_array(f"update: {name!r}", z)
+        if value.shape != known[name].group.shape:
+            raise ShapeError(f"{name!r} expects shape {known[name].group.shape}, got {value.shape}")
+        return self._jitted_update(name, point, self._covariance(P, point), jnp.asarray(value, point.t.dtype))
+
+    # ---- a run -------------------------------------------------------------------------------------------------------
+
+    def run(
+        self,
+        records: Records,
+        x0: Values,
+        P0: Any,
+        *,
+        t0: float | None = None,
+        u: Mapping[str, Any] | Callable[[Any], Mapping[str, Any]] | None = None,
+        params: Values | None = None,
+        save_at: Any = (),
+    ) -> FilterRun:
+        """The estimates over records of measurements. Under jit, vmap and grad values, x0, P0, params may be traced.
+
+        Args:
+            records: by measurement a pair (times (k,), values (k, *shape)), in any order of the times. A row with a NaN
+                is a missing measurement. Times are known numbers.
+            x0, P0: the estimate at t0, before any measurement.
+            t0: s; the first time of the records if left out.
+            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
+                held over each step, with their value in its middle; a step ends where a table jumps.
+            save_at: more times at which the estimate is wanted, in s.
+        Raises:
+            InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
+                not positive semidefinite.
+            EstimationError: numbers of the run are not finite or a covariance lost definiteness, unless traced.
+        """
+        first = None if t0 is None else float(number("t0", t0))
+        more = [reals("save_at", save_at, InputError).astype(float).reshape(-1), *jumps_of(u)]
+        start = 0.0 if first is None else first
+        point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
+        grid = grid_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
+        controls = controls_on(u, grid.ts, point.t.dtype)
+        covariance = self._covariance(P0, point)
+        # Lengths are differences in double precision: single precision loses them where times are large.
+        ts, lengths = (jnp.asarray(a, point.t.dtype) for a in (grid.ts, np.diff(grid.ts, prepend=grid.ts[0])))
+        traced = self._scan(ts, lengths, grid.values, grid.present, controls, point.x, covariance, point.params)
+        run = self._result(grid, *traced)
+        if not is_traced(traced):
+            run.check()
+        return run
+
+    def _result(self, grid: Grid, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
+        innovations = {}
+        total = jnp.zeros((), post.P.dtype)
+        information = jnp.zeros_like(post.P)
+        for name, update in updates.items():
+            rows = grid.rows[name]
+            at = jax.tree.map(lambda a, rows=rows: a[rows], update)
+            innovations[name] = Innovations(
+                jnp.asarray(grid.ts[rows], post.P.dtype), at.residual, at.S, at.nis, at.used, grid.present[name][rows]
+            )
+            total = total + jnp.sum(update.log_likelihood)
+            information = information + update.information
+        ts = jnp.asarray(grid.ts, post.P.dtype)
+        return FilterRun(
+            ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
+        )
+
+    @functools.cached_property
+    def _scan(self) -> Callable[..., Any]:
+        def scan(ts: Any, lengths: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
+            def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
+                t, h, z, seen, u = row
+                before = Point(t - h, carry.x, u, params)
+                prior = self.propagated(before, carry.P, h)
+                x, P, updates = prior.x, prior.P, {}
+                for name in z:
+                    update = functools.partial(self._if_present, name, Point(t, x, u, params), P, z[name])
+                    updates[name] = update(seen[name])
+                    x, P = updates[name].x, updates[name].P
+                post = Estimate(x, P)
+                return post, (prior, post, updates)
+
+            rows = (ts, lengths, values, present, controls)
+            return jax.lax.scan(advance, Estimate(x0, P0), rows)[1]
+
+        return jax.jit(scan)
+
+    def _if_present(self, name: str, point: Point, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
+        def skip() -> Update:
+            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self._limits[name]))
+            zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
+            return zeros._replace(x=point.x, P=P)
+
+        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self._limits[name]), skip)
+
+    # ---- arguments ---------------------------------------------------------------------------------------------------
+
+    @functools.cached_property
+    def _jitted_predict(self) -> Callable[..., Prediction]:
+        return jax.jit(self.propagated)
+
+    @functools.cached_property
+    def _jitted_update(self) -> Callable[..., Update]:
+        def update(name: str, point: Point, P: jax.Array, z: jax.Array) -> Update:
+            known = jnp.isfinite(z).all()
+            safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
+            return self._if_present(name, point, P, safe, known)
+
+        return jax.jit(update, static_argnums=0)
+
+    def _first(self, u: Any, t0: float) -> Values | None:
+        """The controls at the start, for the check of their names and shapes."""
+        if callable(u):
+            return u(jnp.asarray(t0))
+        return {name: getattr(value, "first", value) for name, value in (u or {}).items()}
+
+    def _point(
+        self, t: Any, x: Values, u: Values | None, params: Values | None, rates: bool, measurements: Iterable[str]
+    ) -> Point:
+        """The arguments, checked and cast; what rates and these measurements read must be there."""
+        model, u = self.model, dict(u or {})
+        controls = [leaf.name for leaf in model.dynamics.controls]
+        for name in u:
+            if name not in controls:
+                raise InputError(f"unknown key {name!r} in u; expected: {listed(controls, name)}")
+        dtype = precision(x, u, params, {"t": t})
+        functions = model.noisy.functions.with_outputs(model.names(rates, measurements))
+        reads = ("rates", "outputs") if rates else ("outputs",)
+        inputs = functions.prepare(t, x, model.with_zeros(u, dtype), params, reads=reads)
+        used = {name: value for name, value in inputs.u.items() if name in controls}
+        return Point(inputs.t, dict(inputs.x), used, dict(inputs.params))
+
+    def _covariance(self, P: Any, point: Point) -> jax.Array:
+        n, dtype = self.model.dimension, point.t.dtype
+        array = real_array("P", P)
+        if array.shape not in ((), (n,), (n, n)):
+            raise ShapeError(f"P expects a number, shape ({n},) or ({n}, {n}), got {array.shape}")
+        if not is_traced(array):
+            check_definite("P", np.asarray(array), n, InputError, semi=True)
+        value = jnp.asarray(array, dtype)
+        return value if value.ndim == 2 else jnp.diag(jnp.broadcast_to(value, (n,)))
+
+
+def _limit(gate: float | None, size: int) -> float | None:
+    """The quantile of chi-square of a gate."""
+    if gate is None:
+        return None
+    from scipy.stats import chi2
+
+    return float(chi2.ppf(gate, size))

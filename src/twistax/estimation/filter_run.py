@@ -1,0 +1,182 @@
+"""What a run of a filter returns: estimates, innovations, and what they say of the filter."""
+
+from __future__ import annotations
+
+import dataclasses
+import functools
+from collections.abc import Mapping
+from typing import Any
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed, real_array
+from ..errors import EstimationError, InputError, ShapeError
+from ..groups import Product
+from ..linear.labels import labels, tangent_shapes
+from ..system.dynamics import Arrays
+from .consistency import Consistency, consistency
+from .observability import Observability, observability
+from .smoother import RauchTungStriebel, Smoothed
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class Innovations:
+    """The innovations of one measurement over a run, a row for each record.
+
+    Attributes:
+        ts: (k,) times in s.
+        residual: (k, m) $Log(h^-1 z)$; zero where the record is missing.
+        S: (k, m, m), their covariances.
+        nis: (k,) $r^T S^-1 r$, of mean m and chi-square distribution for an honest linear filter.
+        used: (k,) whether the record was there and passed the gate.
+        present: (k,) whether it was there.
+    """
+
+    ts: jax.Array
+    residual: jax.Array
+    S: jax.Array
+    nis: jax.Array
+    used: jax.Array
+    present: jax.Array
+
+
+@jax.tree_util.register_dataclass
+@dataclasses.dataclass(frozen=True)
+class FilterRun:
+    """The estimates of a filter over records. A pytree; `jax.vmap` over runs puts an axis in front of its arrays.
+
+    Attributes:
+        ts: (k,) times in s.
+        xs: states by name, (k, *shape), after the measurements of each time.
+        P: (k, n, n), their covariances in the tangent space.
+        prior_xs, prior_P: the same before the measurements.
+        transitions: (k, n, n), what carries errors from the time before.
+        information: (k, n, n) $H^T R^-1 H$ of the measurements used.
+        innovations: by measurement, `Innovations`.
+        log_likelihood: of all measurements used.
+        group: of the state.
+    """
+
+    ts: jax.Array
+    xs: Arrays
+    P: jax.Array
+    prior_xs: Arrays
+    prior_P: jax.Array
+    transitions: jax.Array
+    information: jax.Array
+    innovations: dict[str, Innovations]
+    log_likelihood: jax.Array
+    group: Product = dataclasses.field(metadata={"static": True})
+
+    @property
+    def result(self) -> str:
+        """What happened, and when: "successful", or numbers that are not finite or a covariance not positive."""
+        P = np.asarray(self.P, float)
+        finite = np.isfinite(P).all(axis=(-2, -1))
+        for x in self.xs.values():
+            values = np.asarray(x)
+            finite &= np.isfinite(values).reshape(*finite.shape, -1).all(axis=-1)
+        if not finite.all():
+            row = np.argwhere(~finite)[0]
+            return f"not finite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+        size = np.sqrt(np.clip(np.diagonal(P, axis1=-2, axis2=-1), 0.0, None))
+        scale = np.where(size > 0.0, size, 1.0)
+        least = np.linalg.eigvalsh(P / (scale[..., :, None] * scale[..., None, :]))[..., 0]
+        room = 16.0 * P.shape[-1] * float(jnp.finfo(self.P.dtype).eps)
+        if (least < -room).any():
+            row = np.argwhere(least < -room)[0]
+            return f"covariance not positive at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+        return "successful"
+
+    def check(self) -> None:
+        """Raise EstimationError unless the run was successful."""
+        if (result := self.result) != "successful":
+            raise EstimationError(
+                f"the run of the filter is {result}.\n"
+                "  fix: shorter steps, max_step=...; other units; a larger covariance of noise and measurements"
+            )
+
+    def deviations(self) -> Arrays:
+        """Standard deviations of the tangents by state, (k, dimension): roots of the diagonal of P."""
+        root = jnp.sqrt(jnp.diagonal(self.P, axis1=-2, axis2=-1))
+        return {name: root[..., part] for name, part in self.group.slices.items()}
+
+    def errors(self, truth: Mapping[str, Any]) -> jax.Array:
+        """The errors $Log(x^-1 x_true)$, (k, n), of true states by name at the times of the run.
+
+        Raises: InputError, ShapeError for states of other names or shapes.
+        """
+        for name, x in self.xs.items():
+            if name not in truth:
+                raise InputError(f"truth needs the state {name!r}, got {listed(truth)}")
+            if (shape := real_array(f"truth[{name!r}]", truth[name]).shape) != x.shape:
+                raise ShapeError(f"truth[{name!r}] expects shape {x.shape}, got {shape}")
+        states = {name: jnp.asarray(truth[name], x.dtype) for name, x in self.xs.items()}
+        difference = self.group.difference
+        for _ in range(self.ts.ndim):
+            difference = jax.vmap(difference)
+        return difference(self.xs, states)
+
+    def nees(self, truth: Mapping[str, Any]) -> jax.Array:
+        """The normalised estimation error squared $e^T P^-1 e$, (k,); of mean n for an honest covariance.
+
+        Raises: InputError, ShapeError as `errors`.
+        """
+        errors = self.errors(truth)
+        return jnp.sum(errors * jnp.linalg.solve(self.P, errors[..., None])[..., 0], axis=-1)
+
+    def consistency(self, truth: Mapping[str, Any], *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
+        """The verdict on the covariance from true states; UNDECIDED from one run. See `consistency`."""
+        return consistency(np.asarray(self.nees(truth)), self.group.dimension, level=level, tolerance=tolerance)
+
+    def innovation_consistency(self, name: str, *, level: float = 0.95, tolerance: float = 0.25) -> Consistency:
+        """The same from the innovations of one measurement, where no truth is known.
+
+        Raises: InputError for an unknown measurement.
+        """
+        if name not in self.innovations:
+            raise InputError(f"the run has the measurements {listed(self.innovations, name)}, got {name!r}")
+        rows = self.innovations[name]
+        nis = np.where(np.asarray(rows.present), np.asarray(rows.nis), np.nan)
+        return consistency(nis, rows.residual.shape[-1], level=level, tolerance=tolerance)
+
+    def smooth(self) -> Smoothed:
+        """The states that use all measurements, by `RauchTungStriebel`. Traceable."""
+        smooth = functools.partial(RauchTungStriebel().smooth, self.group)
+        for _ in range(self.ts.ndim - 1):
+            smooth = jax.vmap(smooth)
+        return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))
+
+    def observability(self, *, tolerance: float | None = None) -> Observability:
+        """The Gramian of the measurements along the run, and what they cannot tell of the state at its start.
+
+        The matrices are those at the estimates, which change with each measurement. So the rank of a filter may be
+        higher than that of the system; from the true states it is that of the system.
+
+        Args:
+            tolerance: eigenvalues of the scaled Gramian below it, relative to the largest, count as zero; the round-off
+                of the precision times 100 n if left out.
+        Raises: InputError for several runs at once.
+        """
+        if self.ts.ndim != 1:
+            raise InputError("observability expects one run.\n  fix: jax.tree.map(lambda a: a[0], run)")
+        limit = 100.0 * self.group.dimension * float(jnp.finfo(self.P.dtype).eps) if tolerance is None else tolerance
+        names = labels(tangent_shapes(self.group))
+        return observability(np.asarray(self.transitions, float), np.asarray(self.information, float), names, limit)
+
+    def explain(self) -> str:
+        """The result, the innovations of each measurement and the observability, as text."""
+        lines = [f"result: {self.result}", f"log-likelihood: {float(self.log_likelihood):.6g}"]
+        for name, rows in self.innovations.items():
+            present, used = int(np.sum(rows.present)), int(np.sum(rows.used))
+            nis = float(np.sum(np.where(rows.present, rows.nis, 0.0))) / max(present, 1)
+            missing = f", {rows.present.size - present} missing" if present < rows.present.size else ""
+            gated = f", {present - used} gated" if used < present else ""
+            lines.append(
+                f"{name}: {present} records{missing}{gated}, mean NIS {nis:.3g} for {rows.residual.shape[-1]} "
+                "degrees of freedom"
+            )
+        return "\n".join([*lines, str(self.observability())])

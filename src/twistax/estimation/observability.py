@@ -1,0 +1,85 @@
+"""What measurements tell of a state: the Gramian along a run, its rank, and the combinations that they cannot tell."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Sequence
+
+import numpy as np
+
+
+@dataclasses.dataclass(frozen=True)
+class Observability:
+    """The observability Gramian of a run at its start, $W = sum_k Phi_k0^T H_k^T R_k^-1 H_k Phi_k0$.
+
+    Its entries have units, so rank and condition are those of the Gramian scaled to a diagonal of ones.
+
+    Attributes:
+        gramian: (n, n).
+        rank: how many combinations of the state at the start the measurements tell.
+        condition: the largest eigenvalue of the scaled Gramian over the smallest of those that count.
+        unobservable: the combinations that they do not tell, such as "r[2]" or "b + 0.5 c", one for each missing rank.
+    """
+
+    gramian: np.ndarray
+    rank: int
+    condition: float
+    unobservable: tuple[str, ...]
+
+    def __str__(self) -> str:
+        n = len(self.gramian)
+        text = f"observability: rank {self.rank} of {n}, condition {self.condition:.1e}"
+        return "\n".join([text, *(f"  not observable: {name}" for name in self.unobservable)])
+
+
+def observability(
+    transitions: np.ndarray, information: np.ndarray, labels: Sequence[str], tolerance: float
+) -> Observability:
+    """The Gramian from the transition matrices and the information of the measurements at the times of a run.
+
+    Args:
+        transitions: (k, n, n), each from the time before; information: (k, n, n) $H^T R^-1 H$.
+        labels: a name for each entry of a tangent.
+        tolerance: eigenvalues of the scaled Gramian below it, relative to the largest, count as zero.
+
+    Source: Maybeck, Stochastic Models, Estimation, and Control, vol. 1 (1979), sec. 1.8.
+    """
+    n = len(labels)
+    gramian, product = np.zeros((n, n)), np.eye(n)
+    for transition, part in zip(transitions, information):
+        product = transition @ product
+        gramian += product.T @ part @ product
+    size = np.sqrt(np.diag(gramian))
+    scale = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(gramian / np.outer(scale, scale))
+    count = values > tolerance * max(float(values[-1]), np.finfo(float).tiny)
+    rank = int(count.sum())
+    condition = float(values[-1] / values[count][0]) if rank else np.inf
+    # A null vector of the scaled Gramian is one of the Gramian in other units: v = scaled / scale.
+    null = vectors[:, ~count] / scale[:, None]
+    return Observability(gramian, rank, condition, tuple(_named(row, labels) for row in _reduced(null.T)))
+
+
+def _reduced(rows: np.ndarray) -> np.ndarray:
+    """A basis of the same space with as many zeros as elimination makes, each row with a largest entry of 1."""
+    rows = rows / np.abs(rows).max(axis=1, initial=0.0, keepdims=True)
+    for used in range(len(rows)):
+        column = int(np.argmax(np.abs(rows[used:]).max(axis=0)))
+        pivot = used + int(np.argmax(np.abs(rows[used:, column])))
+        rows[[used, pivot]] = rows[[pivot, used]]
+        rows[used] /= rows[used, column]
+        rest = np.arange(len(rows)) != used
+        rows[rest] -= np.outer(rows[rest, column], rows[used])
+    return rows
+
+
+def _named(row: np.ndarray, labels: Sequence[str]) -> str:
+    """A combination by names, its largest coefficient 1; what is below 1e-6 of it is left out."""
+    size = np.abs(row).max()
+    row = row / row[np.argmax(np.abs(row) > (1.0 - 1e-6) * size)]  # of equal ones the first, whatever their round-off
+    terms = []
+    for value, label in zip(row, labels):
+        if abs(value) > 1e-6:
+            factor = "" if abs(abs(value) - 1.0) < 5e-4 else f"{abs(value):.3g} "
+            terms.append(f"{'-' if value < 0.0 else '+'} {factor}{label}")
+    return " ".join(terms).removeprefix("+ ")

@@ -1,0 +1,227 @@
+"""A compiled system with noise and measurements: the functions that every filter needs, on prepared arguments."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any, NamedTuple
+
+import jax
+import jax.numpy as jnp
+import numpy as np
+
+from ..checks import listed
+from ..errors import ModelError
+from ..expr import Control, Expr, Noise, State, leaves_of, substitute
+from ..integrators import RKMK, VectorField
+from ..linear.discretize import Controls, method_of, step_derivatives, value_and_jacobian
+from ..linear.linearize import around
+from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
+from ..system.system import System
+from .measurement import Measurement
+
+
+class Point(NamedTuple):
+    """The arguments of rates and measurements, prepared."""
+
+    t: jax.Array
+    x: Arrays
+    u: Arrays
+    params: Arrays
+
+
+class Sensitivity(NamedTuple):
+    """A measurement at a point: its value h, H by right perturbations of the state, and the covariance R of errors."""
+
+    value: jax.Array
+    H: jax.Array
+    R: jax.Array
+
+
+class StochasticModel:
+    """The compiled system $x' = f(t, x, u, w, p)$ with noise w, and measurements.
+
+    Attributes:
+        dynamics: the compiled system, which takes noise as zero.
+        measurements: by name.
+        group, dimension: of the state.
+        method: of the mean.
+    """
+
+    def __init__(self, dynamics: Dynamics, measurements: Iterable[Measurement], method: Any = None) -> None:
+        need_compiled("a filter", dynamics)
+        self.dynamics, self.group, self.dimension = dynamics, dynamics.group, dynamics.dimension
+        self.method: RKMK = method_of(method)
+        self.measurements = _by_name(measurements)
+        system = dynamics.system
+        self.process = system.noises
+        in_measurements = {noise.name: noise for m in self.measurements.values() for noise in m.noises}
+        for noise in self.process:
+            if noise.name in in_measurements:
+                raise ModelError(
+                    f"Noise {noise.name!r} is in rates and in a measurement: the filter expects them independent.\n"
+                    "  fix: a Noise of another name in the measurement"
+                )
+        noises = [*self.process, *in_measurements.values()]
+        controls = {noise.key(): noise.as_control() for noise in noises}
+        outputs: dict[str, Expr] = {_density(noise): noise.density for noise in noises}
+        for name, measurement in self.measurements.items():
+            outputs[name] = substitute(measurement.value, controls)
+            if measurement.covariance is not None:
+                outputs[_covariance(name)] = measurement.covariance
+        declared = [*system.controls, *controls.values()]
+        for name, measurement in self.measurements.items():
+            _need_known(name, outputs[name], measurement, dynamics, [leaf.name for leaf in declared])
+        noisy = System(
+            rates={state: substitute(system.rates[state.name], controls) for state in system.states},
+            outputs=outputs,
+            controls=declared,
+        )
+        known = {parameter.name for parameter in noisy.parameters}
+        bake = {name: value for name, value in dynamics.baked.items() if name in known}
+        self.noisy = compile(noisy, bake=bake, backend=dynamics.backend)
+        self._zeros = {noise.name: noise.shape for noise in noises}
+        self.controls = Controls(dynamics.controls)
+
+    # ---- the state between measurements ------------------------------------------------------------------------------
+
+    def step(self, point: Point, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
+        """The mean after h seconds with controls held, the transition matrix and the covariance of the noise.
+
+        Covariances are in the tangent space at the mean: P -> Phi P Phi^T + Q.
+        """
+        t, x, u, params = point
+        flat = self.controls.join(u, t.dtype)
+        x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
+        return x1, transition, self.process_noise(self.halfway(point, x1, h), h)
+
+    def moved(self, point: Point, h: jax.Array) -> Arrays:
+        """The mean after h seconds."""
+        field = VectorField(self.dynamics, lambda _: point.u, point.params)
+        increment = self.method.increment(field, point.t, point.x, h)
+        return self.group.retract(point.x, self.group.join(increment))
+
+    def halfway(self, point: Point, x1: Arrays, h: jax.Array) -> Point:
+        """The middle of the geodesic from a point to the state h seconds later."""
+        middle = self.group.retract(point.x, 0.5 * self.group.difference(point.x, x1))
+        return point._replace(t=point.t + 0.5 * h, x=middle)
+
+    def process_noise(self, point: Point, h: jax.Array) -> jax.Array:
+        """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, (n, n), of noise with the intensity W.
+
+        Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978), theorem 1.
+        """
+        n = self.dimension
+        if not self.process:
+            return jnp.zeros((n, n), point.t.dtype)
+        F, G = self.linearized(point)
+        intensity = G @ self.intensity(point, self.process) @ G.T
+        block = jnp.block([[-F, intensity], [jnp.zeros_like(F), F.T]]) * h
+        exponential = jax.scipy.linalg.expm(block)
+        Q = exponential[n:, n:].T @ exponential[:n, n:]
+        return 0.5 * (Q + Q.T)
+
+    def linearized(self, point: Point) -> tuple[jax.Array, jax.Array]:
+        """F and G of $d' = F d + G w$, d the right perturbation of the state."""
+        n, m = self.dimension, self.controls.dimension
+        value, slopes = around(self.noisy, ())(point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
+        size = sum(int(np.prod(noise.shape)) for noise in self.process)
+        return slopes[:n, :n] - self.group.ad(value[:n]), slopes[:n, n + m : n + m + size]
+
+    def intensity(self, point: Point, noises: Iterable[Noise]) -> jax.Array:
+        """The intensity W of white noise, in squares of densities: a block for each noise."""
+        noises = list(noises)
+        values = self.outputs([_density(noise) for noise in noises], point)
+        roots = [_square(values[_density(noise)], int(np.prod(noise.shape))) for noise in noises]
+        return jax.scipy.linalg.block_diag(*(root @ root.T for root in roots))
+
+    # ---- measurements ------------------------------------------------------------------------------------------------
+
+    def measured(self, name: str, point: Point) -> jax.Array:
+        """The value of a measurement without noise."""
+        return self.outputs([name], point)[name]
+
+    def sensitivity(self, name: str, point: Point) -> Sensitivity:
+        """The value of a measurement, its derivative by the state and the covariance of its errors."""
+        measurement, n, dtype = self.measurements[name], self.dimension, point.t.dtype
+        group, m = measurement.group, measurement.group.dimension
+        h = self.measured(name, point)
+        sizes = {noise.name: int(np.prod(noise.shape)) for noise in measurement.noises}
+
+        def moved(z: jax.Array) -> jax.Array:
+            noise, start = {}, n
+            for leaf in measurement.noises:
+                noise[leaf.name] = z[start : start + sizes[leaf.name]].reshape(leaf.shape)
+                start += sizes[leaf.name]
+            shifted = point._replace(x=self.group.retract(point.x, z[:n]), u={**point.u, **noise})
+            return group.difference(h, self.measured(name, shifted)).reshape(m)
+
+        _, slopes = value_and_jacobian(moved, jnp.zeros(n + sum(sizes.values()), dtype))
+        R = jnp.zeros((m, m), dtype)
+        if measurement.covariance is not None:
+            value = self.outputs([_covariance(name)], point)[_covariance(name)]
+            R = value if value.ndim == 2 else jnp.diag(jnp.broadcast_to(value.reshape(-1), (m,)))
+        if measurement.noises:
+            assert measurement.period is not None
+            V = slopes[:, n:]
+            R = R + V @ self.intensity(point, measurement.noises) @ V.T / measurement.period
+        return Sensitivity(h, slopes[:, :n], R)
+
+    # ---- values ------------------------------------------------------------------------------------------------------
+
+    def outputs(self, names: list[str], point: Point) -> Arrays:
+        """Outputs of the system with noise."""
+        functions = self.noisy.functions.with_outputs(names)
+        return functions.as_written("outputs", point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
+
+    def names(self, rates: bool, measurements: Iterable[str]) -> list[str]:
+        """The outputs that rates and these measurements need."""
+        noises, names = list(self.process) if rates else [], []
+        for name in measurements:
+            measurement = self.measurements[name]
+            noises += measurement.noises
+            names += [name] if measurement.covariance is None else [name, _covariance(name)]
+        return [*names, *map(_density, noises)]
+
+    def with_zeros(self, u: Mapping[str, Any], dtype: Any) -> dict[str, Any]:
+        """The controls of the system with noise: noise that has no value is zero."""
+        return {**{name: jnp.zeros(shape, dtype) for name, shape in self._zeros.items()}, **u}
+
+
+def _by_name(measurements: Iterable[Measurement]) -> dict[str, Measurement]:
+    listed_measurements = [measurements] if isinstance(measurements, Measurement) else list(measurements)
+    by_name: dict[str, Measurement] = {}
+    for measurement in listed_measurements:
+        if not isinstance(measurement, Measurement):
+            raise ModelError(f"a filter expects measurements, tx.Measurement(...), got {measurement!r}")
+        if by_name.setdefault(measurement.name, measurement) is not measurement:
+            raise ModelError(f"two measurements are named {measurement.name!r}; the names of a filter are unique")
+    return by_name
+
+
+def _need_known(name: str, value: Expr, measurement: Measurement, dynamics: Dynamics, controls: list[str]) -> None:
+    states = [state.name for state in dynamics.states]
+    for leaf in leaves_of(value, *(() if measurement.covariance is None else (measurement.covariance,))):
+        if isinstance(leaf, State) and leaf.name not in states:
+            raise ModelError(
+                f"Measurement {name!r} reads the state {leaf.name!r}; the system has: {listed(states, leaf.name)}"
+            )
+        if isinstance(leaf, Control) and leaf.name not in controls:
+            raise ModelError(
+                f"Measurement {name!r} reads the control {leaf.name!r}; the system has: {listed(controls, leaf.name)}."
+                "\n  fix: declare it, tx.System(..., controls=[...])"
+            )
+
+
+def _density(noise: Noise) -> str:
+    return f"density of {noise.name}"
+
+
+def _covariance(name: str) -> str:
+    return f"covariance of {name}"
+
+
+def _square(density: jax.Array, size: int) -> jax.Array:
+    """A density as a matrix S with S S^T the intensity. A density (n, n) of one of n entries is a matrix already."""
+    if density.shape == (size, size) and size > 0 and density.ndim == 2:
+        return density
+    return jnp.diag(jnp.broadcast_to(density.reshape(-1), (size,)))
