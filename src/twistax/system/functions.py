@@ -26,8 +26,8 @@ from ..expr import (
     postorder,
 )
 from ..expr.functions.function import Call
-from ..jax_inside import is_traced, say_once
-from ..progress import watched
+from ..jax_inside import is_traced
+from ..progress import say_once, watched
 from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program

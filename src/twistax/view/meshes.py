@@ -64,7 +64,7 @@ def _read(path: Path) -> tuple[Array, Array]:
     except ImportError as error:
         raise ModelError(f"meshes need trimesh ({error}).\n  fix: pip install 'twistax[view]'") from None
     try:
-        solid = trimesh.load(path, force="mesh", process=False)
+        solid: Any = trimesh.load(path, force="mesh", process=False)
     except Exception as error:  # its readers raise errors of many kinds
         raise InputError(f"Mesh cannot read {str(path)!r}: {error}") from None
     if not len(getattr(solid, "faces", ())):
