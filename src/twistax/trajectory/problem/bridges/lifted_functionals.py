@@ -33,7 +33,7 @@ from ....system.dynamics import Dynamics
 from ..controls import Linear, Spline, is_rate
 from ..functionals import Extreme, Functional, Initial, Integral
 from ..statement import Objective, check_leaves
-from ..terms import Term, bounds_along, is_mixed, is_size, linear_terms, sum_of
+from ..terms import Term, bound_row, bounds_along, is_mixed, is_size, linear_terms, sum_of
 from .bridge import Bridge, Path, Statement, extended
 
 
@@ -180,9 +180,9 @@ class LiftedFunctionals(Bridge):
         terms: list[Term] = []
         for factor, part in linear_terms(leaf.operand.canonicalize()):
             if is_size(part) and factor > 0.0 and not is_mixed(part, self._smooth):
-                bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken))
+                bound = Control(free_name(f"bound on {part!r} in {leaf!r}", self._taken), min=0.0)
                 self._taken.add(bound.name)
-                self.bounds[bound.name], self._rows[bound.name] = part, part <= bound
+                self.bounds[bound.name], self._rows[bound.name] = part, bound_row(part, bound) <= 0.0
                 terms.append((factor, bound))
             else:
                 terms.append((factor, part))
