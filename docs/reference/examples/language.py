@@ -57,3 +57,66 @@ density = tx.Interp(
     outside=[tx.tables.Extrapolated()],
 )
 tx.lower(density)(0.0, {"height": 2500.0}, {})
+
+# tx.Momentum
+h = tx.State("h", (6,), kind=tx.Momentum("body"))  # N s and N m s
+V = tx.State("V", (6,), kind=tx.Twist("body"))
+try:
+    tx.System(rates={h: V, V: np.zeros(6)})  # the rate of a momentum is a wrench
+except tx.KindError as error:
+    print(error)
+
+# tx.Point
+p = tx.State("p", (3,), kind=tx.Point("world"))  # m
+v = tx.Control("v", (3,), kind=tx.FreeVector("body"), unit="m/s")
+try:
+    tx.System(rates={p: v})  # without the rotation from body to world
+except tx.KindError as error:
+    print(error)
+
+# tx.kinds.Kind
+[isinstance(kind, tx.kinds.Kind) for kind in (tx.Point("world"), tx.Wrench("body"))], tx.Point("world").frame
+
+# tx.kinds.Unit
+newton_metre = tx.kinds.Unit.of("N m")
+newton_metre, newton_metre == tx.kinds.Unit.of("J"), newton_metre / tx.kinds.Unit.of("s")
+
+# tx.kinds.Fixed
+from twistax.expr.operations.elementwise import Function
+
+
+class Thinning(Function):
+    """The density of air over that at sea level, from the height in m."""
+
+    function = staticmethod(lambda h: jnp.exp(-h / 8500.0))
+    kinds = tx.kinds.Fixed(takes=(tx.kinds.Unit.of("m"),), gives=tx.kinds.Unit.of("1"))
+
+
+speed = tx.State("speed", unit="m/s")
+try:
+    tx.System(rates={speed: Thinning(speed)})
+except tx.KindError as error:
+    print(error)
+
+# tx.kinds.Rule
+import dataclasses
+
+
+@dataclasses.dataclass(frozen=True)
+class Reciprocal(tx.kinds.Rule):
+    """The unit of 1/x."""
+
+    def unit(self, node, units, space):
+        return None if units[0] is None else tx.kinds.Unit.of("1") / units[0]
+
+
+class Inverse(Function):
+    function = staticmethod(lambda x: 1.0 / x)
+    kinds = Reciprocal()
+
+
+r = tx.State("r", unit="s")
+try:
+    tx.System(rates={r: Inverse(r)})  # 1/s, and the rate of a time has no unit
+except tx.KindError as error:
+    print(error)

@@ -1,0 +1,41 @@
+# tx.estimation.UnscentedKalman tx.estimation.FilterRun
+p, v = tx.State("p"), tx.State("v")  # m, m/s
+cart = tx.compile(tx.System(rates={p: v, v: tx.Noise("gusts", density=0.1)}))  # m/s2 per sqrt(Hz)
+ranging = tx.Measurement("range", p, covariance=0.2**2)  # m2
+kalman = tx.estimation.UnscentedKalman(cart, [ranging])
+ts = np.arange(5.0)
+run = kalman.run({"range": (ts, [0.1, 1.2, 1.9, 3.1, 4.0])}, {"p": 0.0, "v": 0.0}, P0=1.0)
+run.xs["v"][-1], run.deviations()["v"][-1]
+
+# tx.estimation.Filter
+kalmans = [tx.estimation.ErrorStateKalman(cart, [ranging]), kalman]  # both have predict, update and run
+[isinstance(one, tx.estimation.Filter) for one in kalmans]
+
+# tx.estimation.Prediction
+prediction = kalman.predict(0.0, {"p": 0.0, "v": 1.0}, np.diag([0.04, 0.01]), h=0.5)
+prediction.x["p"], prediction.P, prediction.transition
+
+# tx.estimation.Update
+update = kalman.update("range", 0.5, prediction.x, prediction.P, 0.7)
+update.x, update.residual, update.nis
+
+# tx.estimation.Estimate
+estimate = tx.estimation.Estimate(update.x, update.P)
+estimate.x["p"], estimate.P
+
+# tx.estimation.Innovations
+innovations = run.innovations["range"]
+innovations.residual[:, 0], innovations.nis, innovations.used
+
+# tx.estimation.RauchTungStriebel tx.estimation.Smoothed
+smoothed = run.smooth()  # by RauchTungStriebel().smooth
+run.P[0, 1, 1], smoothed.P[0, 1, 1]  # of the speed at the start, before and after later ranges count
+
+# tx.estimation.Observability
+run.observability().rank, run.observability().unobservable
+
+# tx.estimation.consistency tx.estimation.Consistency tx.estimation.Verdict
+errors = 0.3 * np.random.default_rng(0).normal(size=(200, 50))  # of 200 runs at 50 times
+print(tx.estimation.consistency(errors**2 / 0.3**2, freedom=1))  # the covariance is that of the errors
+verdict = tx.estimation.consistency(errors**2 / 0.2**2, freedom=1).verdict  # the filter claims less than there is
+verdict
