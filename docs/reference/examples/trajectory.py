@@ -90,3 +90,20 @@ phases = [
     tx.trajectory.Phase(car, tx.Minimize(running=u**2), name="brake", nodes=8, final_time=2.0, final={x: 1.0, v: 0.0}),
 ]
 tx.trajectory.Problem(phases).solve().durations
+
+# tx.trajectory.Controller
+regulator = tx.trajectory.Problem(
+    car,
+    tx.Minimize(10.0 * (x**2 + v**2), running=x**2 + v**2 + 0.1 * u**2),
+    nodes=21,
+    final_time=2.0,
+    initial={x: 1.0, v: 0.0},
+)
+controller = regulator.controller(max_iterations=2)
+controller.feedback({"x": 0.9, "v": -0.1})  # the controls of the first interval
+controller.shift()  # an interval of the plan has passed
+controller.feedback({"x": 0.885, "v": -0.2})
+
+# tx.trajectory.ControllerLog tx.trajectory.StepRecord
+log = controller.log
+len(log), log.iterations, log[-1].status
