@@ -10,15 +10,15 @@ from typing import Any, ClassVar
 import jax
 import numpy as np
 
-from ..checks import reals, short
+from ..checks import reals
 from ..errors import InputError, ModelError, ShapeError
 from ..groups import SE3, SO3, Euclidean, Group, Order
 from ..groups.arrays import element_defect
-from ..units import Quantity
 from .fields import freeze
 from .kinds import rules
+from .kinds.declared_values import boundary_value, chosen_values, group_of, shape_of
 from .kinds.kinds import Kind, declared
-from .kinds.unit import Unit, unit_of_quantity
+from .kinds.unit import Unit, common_unit
 from .node import Expr, Shape
 from .printing.text import matrix_latex, name_latex, number_latex
 from .spellings import Bounded, refuse_in_jax
@@ -79,6 +79,10 @@ class Leaf(Expr):
         return name_latex(self.name)
 
 
+#: How far a constant may be from orthonormal that counts as a rotation.
+_ROUND_OFF = 1e-12
+
+
 class Constant(Leaf):
     """A number or an array. Read-only; takes the precision of the states when evaluated.
 
@@ -102,7 +106,7 @@ class Constant(Leaf):
             )
         array = reals("a Constant", value, ModelError).copy()
         if unit is None and kind is None:
-            unit = _common_unit(value)
+            unit = common_unit(value)
         self._declare("constant", array.shape, value=array, kind=kind, unit=unit)
         if isinstance(value, numbers.Integral):
             self.__dict__["_whole"] = True
@@ -227,14 +231,17 @@ class State(Variable):
         kind: Kind | None = None,
         unit: Any = None,
     ) -> None:
-        group = _group(name, shape, group, order)
+        group = group_of(name, shape, group, order)
         if not group.flat and (min is not None or max is not None):
             raise ModelError(
                 f"State {name!r} lives on {group.name}: a box of {group.shape} entries has no meaning there.\n"
                 "  fix: constrain an expression of it, e.g. g[2, 3] >= 0"
             )
-        ends = {"initial": _boundary(name, "initial", initial, group), "final": _boundary(name, "final", final, group)}
-        choice = _choice(name, group, min, max, guess, scale)
+        ends = {
+            "initial": boundary_value(name, "initial", initial, group),
+            "final": boundary_value(name, "final", final, group),
+        }
+        choice = chosen_values(name, group, min, max, guess, scale)
         self._declare(name, group.shape, group=group, **ends, **choice, kind=kind, unit=unit)
 
     def replace(self, **changes: Any) -> State:
@@ -244,7 +251,7 @@ class State(Variable):
 
     def boundary(self, what: str, value: Any) -> np.ndarray | None:
         """A checked value at the start or the end, "initial" or "final"."""
-        return _boundary(self.name, what, value, self.group)
+        return boundary_value(self.name, what, value, self.group)
 
     @property
     def order(self) -> Order | None:
@@ -286,7 +293,7 @@ class Control(Variable):
         unit: Any = None,
     ) -> None:
         group = Euclidean(shape_of(name, shape))
-        self._declare(name, group.shape, **_choice(name, group, min, max, guess, scale), kind=kind, unit=unit)
+        self._declare(name, group.shape, **chosen_values(name, group, min, max, guess, scale), kind=kind, unit=unit)
 
     def read(self, inputs: Inputs) -> jax.Array:
         return inputs.u[self.name]
@@ -319,7 +326,7 @@ class Parameter(Leaf):
         unit: Any = None,
     ) -> None:
         if unit is None and kind is None:
-            unit = _common_unit(value)
+            unit = common_unit(value)
         if value is not None:
             value = reals(f"{name!r}: value", value, ModelError).astype(np.float64)
         shape = shape_of(name, shape if shape is not None else np.shape(value) if value is not None else ())
@@ -336,129 +343,3 @@ class Parameter(Leaf):
                 f"  fix: pass params={{{self.name!r}: ...}} of shape {self.shape}, or declare it with value=..."
             )
         return jax.numpy.asarray(self.value, inputs.dtype)
-
-
-def _common_unit(value: Any) -> Unit | None:
-    """The unit of a quantity, or the one that all quantities of a list have."""
-    if isinstance(value, Quantity):
-        return unit_of_quantity(value)
-    if not isinstance(value, (list, tuple)) or not value:
-        return None
-    units = {_common_unit(entry) for entry in value}
-    return units.pop() if len(units) == 1 else None
-
-
-# ---- what leaves are given, checked ------------------------------------------------------------------------------
-
-
-def shape_of(name: str, shape: Shape | int) -> Shape:
-    """A shape as a tuple. Raises ModelError unless it is made of positive whole numbers."""
-    sizes = tuple(shape) if isinstance(shape, (tuple, list)) else (shape,)
-    if not all(isinstance(n, (int, np.integer)) and not isinstance(n, bool) and n >= 1 for n in sizes):
-        raise ModelError(f"{name!r}: shape expects a tuple of positive whole numbers, got {shape!r}")
-    return tuple(int(n) for n in sizes)
-
-
-def _group(name: str, shape: Shape | int | None, group: Group | None, order: Order | None) -> Group:
-    if group is None:
-        if order is not None:
-            raise ModelError(
-                f"State {name!r}: order= is for poses, got a state without a group.\n"
-                "  fix: group=tx.SE3, or leave order out; the Lie nodes carry their own"
-            )
-        return Euclidean(shape_of(name, () if shape is None else shape))
-    if not isinstance(group, Group):
-        made = f".\n  fix: give one of them: group={group.__name__}()" if isinstance(group, type) else ""
-        raise ModelError(f"State {name!r}: group must be tx.SO3, tx.SE3 or a group of your own, got {group!r}{made}")
-    try:
-        hash(group)
-    except TypeError:
-        raise ModelError(
-            f"State {name!r}: group must be a value that is compared and hashed, got {group!r}.\n"
-            f"  fix: make {type(group).__name__} a frozen dataclass: @dataclasses.dataclass(frozen=True)"
-        ) from None
-    if shape is not None and shape_of(name, shape) != group.shape:
-        raise ShapeError(
-            f"State {name!r} on {group.name} has shape {group.shape}, got {shape}",
-            hint="leave shape out: the group brings its own",
-        )
-    if order is None:
-        return group
-    if group.twist_order is None:
-        raise ModelError(f"State {name!r}: order= is for poses, got the group {group.name}.\n  fix: leave order out")
-    if not isinstance(order, Order):
-        raise ModelError(f"State {name!r} expects order=tx.LINEAR_FIRST or tx.ANGULAR_FIRST, got {order!r}")
-    return group.with_order(order)
-
-
-def _value(name: str, what: str, value: Any, shape: Shape, free: float = np.nan) -> np.ndarray | None:
-    """A float64 copy broadcast to the shape; entries that are None or NaN become `free`."""
-    if value is None:
-        return None
-    array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)
-    try:
-        array = np.broadcast_to(array, shape)
-    except ValueError:
-        raise ShapeError(f"{name!r}: {what} expects shape {shape}, got {array.shape}") from None
-    return np.where(np.isnan(array), free, array)
-
-
-def _choice(name: str, group: Group, low: Any, high: Any, guess: Any, scale: Any) -> dict[str, np.ndarray | None]:
-    shape = group.shape
-    low, high = _value(name, "min", low, shape, -np.inf), _value(name, "max", high, shape, np.inf)
-    if low is not None and high is not None and (low > high).any():
-        raise ModelError(f"{name!r} expects min below max, got min {low} and max {high}")
-    for side, bound, never in (("min", low, np.inf), ("max", high, -np.inf)):
-        if bound is not None and (bound == never).any():
-            raise ModelError(f"{name!r}: {side} expects numbers that a value can meet, got {bound}")
-    if guess is not None:
-        guess = reals(f"{name!r}: guess", guess, ModelError).astype(np.float64)
-        if not np.isfinite(guess).all():
-            raise ModelError(f"{name!r}: guess expects finite numbers, got {short(guess)}")
-        if guess.shape != shape and guess.shape[1:] != shape:
-            raise ShapeError(f"{name!r}: guess expects shape {shape} or (n, *{shape}), got {guess.shape}")
-    scale = _value(name, "scale", scale, shape if group.flat else (group.dimension,))
-    if scale is not None and not ((scale > 0) & (scale < np.inf)).all():
-        raise ModelError(f"{name!r}: scale must be positive and finite, got {scale}")
-    return {"min": low, "max": high, "guess": guess, "scale": scale}
-
-
-#: How far a given rotation may be from orthonormal before it is refused, and how far a constant that counts as one.
-_ROTATION_TOLERANCE, _ROUND_OFF = 1e-6, 1e-12
-
-
-def _half_free(name: str, what: str, array: np.ndarray, group: Group) -> np.ndarray:
-    """An element with whole parts left free (NaN), such as the position of a pose; single entries cannot be free."""
-    parts, rest = group.parts if len(group.parts) > 1 else (), array.copy()
-    for part in parts:
-        if np.isnan(array[part.place]).all():
-            rest[part.place] = 0.0
-    if np.isnan(rest).any():
-        open_parts = " or ".join(f"the whole {part.name}" for part in parts)
-        can_leave = f"{open_parts} free, no other entries" if parts else "none free"
-        raise ModelError(
-            f"{name!r}: {what} of {group.name} can leave {can_leave}, got\n{array}\n"
-            f"  fix: use constraints on the entries of {name}, e.g. {what}=[{name}[0, 1] == 0.0]"
-        )
-    return array
-
-
-def _boundary(name: str, what: str, value: Any, group: Group) -> np.ndarray | None:
-    """A value at the start or the end: an element of a group, or numbers of which some may be None."""
-    if value is None or group.flat:
-        numbers = _value(name, what, value, group.shape)
-        if np.ndim(value) and np.shape(value) != group.shape:  # a list that would be repeated is a slip
-            raise ShapeError(f"{name!r}: {what} expects shape {group.shape} or a number, got {np.shape(value)}")
-        if numbers is not None and np.isinf(numbers).any():
-            raise ModelError(f"{name!r}: {what} expects finite numbers, None where it is free, got {numbers}")
-        return numbers
-    if np.shape(value) != group.shape:
-        raise ShapeError(f"{name!r}: {what} expects shape {group.shape}, got {np.shape(value)}")
-    array = reals(f"{name!r}: {what}", value, ModelError, free=True).astype(np.float64)
-    if np.isnan(array).any():
-        array = _half_free(name, what, array, group)
-    defect = group.known_defect(np.where(np.isnan(array), np.asarray(group.identity(), float), array))
-    if not defect <= _ROTATION_TOLERANCE:
-        off = f"off by {defect:.2g}"
-        raise ModelError(f"{name!r}: {what} is not an element of {group.name} ({off}).\n  fix: {group.remedy}")
-    return array

@@ -18,7 +18,8 @@ from .library import library
 from .options import Options
 from .processors import processors
 from .stages import Stages
-from .transcription import Transcription, TranscriptionStructure
+from .structures import TranscriptionStructure
+from .transcription import Transcription
 
 #: What a result has after its arrays, in the order of members.h.
 MEASURES = (

@@ -12,9 +12,10 @@ import numpy as np
 from numpy import ndarray as Array
 
 from .core import StageFunctions
-from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels, SmoothStructure
+from .kernels import BatchKernel, Callback, KernelStructure, SmoothKernels
 from .library import library
 from .stages import Stages
+from .structures import JoinStructure, NodeStructure, OffsetsStructure, PhaseStructure, TranscriptionStructure
 
 #: Newton steps of an implicit method at most, and the size of a step, relative, after which one more is the last.
 _NEWTON, _CLOSE = 60, 1e-9
@@ -137,54 +138,6 @@ class CorePhase:
 NONE, INEQUALITY, EQUALITY = 0, 1, 2
 
 
-class NodeStructure(ctypes.Structure):
-    _fields_ = [
-        ("function", SmoothStructure),
-        ("stage", ctypes.c_int32),
-        ("place", ctypes.c_void_p),
-        ("margins", ctypes.c_void_p),
-    ]
-
-
-class _Join(ctypes.Structure):
-    _fields_ = [
-        ("function", SmoothStructure),
-        ("turn", KernelStructure),
-        ("free_count", ctypes.c_int32),
-        ("free", ctypes.c_void_p),
-    ]
-
-
-_OFFSETS = ("z", "v", "c", "h", "e", "F", "Jh", "Je", "H")
-
-
-class _Offsets(ctypes.Structure):
-    _fields_ = [(name, ctypes.c_void_p) for name in (*_OFFSETS, "inequalities", "equalities")]
-
-
-_COUNTS = ("n", "m", "p", "point", "intervals", "substeps", "stages", "implicit", "path_rows", "nodes", "iterations")
-_ARRAYS = ("a", "b", "c", "weights", "starts", "widths", "data", "node_rows")
-
-
-class _Phase(ctypes.Structure):
-    _fields_ = [
-        *((name, ctypes.c_int32) for name in _COUNTS),
-        ("close", ctypes.c_double),
-        ("parameters_z", ctypes.c_int64),
-        ("parameters_v", ctypes.c_int64),
-        *((name, ctypes.c_void_p) for name in _ARRAYS),
-        ("node_width", ctypes.c_int32),
-        *((name, ctypes.c_void_p) for name in ("place", "margins", "steps")),
-        ("at", _Offsets),
-        *((name, SmoothStructure) for name in ("rate", "rows", "gap")),
-        *((name, KernelStructure) for name in ("retract", "turn")),
-        ("node", ctypes.c_void_p),
-        ("join", ctypes.c_void_p),
-        ("cost_slopes", ctypes.c_void_p),
-        ("work", ctypes.c_void_p),
-    ]
-
-
 _POINTERS = [ctypes.c_void_p] * 6
 _SIGNATURES = {
     "values": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS),
@@ -192,12 +145,6 @@ _SIGNATURES = {
     "hessians": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS[:2], ctypes.c_double, *_POINTERS[:4]),
     "retract": ctypes.CFUNCTYPE(ctypes.c_int32, *_POINTERS[:4]),
 }
-
-
-class TranscriptionStructure(ctypes.Structure):
-    """`twx_transcription`."""
-
-    _fields_ = [("phases", ctypes.c_int32), ("phase", ctypes.c_void_p)]
 
 
 class Transcription:
@@ -247,7 +194,7 @@ class Transcription:
         #: By which rows are tightened: those of the path, then those of each node.
         self._margins = [[np.zeros(rows.shape) for rows in (phase.path, *phase.conditions)] for phase in phases]
         described = (self._described(k, *of_phase) for k, of_phase in enumerate(numbers))
-        self._structures = (_Phase * len(phases))(*described)
+        self._structures = (PhaseStructure * len(phases))(*described)
         for structure in self._structures:
             structure.work = self._array(np.zeros(library().phase_work(ctypes.addressof(structure))))
         self.structure = TranscriptionStructure(len(phases), ctypes.addressof(self._structures))
@@ -355,7 +302,7 @@ class Transcription:
         places = {name: place.astype(np.int64) for name, place in places.items()}
         return places | {name: rows.astype(np.int32) for name, rows in zip(("inequalities", "equalities"), counts)}
 
-    def _described(self, number: int, of_path: Any, of_nodes: Any) -> _Phase:
+    def _described(self, number: int, of_path: Any, of_nodes: Any) -> PhaseStructure:
         """A phase in the form of the core.
 
         Args:
@@ -373,7 +320,7 @@ class Transcription:
         numbers = {name: getattr(method, name) for name in ("a", "b", "c", "weights")}
         numbers |= {"starts": phase.starts, "widths": phase.widths}
         sizes = (phase.n, phase.m, parameters, phase.point, phase.intervals, method.substeps, len(method.b))
-        return _Phase(
+        return PhaseStructure(
             *sizes,
             int(method.implicit),
             phase.path.shape[2],
@@ -388,7 +335,7 @@ class Transcription:
             node_width=phase.node_rows[1],
             place=codes[0],
             margins=margins[0],
-            at=_Offsets(**{name: self._array(places[part]) for name, places in self._offsets.items()}),
+            at=OffsetsStructure(**{name: self._array(places[part]) for name, places in self._offsets.items()}),
             **{name: getattr(kernels, name).structure for name in ("rate", "rows", "gap")},
             **{n: k.structure for n in ("retract", "turn") if (k := getattr(kernels, n)) is not None},
             node=ctypes.addressof(nodes),
@@ -401,7 +348,7 @@ class Transcription:
         if join is None:
             return None
         turn = self.phases[number + 1].kernels.turn
-        structure = _Join(
+        structure = JoinStructure(
             join.gap.structure,
             KernelStructure() if turn is None else turn.structure,
             len(join.free),

@@ -1,5 +1,6 @@
 """Systems, and what `tx.compile` makes of them: calls, Jacobians, Hessians, explanations, files, other languages."""
 
-from .system import System, entry_names, free_name, name_of, need_finite
+from .finite import need_finite
+from .system import System, entry_names, free_name, name_of
 
 __all__ = ["System", "entry_names", "free_name", "name_of", "need_finite"]

@@ -12,24 +12,13 @@ import numpy as np
 from ..checks import listed, short
 from ..errors import ModelError, ShapeError
 from ..expr import (
-    Add,
-    Block,
-    Concat,
-    Constant,
     Constraint,
     Control,
-    Div,
     Expr,
-    Hstack,
     Leaf,
-    Mul,
-    Neg,
     Noise,
     Parameter,
-    Stack,
     State,
-    Sub,
-    Vstack,
     check_kinds,
     check_orders,
     find_path,
@@ -46,13 +35,12 @@ from ..expr.printing.text import name_latex
 from ..expr.transformations.vmap import no_elements
 from ..groups import Product
 from .composable import Composable
+from .finite import need_finite
 from .labels import Labels, checked_labels
 
 L = TypeVar("L", bound=Leaf)
 #: Of a state: pairs of what its rate depends on and the derivative by it.
 Slopes: TypeAlias = Mapping[State | str, Iterable[tuple[ExprLike, ExprLike]]]
-#: Nodes whose value is NaN where an entry of an operand is.
-_PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
 class System(Composable):
@@ -311,32 +299,6 @@ def name_of(key: Any) -> str:
 def entry_names(name: str, shape: tuple[int, ...]) -> list[str]:
     """The name of every entry, row by row: "h" of a scalar, "V[0]" and on of a vector, "J[0, 1]" of a matrix."""
     return [f"{name}{list(at) if at else ''}" for at in np.ndindex(*shape)]
-
-
-def need_finite(place: str, root: Expr) -> None:
-    """Raise ModelError if an expression (of a constraint its residual) is not finite for any states."""
-    root = root.residual() if isinstance(root, Constraint) else root
-    if (not_finite := _not_finite(root)) is not None:
-        raise ModelError(
-            f"{place} is never finite: it expects finite numbers, got {not_finite!r}.\n"
-            f"  at: {find_path(root, not_finite)}\n  fix: what is not known yet is a tx.Parameter"
-        )
-
-
-def _not_finite(root: Expr) -> Constant | None:
-    """A constant that makes the value NaN whatever the states are, or that is the value and infinite; None if none."""
-    if isinstance(root, Constant) and not np.isfinite(root.value).all():
-        return root
-    waiting, seen = [root], set[int]()
-    while waiting:
-        node = waiting.pop()
-        if isinstance(node, Constant) and np.isnan(node.value).any():
-            return node
-        # Others may leave an entry out, or choose another branch.
-        if isinstance(node, _PASSING) and id(node) not in seen:
-            seen.add(id(node))
-            waiting.extend(node.children())
-    return None
 
 
 def _expression(place: str, value: ExprLike) -> Expr:

@@ -75,6 +75,16 @@ def unit_of_quantity(quantity: Quantity) -> Unit:
     return Unit((kilograms, metres, seconds, kelvins))
 
 
+def common_unit(value: Any) -> Unit | None:
+    """The unit of a quantity, or the one that all quantities of a list have."""
+    if isinstance(value, Quantity):
+        return unit_of_quantity(value)
+    if not isinstance(value, (list, tuple)) or not value:
+        return None
+    units = {common_unit(entry) for entry in value}
+    return units.pop() if len(units) == 1 else None
+
+
 def parsed(name: str, unit: Any) -> Unit:
     """The unit that a leaf declares: a text such as "kg m2/s", or a value of `tx.units` that is 1 in SI.
 

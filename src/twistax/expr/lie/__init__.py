@@ -1,7 +1,7 @@
 """Nodes of Lie groups and their algebras."""
 
 from .adjoint import Adjoint, AdjointAction, AdjointDual, CoadjointAction, SE3Adjoint, SE3AdjointDual, SO3Adjoint
-from .attitude import EulerAngles, EulerRotation, euler, pose, quaternion
+from .attitude import EulerAngles, EulerRotation, euler, pose, quaternion, rotation, translation
 from .base import AngularPart, JoinedParts, LinearPart, Reorder, angular, linear, twist, wrench
 from .elements import (
     Act,
@@ -15,8 +15,6 @@ from .elements import (
     SO3Exp,
     SO3Log,
     Vee,
-    rotation,
-    translation,
 )
 from .jacobians import LeftJacobian, LeftJacobianInverse, RightJacobian, RightJacobianInverse
 

@@ -174,3 +174,19 @@ def _joined(value: Any) -> Expr:
     if not isinstance(value, Expr) and _symbolic(value):
         return Stack(*map(_joined, value))
     return to_expr(value)
+
+
+def translation(position: ExprLike) -> Expr:
+    """The pose [I p; 0 1] of a frame at position p (3,), in m, with the axes of the other; an expression or numbers.
+
+    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product. Raises ShapeError.
+    """
+    return Pose(np.eye(3), position)
+
+
+def rotation(rotation: ExprLike) -> Expr:
+    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the other's origin; an expression or numbers.
+
+    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else. Raises ShapeError.
+    """
+    return Pose(rotation, np.zeros(3))

@@ -14,7 +14,7 @@ import numpy as np
 
 from ...groups import ANGULAR_FIRST, LINEAR_FIRST, Order, se3, so3
 from ..canonical import fold
-from ..fields import ExprLike, Operand
+from ..fields import Operand
 from ..kinds import lie_rules, rules
 from ..leaves import Constant
 from ..matrices.linalg import Cross
@@ -292,22 +292,6 @@ class Pose(Expr):
 
     def makes_group_element(self, *operands: bool) -> bool:
         return operands[0]
-
-
-def translation(position: ExprLike) -> Expr:
-    """The pose [I p; 0 1] of a frame at position p (3,), in m, with the axes of the other; an expression or numbers.
-
-    Ad and Ad* of it, and of its inverse, cost the six multiplications of one vector product. Raises ShapeError.
-    """
-    return Pose(np.eye(3), position)
-
-
-def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the other's origin; an expression or numbers.
-
-    Ad and Ad* of it, and of its inverse, turn both halves of a six-vector and do nothing else. Raises ShapeError.
-    """
-    return Pose(rotation, np.zeros(3))
 
 
 def parts_of_pose(T: Expr) -> tuple[Expr, Expr]:

@@ -9,7 +9,8 @@ import numpy as np
 
 from ...scalar.targets.c import c_type
 from ..kernels import BatchKernel, SmoothKernels
-from ..transcription import NodeStructure, Transcription
+from ..structures import NodeStructure
+from ..transcription import Transcription
 from .kernel_code import KernelCode, array
 
 #: Arrays that a controller has in its own memory.

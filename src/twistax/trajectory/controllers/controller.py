@@ -20,7 +20,6 @@ from ...solver.options import Options
 from ...solver.prepared import PreparedSolve
 from ...system import name_of
 from ...system.export import CFiles
-from ..hessians.options import by_updates
 from ..strategy.measure import COST
 from ..strategy.status import Status
 from ..strategy.warm import warm_start, with_ends
@@ -28,7 +27,8 @@ from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
 from .export import write_controller
 from .gains import Gains
 from .log import ControllerLog, StepRecord
-from .shift import Shift, need_shiftable
+from .requirements import need_controllable, need_shiftable
+from .shift import Shift
 
 Values = dict[str, Array]
 
@@ -90,7 +90,7 @@ class Controller:
         whole("log", log, 1, TrajectoryError)
         if max_seconds is not None:
             number("max_seconds", max_seconds, "above zero", lambda size: size > 0.0, TrajectoryError)
-        _need_controllable(problem)
+        need_controllable(problem)
         self.problem, self._seconds = problem, max_seconds
         (self.part,) = problem.parts
         with in_double():
@@ -384,32 +384,6 @@ class Controller:
         """
         return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
 
-    def drawn_states(self, count: int = 5) -> list[Values]:
-        """States near the nodes of the plan, at random."""
-        rng, group, nodes = np.random.default_rng(0), self.part.dynamics.group, self.xs
-        states = []
-        for k in range(min(count, self.part.nodes)):
-            node, step = {name: values[k] for name, values in nodes.items()}, 0.05 * rng.normal(size=self._n)
-            with in_double():
-                moved = group.retract(node, step * self._x_units)
-            states.append({name: np.asarray(value) for name, value in moved.items()})
-        return states
-
-    def rehearsed(self, states: Sequence[Mapping[str, Any]]) -> tuple[Array, Array, Array]:
-        """Points, iterations and statuses of calls, each followed by a shift; nothing of the controller changes."""
-        kept, log, status = self.prepared.saved(), self.log, self.status
-        self.log = ControllerLog(len(states))
-        points, counts = [], []
-        for x in states:
-            self.feedback(x)
-            points.append(self.prepared.z.copy())
-            counts.append([self.prepared.measure("iterations"), self.prepared.measure("status")])
-            self.shift()
-        self.prepared.load(kept)
-        self.log, self.status = log, status
-        iterations, statuses = np.array(counts, np.int32).T
-        return np.array(points), np.ascontiguousarray(iterations), np.ascontiguousarray(statuses)
-
     @property
     def measures(self) -> dict[str, float]:
         """Numbers of the last solve: cost, error, violation, iterations and others, in units of the solver."""
@@ -419,31 +393,3 @@ class Controller:
 #: How solves end, by what the core says.
 _STATUS = {status: Status[status.name] for status in CoreStatus if status.name in Status.__members__}
 _STATUS[CoreStatus.STOPPED] = Status.OUT_OF_TIME
-
-
-def _need_controllable(problem: Any) -> None:
-    """Raise TrajectoryError for a problem whose first state and control are not those of the system alone."""
-    if len(problem.parts) != 1:
-        raise TrajectoryError(
-            "controller: the problem has several phases, and which of them comes next depends on time.\n"
-            "  fix: a controller for a problem of one phase"
-        )
-    (part,) = problem.parts
-    measured = {state.name for state in part.phase.dynamics.states}
-    if added := sorted({state.name for state in part.dynamics.states} - measured):
-        raise TrajectoryError(
-            f"controller: the problem has states that nothing measures: {', '.join(added)}. They stand for continuous "
-            "controls, free node times, or integrals and extremes of the path.\n"
-            "  fix: held controls, nodes at fixed shares, running= in place of Integral"
-        )
-    if by_updates(problem.parts):
-        raise TrajectoryError(
-            "controller: QuasiNewton() learns second derivatives over many steps, and a controller takes few.\n"
-            "  fix: hessian=tx.trajectory.GaussNewton(), or exact second derivatives"
-        )
-    for name, fixed in part.ends.initial_fixed.items():
-        if not np.all(fixed):
-            raise TrajectoryError(
-                f"controller: the problem leaves the initial value of {name!r} free, and a controller starts from a "
-                "measured state.\n  fix: state the problem with initial= for every state"
-            )

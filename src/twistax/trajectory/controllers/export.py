@@ -21,6 +21,7 @@ from ...system.export.c99 import check_name, write_files
 from ...system.export.c_code import mark
 from ..strategy.measure import COST
 from .barrier import BARRIER_LEAST, BARRIER_MOST, BARRIER_SHARE
+from .rehearsal import drawn_states, rehearsed
 
 _REAL = c_type(np.dtype(float))
 
@@ -126,39 +127,7 @@ class ControllerCode:
     def _source(self) -> dict[str, Any]:
         sizes, solve, staged = self._sizes, self._solve, self._staged
         phase, point = staged.transcription.phases[0], staged.parts[0].point
-        units = self._controller.units
-        shift = self._controller.moves_on
-        stages = self._stages
-        flat = -np.ones(sizes["variables"], np.int32)
-        flat[staged.plain[1]] = staged.plain[0]
-        constants = {
-            "start_z": solve.z,
-            **{f"start_{name}": getattr(solve, name) for name in ("lower", "upper")},
-            "start_v": solve.v,
-            "start_s": solve.s,
-            "start_lambda": solve.lam,
-            "start_y": solve.y,
-            "start_ye": solve.ye,
-            "start_zl": solve.zl,
-            "start_zu": solve.zu,
-            "start_data": self._controller.numbers,
-            "unit_v": units.size,
-            "unit_rows": units.row_size,
-            "unit_equalities": units.equality_size,
-            "largest_step": self._controller.largest_step,
-            "stage_states": np.array(stages.states, np.int32),
-            "stage_controls": np.array(stages.controls, np.int32),
-            "stage_inequalities": np.array(stages.inequalities, np.int32),
-            "stage_equalities": np.array(stages.equalities, np.int32),
-            "stage_points": np.array(stages.point_states or stages.states, np.int32),
-            "flat_of": flat,
-            "flat_entry": flat[: phase.n],
-            "later_z": shift.points.astype(np.int32),
-            "later_v": shift.variables.astype(np.int32),
-            "later_defects": shift.defects.astype(np.int32),
-            "later_rows": shift.rows.astype(np.int32),
-            "later_equalities": shift.equalities.astype(np.int32),
-        }
+        units, stages, constants = self._controller.units, self._stages, self._constants()
         empty = {name for name, values in constants.items() if not np.size(values)}
         texts = [array(name, np.asarray(a)) for name, a in constants.items() if name not in empty]
         every = ["lower", "upper", "v", "s", "lambda", "y", "ye", "zl", "zu", "data"]
@@ -203,6 +172,41 @@ class ControllerCode:
             "gather_rows": "\n".join(gathers),
         }
 
+    def _constants(self) -> dict[str, Any]:
+        """Arrays by their names in C: the present plan, units, sizes of stages, and places of later values."""
+        solve, staged, stages = self._solve, self._staged, self._stages
+        phase, units, shift = staged.transcription.phases[0], self._controller.units, self._controller.moves_on
+        flat = -np.ones(self._sizes["variables"], np.int32)
+        flat[staged.plain[1]] = staged.plain[0]
+        return {
+            "start_z": solve.z,
+            **{f"start_{name}": getattr(solve, name) for name in ("lower", "upper")},
+            "start_v": solve.v,
+            "start_s": solve.s,
+            "start_lambda": solve.lam,
+            "start_y": solve.y,
+            "start_ye": solve.ye,
+            "start_zl": solve.zl,
+            "start_zu": solve.zu,
+            "start_data": self._controller.numbers,
+            "unit_v": units.size,
+            "unit_rows": units.row_size,
+            "unit_equalities": units.equality_size,
+            "largest_step": self._controller.largest_step,
+            "stage_states": np.array(stages.states, np.int32),
+            "stage_controls": np.array(stages.controls, np.int32),
+            "stage_inequalities": np.array(stages.inequalities, np.int32),
+            "stage_equalities": np.array(stages.equalities, np.int32),
+            "stage_points": np.array(stages.point_states or stages.states, np.int32),
+            "flat_of": flat,
+            "flat_entry": flat[: phase.n],
+            "later_z": shift.points.astype(np.int32),
+            "later_v": shift.variables.astype(np.int32),
+            "later_defects": shift.defects.astype(np.int32),
+            "later_rows": shift.rows.astype(np.int32),
+            "later_equalities": shift.equalities.astype(np.int32),
+        }
+
     def _parameters(self) -> dict[str, tuple[Array, Array]]:
         """Values, and where each entry stands in the data: several columns of the same values for those by node."""
         numbers, by_node = self._staged.numbers, self._controller.part.by_node
@@ -235,7 +239,7 @@ class ControllerCode:
 
     def _test(self, states: Sequence[Mapping[str, Any]], tolerance: float) -> dict[str, Any]:
         """The iterates that the controller of Python ends at; it is as it was after that."""
-        expected, iterations, statuses = self._controller.rehearsed(states)
+        expected, iterations, statuses = rehearsed(self._controller, states)
         columns = {name: np.array([np.ravel(x[name]) for x in states], float) for name, _ in self._states}
         data = [array(_c(f"measured_{name}"), values) for name, values in columns.items()]
         data += [array("expected", expected), array("iterations", iterations), array("statuses", statuses)]
@@ -265,6 +269,6 @@ def write_controller(
     check_name(name)
     number("tolerance", tolerance, "a finite number that is not negative", lambda size: 0.0 <= size < np.inf)
     folder, code = path_of("directory", directory), ControllerCode(controller, name)
-    files, texts = code.files(folder, controller.drawn_states() if states is None else states, tolerance)
+    files, texts = code.files(folder, drawn_states(controller) if states is None else states, tolerance)
     write_files(folder, texts)
     return files

@@ -7,7 +7,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy import ndarray as Array
 
-from ...errors import TrajectoryError
 from ...solver.prepared import PreparedSolve
 from ...solver.transcription import EQUALITY, INEQUALITY
 from ..transcription.evaluation import Evaluated, moved
@@ -90,13 +89,3 @@ def _row_after(places: Array, count: int) -> Array:
     both = (here >= 0) & (later >= 0)
     after[here[both]] = later[both]
     return after
-
-
-def need_shiftable(problem: object) -> None:
-    """Raise TrajectoryError where what comes an interval later is not the same problem."""
-    (part,) = problem.parts  # type: ignore[attr-defined]
-    if not part.mesh.is_even:
-        raise TrajectoryError(
-            "shift: intervals of other lengths come later, so the plan cannot move on by one.\n"
-            "  fix: nodes at equal distances"
-        )

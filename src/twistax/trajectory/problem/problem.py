@@ -212,9 +212,7 @@ class Problem:
         return f"Problem({', '.join(f'{name}: {part!r}' for name, part in zip(self.names, self.parts))})"
 
     def __getattr__(self, name: str) -> Any:
-        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, transcription, hessian,
-        ...
-        """
+        """An attribute of the phase, if there is only one: nodes, mesh, dynamics, objective, hessian and others."""
         parts = self.__dict__.get("parts", ())
         if name.startswith("_") or len(parts) != 1:
             raise AttributeError(f"a problem of {len(parts)} phases has no attribute {name!r}")
@@ -366,9 +364,8 @@ class Problem:
         """Solve many cases in one call, each as `solve` does; the failure of one case does not affect the others.
 
         Arguments are those of `solve`. Values with one more axis in front are one for each case; the others are shared.
-        A guess with an axis of cases has one of nodes or intervals too.
-
-        As many cases at a time as there are processors.
+        A guess with an axis of cases has one of nodes or intervals too. As many cases run at a time as there are
+        processors.
 
         Raises:
             ShapeError: arguments for different numbers of cases.
