@@ -103,12 +103,12 @@ class Controller:
             units = solver.units(start.point, instance) if start.units is None else start.units
             options = solver.options(max_iterations) | {"warm_start": 1.0}
             self.units = Units(units.v, units.rows, units.equalities, COST * units.cost)
-            bounds = staged.limits(start.point, instance)
+            bounds = staged.limits(staged.coordinates(staged.flat(start.point)), instance)
             self.prepared = PreparedSolve(
                 staged.transcription, self.units, solver.largest_step, bounds, Options(**options)
             )
             self._load(start)
-        self.params, self.numbers = dict(instance.params), staged.numbers.vector(instance)
+        self.params, self.numbers = dict(instance.params), np.array(staged.numbers.vector(instance))
         staged.transcription.set_data(self.numbers)
         self.moves_on, self._gains = Shift(staged), Gains(self.prepared, staged, self.units)
         self._place_leaves()
@@ -117,7 +117,8 @@ class Controller:
     def _load(self, start: Any) -> None:
         """Write a warm start into the memory of the solve."""
         solve, staged = self.prepared, self.staged
-        solve.z[:], solve.v[:] = staged.flat(start.point), staged.coordinates(start.point)
+        solve.z[:] = z = staged.flat(start.point)
+        solve.v[:] = staged.coordinates(z)
         solve.lam[:] = staged.unpadded(start.dynamics)
         solve.y[:], solve.ye[:], solve.zl[:], solve.zu[:] = staged.split_rows(np.asarray(start.rows))
         solve.s[:] = 0.0  # what its rows leave
