@@ -26,6 +26,7 @@ EXTRAS = {
     "report": ("matplotlib", "jinja2"),
     "docs": ("sphinx", "myst-parser", "furo"),
     "view": ("viser",),
+    "video": ("imageio-ffmpeg",),
     "cuda": ("jax-cuda12-plugin",),
 }
 

@@ -4,7 +4,7 @@ import jax.numpy as jnp
 import numpy as np
 
 import twistax as tx
-from twistax.integrators.step_control import tolerances_of
+from twistax.integrators.options import tolerances_of
 
 
 def test_tolerances_never_fall_below_round_off() -> None:

@@ -11,6 +11,7 @@ from test_saved import Doubled, again
 import twistax as tx
 import twistax.mechanics
 from twistax.expr import Expr, all_nodes, leaves_of
+from twistax.expr.functions.function import Call
 from twistax.groups import SpecialOrthogonal
 from twistax.system.export.saved import read_nodes, write_nodes
 
@@ -26,7 +27,8 @@ def copied(roots: list[Expr]) -> list[Expr]:
 def test_every_node_comes_back() -> None:
     """The examples of all node classes."""
     assert twistax.mechanics  # its nodes are among them
-    roots = [example.expr for node in all_nodes() for example in node.example()]
+    # A call of a user's function holds code, which files do not.
+    roots = [example.expr for node in all_nodes() if node is not Call for example in node.example()]
     assert len(roots) > 200
     for root, loaded in zip(roots, copied(roots), strict=True):
         assert loaded.key() == root.key(), root

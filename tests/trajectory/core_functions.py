@@ -113,9 +113,9 @@ def assert_derivatives_by_differences(problem: Problem, point: Point, given: Giv
             cost = there.cost[0]
             return np.array([cost, cost + weights @ there.c + y @ there.h + ye @ there.e])
 
-        far, near, here, after, end = (lagrangian(size * 1e-2) for size in (-2, -1, 0, 1, 2))
-        first = (8.0 * (after - near) - (end - far)) / (12.0 * 1e-2)
-        second = (16.0 * (after + near) - (end + far) - 30.0 * here) / (12.0 * 1e-4)
+        far, near, here, after, end = (lagrangian(size * 1e-3) for size in (-2, -1, 0, 1, 2))
+        first = (8.0 * (after - near) - (end - far)) / (12.0 * 1e-3)
+        second = (16.0 * (after + near) - (end + far) - 30.0 * here) / (12.0 * 1e-6)
         shared = v[len(v) - stages.parameters :]
         steps = [np.r_[v[a : a + n - stages.parameters], shared] for a, n in zip(stages.first, stages.columns)]
         slopes = ((at.F, stages.after, lam.ravel()), (at.Jh, stages.inequalities, y), (at.Je, stages.equalities, ye))

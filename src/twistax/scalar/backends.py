@@ -96,8 +96,9 @@ class Backend(ABC):
         changed = [f"{f.name}={getattr(self, f.name)}" for f in options if getattr(self, f.name) != f.default]
         return type(self).__name__ + (f"({', '.join(changed)})" if changed else "")
 
-    def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
-        """Why a function cannot be part of a kernel; None where it can, or where this backend makes none."""
+    @property
+    def runner(self) -> Any:
+        """What runs programs as kernels; None where this backend makes none."""
         return None
 
     @abstractmethod

@@ -101,7 +101,8 @@ def row_layout(
             node_determined[0, here] = conditions.determined(ends.initial_fixed, boxes, known_start)
 
     # The end: conditions, fixed entries, path rows of the last node, limits of the border.
-    states, fixed = np.flatnonzero(path.at_nodes()), np.flatnonzero(ends.final_mask)
+    # Of 32 bits: JAX without double precision adds no others.
+    states, fixed = (np.flatnonzero(a).astype(np.int32) for a in (path.at_nodes(), ends.final_mask))
     limits = border.row_names if phase == border.phases - 1 else []
     end_names = [*final.names, *(f"final {tangents[i]}" for i in fixed), *(path.names[i] for i in states), *limits]
     first = len(final.names) + len(fixed)

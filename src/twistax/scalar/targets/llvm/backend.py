@@ -73,6 +73,19 @@ class KernelRunner:
             return None
         return self.built(Straight, form, (), single, platform)
 
+    def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
+        """Why a function cannot be part of a kernel; None where it can."""
+        if not installed():
+            return None
+        closed = pure(function, shapes)
+        if closed is None:
+            return "it has effects, random keys or more than 1,000 numbers of its own"
+        try:
+            native_form(_XLA.scalarised(closed))
+        except (NotNative, TooLarge) as error:
+            return str(error).splitlines()[0]
+        return None
+
     def built(
         self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, platform: str
     ) -> Kernel | None:
@@ -130,18 +143,6 @@ class Native(Backend):
         except TooLarge:
             return self.scalars.emit(closed, fixed)
         return self._native(program, lambda: self.scalars.emit(closed, fixed))
-
-    def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
-        if not installed():
-            return None
-        closed = pure(function, shapes)
-        if closed is None:
-            return "it has effects, random keys or more than 1,000 numbers of its own"
-        try:
-            native_form(self.scalars.scalarised(closed))
-        except (NotNative, TooLarge) as error:
-            return str(error).splitlines()[0]
-        return None
 
     def derived(self, program: ScalarProgram) -> Derived:
         return self._kernels(program)[0] or Derived(program)
