@@ -367,10 +367,8 @@ class Functions:
 def _without_kernel(rates: Mapping[str, list[Expr]], backend: Backend) -> dict[str, str]:
     """The names of each `tx.Function` that cannot be part of a kernel, with the reasons; warns once of each."""
     reasons: dict[str, str] = {}
-    if backend.runner is None:
-        return reasons
     for node in postorder(*(expr for exprs in rates.values() for expr in exprs)):
-        if isinstance(node, Call):
+        if isinstance(node, Call) and backend.runner is not None:
             shapes = [jax.ShapeDtypeStruct(child.shape, jnp.zeros(()).dtype) for child in node.children()]
             reason = backend.runner.without_kernel(lambda *values, node=node: [node.evaluate(*values)], shapes)
             if reason is not None and reasons.setdefault(node.name, reason) is reason:
