@@ -102,12 +102,12 @@ class Staged:
         return [f(*part, weight, *multipliers).full() for (_, _, f), part, *multipliers in parts]
 
     def solve(
-        self, start: Array, stop: Any = None, size: Any = None, warm: Any = None, **options: float
+        self, start: Array, stop: Any = None, size: Any = None, warm: Any = None, cost: float = 1.0, **options: float
     ) -> CoreSolution:
         functions = PythonFunctions(self.stages, self._numbers, self._slopes, self._bends, stop=stop)
         return solve(
             *(self.stages, functions.functions, self.lower, self.upper, start),
-            units=Units(size=size),
+            units=Units(size=size, cost=cost),
             warm=warm,
             options=Options(**options),
         )

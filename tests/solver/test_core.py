@@ -170,6 +170,19 @@ def test_every_option_has_a_source() -> None:
     assert all(re.search(words, source) for source in SOURCES.values())
 
 
+def test_a_unit_of_the_cost_that_is_far_too_large_is_no_optimum() -> None:
+    """In such a unit every error is small. What a Newton step gains says how far the cost is above the minimum."""
+    problem, start = least_time()
+    exact = problem.solve(start, tolerance=1e-10, complementarity=1e-10).statistics["cost"]
+    wide: dict[str, float] = {"cost": 1e6, "tolerance": 1e-4, "complementarity": 1e-4, "acceptable": 1e-4}
+    solution, early = problem.solve(start, **wide), problem.solve(start, **wide, excess=1e30)
+    assert solution.status is early.status is CoreStatus.SOLVED
+    assert solution.statistics["cost"] == pytest.approx(exact, rel=2e-6)
+    above = early.statistics["cost"] - exact
+    assert above > 1e-4 * abs(exact)
+    assert 0.3 * above < early.statistics["excess"] < 10.0 * above
+
+
 # ---- what goes wrong -------------------------------------------------------------------------------------------------
 
 

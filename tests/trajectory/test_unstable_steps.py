@@ -129,3 +129,17 @@ def test_failures_for_other_reasons_stay() -> None:
     result = Problem(dynamics, tx.Minimize(running=v**2), **ends).solve()
     assert result.status is Status.INFEASIBLE
     assert "Explicit" not in result.message
+
+
+def test_a_unit_that_is_far_too_large_is_no_optimum() -> None:
+    """A control held for most of the horizon made the unit of the objective 1e8 times the objective."""
+    dynamics = tx.compile(tx.System(rates={x: u - x**3}, constraints={"slow": x <= 1.9}))
+    ends: dict[str, Any] = {"final_time": HORIZON, "initial": {x: 1.5}, "final": {x: 1.0}}
+    first = Problem(dynamics, EFFORT, nodes=at_ends(40, 15.0), **ends).solve()
+    for start in (1.4, 1.2, 1.8):
+        cold = hypersensitive(at_ends(40, 15.0)).solve(initial={x: start})
+        warm = first.problem.solve(warm=first, initial={x: start})
+        assert warm.solved
+        assert warm.iterations <= 10
+        assert warm.optimality.excess <= 1e-6
+        assert warm.cost == pytest.approx(cold.cost, rel=1e-6)
