@@ -81,7 +81,7 @@ except tx.KindError as error:
 newton_metre = tx.kinds.Unit.of("N m")
 newton_metre, newton_metre == tx.kinds.Unit.of("J"), newton_metre / tx.kinds.Unit.of("s")
 
-# tx.kinds.Fixed
+# tx.kinds.FixedUnits
 from twistax.expr.operations.elementwise import Function
 
 
@@ -89,7 +89,7 @@ class Thinning(Function):
     """The density of air over that at sea level, from the height in m."""
 
     function = staticmethod(lambda h: jnp.exp(-h / 8500.0))
-    kinds = tx.kinds.Fixed(takes=(tx.kinds.Unit.of("m"),), gives=tx.kinds.Unit.of("1"))
+    kinds = tx.kinds.FixedUnits(takes=(tx.kinds.Unit.of("m"),), gives=tx.kinds.Unit.of("1"))
 
 
 speed = tx.State("speed", unit="m/s")

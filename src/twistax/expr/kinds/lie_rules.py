@@ -12,7 +12,7 @@ from .unit import METRE, ONE, Unit
 
 
 @dataclasses.dataclass(frozen=True)
-class _Fixed(Rule):
+class _FixedUnit(Rule):
     """Base of rules with a fixed unit."""
 
     gives: Unit | None = None
@@ -22,7 +22,7 @@ class _Fixed(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Frames(_Fixed):
+class Frames(_FixedUnit):
     """Pairs of axes with one frame, by the number of the operand, the last number being the result."""
 
     pairs: tuple[tuple[int, int, int, int], ...] = ()
@@ -55,7 +55,7 @@ class _Bracket(OneFrame):
 
 
 @dataclasses.dataclass(frozen=True)
-class ChangeOfFrame(_Fixed):
+class ChangeOfFrame(_FixedUnit):
     """Ad_T or Ad*_T, as a matrix: from the frame on the right of T to that on its left."""
 
     gives: Unit | None = ONE
@@ -138,7 +138,7 @@ class _JoinedHalves(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class OfTwist(_Fixed):
+class OfTwist(_FixedUnit):
     """Exp and Log, hat and vee: the operand or the result of shape (6,) is a twist; a frame of (3,) is kept or open."""
 
     takes: Unit | None = None

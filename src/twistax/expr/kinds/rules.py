@@ -75,7 +75,7 @@ DECLARED = Rule()
 
 
 @dataclasses.dataclass(frozen=True)
-class Fixed(Rule):
+class FixedUnits(Rule):
     """A function of fixed units, such as the pressure in Pa of an altitude in m; of operands of any shape.
 
     Attributes:
@@ -83,7 +83,7 @@ class Fixed(Rule):
         gives: the unit of the result, None for an open one.
         one_frame: whether operands and result are vectors in one frame.
     Raises: a system raises KindError where an operand is known to have another unit.
-    Example: `kinds = tx.kinds.Fixed((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
+    Example: `kinds = tx.kinds.FixedUnits((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.
     """
 
     takes: tuple[Unit | None, ...] = ()
@@ -163,7 +163,7 @@ class Terms(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Power(Rule):
+class UnitPower(Rule):
     """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
@@ -186,7 +186,7 @@ class Power(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Numbers(Rule):
+class NumberRule(Rule):
     """Takes angles in rad and numbers without unit, and gives one; `of_one_unit`: takes operands of one unit."""
 
     of_one_unit: bool = False
@@ -227,7 +227,7 @@ class _Quotient(_Product):
 
 
 @dataclasses.dataclass(frozen=True)
-class Matrices(Rule):
+class MatrixRule(Rule):
     """Products, inverses and the like: the axes of `shared_orders`, of which some groups are dual; powers of units."""
 
     how: tuple[Common, ...] = ()
@@ -245,7 +245,7 @@ class Matrices(Rule):
         return total
 
 
-class _Pairing(Matrices):
+class _Pairing(MatrixRule):
     """A product of matrices and vectors. A vector with itself is the square of its length, and no power."""
 
     def links(self, node: Any) -> Iterable[Link]:
@@ -270,7 +270,7 @@ class Reduced(Rule):
 
 
 @dataclasses.dataclass(frozen=True)
-class Joined(Rule):
+class JoinedPieces(Rule):
     """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
 
     rows: bool = False
@@ -290,15 +290,15 @@ class Joined(Rule):
 
 SUM, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
 PRODUCT, QUOTIENT = _Product(), _Quotient()
-POWER, SIGN, SIZE = Power(), Power(Fraction(0)), Power(Fraction(1))
-SQUARE, ROOT = Power(Fraction(2)), Power(Fraction(1, 2))
-NUMBERS, RATIO = Numbers(), Numbers(of_one_unit=True)
+POWER, SIGN, SIZE = UnitPower(), UnitPower(Fraction(0)), UnitPower(Fraction(1))
+SQUARE, ROOT = UnitPower(Fraction(2)), UnitPower(Fraction(1, 2))
+NUMBERS, RATIO = NumberRule(), NumberRule(of_one_unit=True)
 MATRIX_PRODUCT = _Pairing((Common.DUAL,), (1, 1))
-TRANSPOSE, OUTER = Matrices(), Matrices((), (1, 1))
-INVERSE = Matrices((Common.DUAL, Common.DUAL), (-1,))
-SOLVE = Matrices((Common.SAME, Common.DUAL), (-1, 1))
-DIAGONAL = Matrices((Common.FRAME,), (1,))
-REDUCED, PIECES, ROWS = Reduced(), Joined(), Joined(rows=True)
+TRANSPOSE, OUTER = MatrixRule(), MatrixRule((), (1, 1))
+INVERSE = MatrixRule((Common.DUAL, Common.DUAL), (-1,))
+SOLVE = MatrixRule((Common.SAME, Common.DUAL), (-1, 1))
+DIAGONAL = MatrixRule((Common.FRAME,), (1,))
+REDUCED, PIECES, ROWS = Reduced(), JoinedPieces(), JoinedPieces(rows=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -329,7 +329,7 @@ class _Cross(Rule):
         return _product(node.children(), units)
 
 
-class _Part(Rule):
+class _PartOfArray(Rule):
     """A part of an array: whole axes keep their frame; the rotation and the position of a pose have its frames."""
 
     def links(self, node: Any) -> Iterable[Link]:
@@ -355,4 +355,4 @@ class _Part(Rule):
         return None if _six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
 
 
-CROSS, PART = _Cross(), _Part()
+CROSS, PART = _Cross(), _PartOfArray()

@@ -25,7 +25,7 @@ from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import OPEN, Fixed
+from ...expr.kinds.rules import OPEN, FixedUnits
 from ...expr.kinds.unit import METRE
 from ...expr.lie import AxisRotation
 from ..arguments import of_shape
@@ -185,7 +185,7 @@ class Meridian(Expr):
     z: Operand
     ellipsoid: Ellipsoid = WGS84
     takes, gives = ((), ()), (2,)
-    kinds = Fixed((METRE, METRE))
+    kinds = FixedUnits((METRE, METRE))
     # A planet of size one: the finite differences of the suite need values and steps of like size.
     cases = (
         {"rho": 0.8, "z": 0.9, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},
