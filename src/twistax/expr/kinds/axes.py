@@ -36,28 +36,25 @@ class AxisClasses:
     """Union-find over axes, by number. An axis may be dual to the first one of its class."""
 
     def __init__(self) -> None:
-        self._parents: list[int] = []
-        self._flips: list[bool] = []
+        #: Of axes that are not first in their class: another one, and whether it is dual to that.
+        self._parents: dict[int, tuple[int, bool]] = {}
         self._facts: dict[int, AxisFact] = {}
 
-    def grow(self, count: int) -> None:
-        """As many further axes, each a class by itself."""
-        start = len(self._parents)
-        self._parents.extend(range(start, start + count))
-        self._flips.extend([False] * count)
-
     def _find(self, slot: int) -> tuple[int, bool]:
-        parents, flips = self._parents, self._flips
-        first, flipped = slot, False
-        while parents[first] != first:
-            flipped ^= flips[first]
-            first = parents[first]
-        rest = flipped
-        while parents[slot] != first:  # the path becomes shorter
-            after, flip = parents[slot], flips[slot]
-            parents[slot], flips[slot] = first, rest
-            slot, rest = after, rest ^ flip
-        return first, flipped
+        parents = self._parents
+        parent = parents.get(slot)
+        if parent is None:
+            return slot, False
+        if parent[0] not in parents:
+            return parent
+        path, flipped = [], False
+        while slot in parents:
+            path.append((slot, flipped))
+            slot, flip = parents[slot]
+            flipped ^= flip
+        for passed, before in path:
+            parents[passed] = slot, flipped ^ before
+        return slot, flipped
 
     def known(self, slot: int) -> AxisFact | None:
         """What is known of an axis."""
@@ -87,5 +84,5 @@ class AxisClasses:
                 self._facts[kept] = as_here
             elif mine.fact != as_here.fact:
                 return (mine.dual if a else mine), (theirs.dual if b else theirs)
-        self._parents[gone], self._flips[gone] = kept, flip
+        self._parents[gone] = kept, flip
         return None

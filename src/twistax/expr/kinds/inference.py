@@ -20,10 +20,12 @@ from ..node import Expr
 from .axes import AxisClasses, AxisFact
 from .kinds import Space
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
-from .rules import OPEN, Clash, Common, Rule
+from .rules import OPEN, Clash, Common, Link, Rule
 from .unit import ONE, SECOND, Unit
 
 _SIX = 6
+#: The number of all constants that declare nothing.
+_UNKNOWN = 0
 
 
 class NodePlace(NamedTuple):
@@ -50,22 +52,26 @@ class Inference:
         self._count = 0
         self._ends: dict[int, int] = {}
         self._of_names: dict[str, int] = {}
-        self._units: dict[int, Unit | None] = {}
+        self._units: dict[int, Unit | None] = {_UNKNOWN: None}
         self._free: dict[int, bool] = {}
+        #: Nodes, vectors that can be in no frame, and what makes them so.
+        self._unframed: list[tuple[Expr, Expr, Expr]] = []
         for leaf in leaves:
             self._leaf(leaf)
+            if not isinstance(leaf, Constant):
+                self._of_names[leaf.key()] = self._ends[id(leaf)]
 
-    def read(self, roots: Mapping[str, Expr]) -> None:
+    def read(self, roots: Mapping[str, Expr], nodes: Sequence[Expr]) -> None:
         """Apply the rules of all nodes below roots, by the names used in messages, and of bodies of maps and rates."""
         self._roots = dict(roots)
-        self._read(*roots.values())
+        self._read(nodes)
 
-    def _read(self, *roots: Expr) -> None:
-        for node in postorder(*roots):
+    def _read(self, nodes: Sequence[Expr]) -> None:
+        for node in nodes:
             if id(node) in self._free:
                 continue
             for body in bodies(node):
-                self._read(body)
+                self._read(postorder(body))
             if isinstance(node, Leaf):
                 self._leaf(node)
             else:
@@ -73,69 +79,83 @@ class Inference:
 
     def _numbered(self, value: Expr) -> int:
         """The end of the numbers for the axes of another value. A quaternion has two frames."""
-        count = 2 if value.shape == (4,) else value.ndim or 1
-        self._count += count
-        self._frames.grow(count)
-        self._spaces.grow(count)
+        shape = value.shape
+        self._count += 2 if shape == (4,) else len(shape) or 1
         return self._count
 
     def _leaf(self, leaf: Leaf) -> None:
-        """Leaves of one name are one value."""
+        """Leaves of one name are one value; elements of batches and constants are what they are."""
         if id(leaf) in self._free:
             return
-        self._free[id(leaf)] = isinstance(leaf, Constant) and leaf.kind is None
-        if isinstance(leaf, Constant):
-            end = self._numbered(leaf)
-        else:
-            key = leaf.key()
-            end = self._of_names[key] if key in self._of_names else self._numbered(leaf)
-            self._of_names[key] = end
-        self._ends[id(leaf)] = end
+        is_constant = isinstance(leaf, Constant)
+        self._free[id(leaf)] = is_constant and leaf.kind is None
+        if is_constant and not leaf.declares:
+            self._ends[id(leaf)] = _UNKNOWN
+            return
+        end = None if is_constant else self._of_names.get(leaf.key())
+        self._ends[id(leaf)] = end = self._numbered(leaf) if end is None else end
         self._units[end] = self._units.get(end) if leaf.unit is None else leaf.unit
-        kind = leaf.kind
-        if kind is not None:
-            for axis, frame in kind.frames().items():
+        if leaf.kind is not None:
+            for axis, frame in leaf.kind.frames().items():
                 self._fix(self._frames, end + axis, AxisFact(frame, leaf, axis, leaf))
-                if kind.space is not None:
-                    self._fix(self._spaces, end + axis, AxisFact(kind.space, leaf, axis, leaf))
+                if leaf.kind.space is not None:
+                    self._fix(self._spaces, end + axis, AxisFact(leaf.kind.space, leaf, axis, leaf))
 
     def _node(self, node: Expr, rule: Rule) -> None:
         free, ends, children = self._free, self._ends, node.children()
         end = ends[id(node)] = self._numbered(node)
-        units = [self._units[ends[id(child)]] for child in children]
-        if rule is OPEN or not (node.shape or any(child.shape for child in children)):  # scalars have no axes
-            free[id(node)] = all(free[id(child)] for child in children)
-            self._units[end] = None if rule is OPEN else self._unit(node, rule, units, {})
+        units, is_free, has_axes, needs_places = [], True, node.shape != (), False
+        for child in children:
+            units.append(self._units[ends[id(child)]])
+            child_is_free = free[id(child)]
+            is_free = is_free and child_is_free
+            if child.shape:
+                has_axes, needs_places = True, needs_places or child_is_free
+        if rule is OPEN:
+            free[id(node)], self._units[end] = is_free, None
             return
-        links, spaces = list(rule.links(node)), list(rule.spaces(node))
-        sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
-        free[id(node)] = all(free[id(v)] for v in sources) and all(v is not node for v, _, _ in spaces)
-        # What is made of constants alone is another value at each place.
-        here = {id(child): self._numbered(child) for child in children if free[id(child)]}
-        here[id(node)] = end
-        for value, axis, space in spaces:
-            if value.shape[axis] == _SIX:
-                at = here.get(id(value), ends[id(value)]) + axis
-                self._fix(self._spaces, at, AxisFact(space, value, axis, node))
-        for one, axis, other, its_axis, common in links:
-            a = here.get(id(one), ends[id(one)]) + axis
-            b = here.get(id(other), ends[id(other)]) + its_axis
-            self._refuse(node, self._frames.link(a, b, False))
-            if common is not Common.FRAME and one.shape[axis] == _SIX:
-                self._refuse(node, self._spaces.link(a, b, common is Common.DUAL))
-        self._units[end] = self._unit(node, rule, units, here)
+        here = ends
+        if has_axes:
+            links: Iterable[Link] = rule.links(node)
+            if needs_places and rule.entrywise:  # what is made of constants alone says nothing here
+                all_links = list(links)
+                links = [link for link in all_links if not free[id(link[0])]]
+                is_free = not links if all_links else is_free
+            elif needs_places:
+                links = list(links)
+                sources = [v for one, _, other, _, _ in links for v in (one, other) if v is not node] or children
+                is_free = all(free[id(v)] for v in sources) and all(v is not node for v, _, _ in rule.spaces(node))
+                # What is made of constants alone is another value at each place.
+                here = {id(v): self._numbered(v) if free[id(v)] else ends[id(v)] for v in children}
+                here[id(node)] = end
+            self._link(node, rule, links, here)
+        free[id(node)] = is_free
+        if rule.by_operands and not any(units):
+            self._units[end] = None
+            return
+        try:
+            self._units[end] = rule.unit(node, units, lambda value, axis: self._space(here[id(value)] + axis))
+        except Clash as clash:
+            raise self._of_units(node, clash) from None
         made = rule.made(node, units)
         if made is not None:
             self._fix(self._spaces, end - node.ndim, AxisFact(made, node, -node.ndim, node))
 
-    def _unit(self, node: Expr, rule: Rule, units: Sequence[Unit | None], here: Mapping[int, int]) -> Unit | None:
-        def space(value: Expr, axis: int) -> Space | None:
-            return self._space(here.get(id(value), self._ends[id(value)]) + axis)
-
-        try:
-            return rule.unit(node, units, space)
-        except Clash as clash:
-            raise self._of_units(node, clash) from None
+    def _link(self, node: Expr, rule: Rule, links: Iterable[Link], ends: Mapping[int, int]) -> None:
+        """What a node says of the axes of its operands and its value."""
+        for value, axis, space in rule.spaces(node):
+            if value.shape[axis] == _SIX:
+                self._fix(self._spaces, ends[id(value)] + axis, AxisFact(space, value, axis, node))
+        for one, axis, other, its_axis, common in links:
+            a, b = ends[id(one)] + axis, ends[id(other)] + its_axis
+            both = self._frames.link(a, b, False)
+            if common is not Common.FRAME and one.shape[axis] == _SIX:
+                both = both or self._spaces.link(a, b, common is Common.DUAL)
+            if both:
+                self._refuse(node, both)
+        for vector, by in rule.unframed(node):
+            if not self._free[id(by)]:
+                self._unframed.append((node, vector, by))
 
     def read_rate(self, state: State, rate: Expr) -> None:
         """A rate has the frame and space of its state, and its unit per second; that of a pose is a twist."""
@@ -161,6 +181,18 @@ class Inference:
     def _space(self, slot: int) -> Space | None:
         known = self._spaces.known(slot)
         return known.fact if known and isinstance(known.fact, Space) else None
+
+    def check_unframed(self) -> None:
+        """Raise KindError for a vector in a frame to whose entries a scalar is added."""
+        for node, vector, scalar in self._unframed:
+            known = None if self._free[id(vector)] else self._frames.known(self._ends[id(vector)] - 1)
+            if known:
+                raise KindError(
+                    f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self._place(node)}\n"
+                    f"  at: {self._place(known.at)}, {known.clause(short(known.value))}{_said(known.value)}\n"
+                    f"  and: {short(scalar)} is a scalar\n"
+                    "  fix: multiply it by the vector that it belongs to, such as a direction"
+                )
 
     def _fix(self, classes: AxisClasses, slot: int, fixed: AxisFact) -> None:
         if isinstance(fixed.fact, Space) and fixed.value.shape[fixed.axis] != _SIX:
@@ -219,27 +251,28 @@ class Inference:
         return ", ".join(parts)
 
 
-def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Iterable[Leaf]) -> Inference | None:
+def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], nodes: Sequence[Expr]) -> Inference | None:
     """What is known of all values of a system; None where no leaf declares anything.
 
     Args:
         roots: every expression of a system, by the name used in messages.
         rates: the rate of every state.
-        leaves: all leaves.
+        nodes: all nodes below the roots, children first.
     Raises: KindError where two frames, spaces or units do not fit.
     """
-    known = list(leaves)
-    if not any(leaf.declares for leaf in (*known, *rates)):
-        return None
-    return infer_kinds(roots, rates, known)
+    leaves = [*rates, *(node for node in nodes if isinstance(node, Leaf))]
+    return infer_kinds(roots, rates, leaves, nodes) if any(leaf.declares for leaf in leaves) else None
 
 
-def infer_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf]) -> Inference:
+def infer_kinds(
+    roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf], nodes: Sequence[Expr] | None = None
+) -> Inference:
     """What is known of all values of a system, whether leaves declare anything or not. Raises KindError."""
     inference = Inference([*leaves, *rates])
-    inference.read(roots)
+    inference.read(roots, postorder(*roots.values()) if nodes is None else nodes)
     for state, rate in rates.items():
         inference.read_rate(state, rate)
+    inference.check_unframed()
     return inference
 
 
@@ -260,4 +293,3 @@ def short(value: Expr, longest: int = 60) -> str:
 def _said(value: Expr) -> str:
     """What a leaf declares."""
     return f", declared {value.kind}" if isinstance(value, Leaf) and value.kind is not None else ""
-

@@ -76,6 +76,7 @@ class Carried(Rule):
     """Ad_T xi or Ad*_T F without the matrix."""
 
     space: Space = Space.MOTION
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         transform, vector = node.children()
@@ -94,6 +95,8 @@ class Carried(Rule):
 class _HalfOfSix(Rule):
     """The linear or the angular part of a six-vector."""
 
+    by_operands = True
+
     def links(self, node: Any) -> Iterable[Link]:
         (vector,) = node.children()
         yield vector, -vector.ndim, node, -node.ndim, Common.FRAME
@@ -108,6 +111,8 @@ class _HalfOfSix(Rule):
 
 class _JoinedHalves(Rule):
     """A six-vector of both parts: their units say whether it is a twist or a wrench."""
+
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         for value in node.children():
@@ -156,6 +161,8 @@ class OfTwist(_FixedUnit):
 
 class _Reordered(Rule):
     """The same value in the other order."""
+
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         (value,) = node.children()

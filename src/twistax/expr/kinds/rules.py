@@ -14,13 +14,11 @@ import dataclasses
 import enum
 from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
-from typing import Any, TypeAlias
+from typing import Any, ClassVar, TypeAlias
 
 from .kinds import Space
 from .unit import METRE, ONE, Unit
 
-#: Two axes and what they have in common.
-Link: TypeAlias = "tuple[Any, int, Any, int, Common]"
 Units: TypeAlias = Sequence[Unit | None]
 #: The space of an axis of a value, as far as it is known.
 SpaceOf: TypeAlias = Callable[[Any, int], Space | None]
@@ -32,6 +30,12 @@ class Common(enum.Enum):
     SAME = "frame and space"
     DUAL = "frame, with dual spaces"
     FRAME = "frame"
+
+
+#: The sizes of axes that may have a frame: of vectors, rotations and poses, six-vectors.
+_WITH_FRAME = (3, 4, 6)
+#: Two axes and what they have in common.
+Link: TypeAlias = tuple[Any, int, Any, int, Common]
 
 
 class Clash(Exception):
@@ -51,12 +55,21 @@ class Rule:
     Raises: a system raises KindError where operands do not fit a rule; `unit` raises `Clash`, which becomes one.
     """
 
+    #: Whether the unit is open where those of all operands are.
+    by_operands: ClassVar[bool] = False
+    #: Whether each link is one from an operand to the result.
+    entrywise: ClassVar[bool] = False
+
     def links(self, node: Any) -> Iterable[Link]:
         """The axes that have something in common."""
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
         """The axes whose space the node fixes."""
+        return ()
+
+    def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
+        """Pairs of a vector that can be in no frame, and what makes it so."""
         return ()
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
@@ -118,17 +131,22 @@ def _number(node: Any, value: Any, unit: Unit | None) -> None:
 def _entries(node: Any, values: Sequence[Any], how: Common) -> Iterable[Link]:
     """Corresponding axes of what is combined entry by entry."""
     shape = node.shape
-    for value in values if shape else ():
-        for axis, (size, wanted) in enumerate(zip(reversed(value.shape), reversed(shape)), 1):
-            if size == wanted > 1:
-                yield value, -axis, node, -axis, how
+    axes = [(-axis, size) for axis, size in enumerate(reversed(shape), 1) if size in _WITH_FRAME]
+    for value in values if axes else ():
+        its = value.shape
+        for axis, size in axes:
+            if len(its) >= -axis and its[axis] == size:
+                yield value, axis, node, axis, how
 
 
 def _groups(node: Any, *how: Common) -> Iterable[Link]:
     """The groups of `shared_orders`; the first ones as said, the others SAME."""
     for k, axes in enumerate(node.shared_orders()):
-        for value, axis in axes[1:]:
-            yield *axes[0], value, axis, how[k] if k < len(how) else Common.SAME
+        value, axis = axes[0]
+        if value.shape[axis] in _WITH_FRAME:
+            common = how[k] if k < len(how) else Common.SAME
+            for other, its_axis in axes[1:]:
+                yield value, axis, other, its_axis, common
 
 
 def _six(value: Any, space: SpaceOf) -> bool:
@@ -148,10 +166,20 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
 
 @dataclasses.dataclass(frozen=True)
 class Terms(Rule):
-    """Operands and result agree in everything; the first `conditions` operands are apart from that."""
+    """Operands and result agree in everything; the first `conditions` operands are apart from that.
+
+    What `adds` a scalar to each entry of a vector has no meaning in other axes.
+    """
 
     conditions: int = 0
     compares: bool = False
+    adds: bool = False
+    by_operands = entrywise = True
+
+    def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
+        if not self.adds or node.shape not in ((3,), (6,)):
+            return ()
+        return ((node, value) for value in node.children() if value.shape == ())
 
     def links(self, node: Any) -> Iterable[Link]:
         return _entries(node, node.children()[self.conditions :], Common.SAME)
@@ -167,6 +195,7 @@ class UnitPower(Rule):
     """Entry by entry, the unit to a power; None reads the power from a constant exponent."""
 
     power: Fraction | None = None
+    entrywise = True
 
     def links(self, node: Any) -> Iterable[Link]:
         return _entries(node, node.children()[:1], Common.FRAME)
@@ -204,15 +233,21 @@ class NumberRule(Rule):
 class _Product(Rule):
     """Entry by entry: one frame; the units multiply."""
 
+    by_operands = entrywise = True
+
     def links(self, node: Any) -> Iterable[Link]:
         values = node.children()
         vectors = [value for value in values if value.ndim]
         return _entries(node, vectors, Common.SAME if len(vectors) == 1 else Common.FRAME)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        if sum(_six(value, space) for value in node.children()) > 1:
-            return None
-        return self.combined(node, units)
+        values = node.children()
+        if node.shape == (4, 4) and any(value.is_group_element for value in values):
+            for value, unit in zip(values, units, strict=True):
+                if unit not in (None, ONE):
+                    raise Clash("a pose has no unit: multiply its rotation or its position", (value, unit))
+        unit = self.combined(node, units)
+        return None if unit is None or sum(_six(value, space) for value in values) > 1 else unit
 
     def combined(self, node: Any, units: Units) -> Unit | None:
         return _product(node.children(), units)
@@ -232,6 +267,7 @@ class MatrixRule(Rule):
 
     how: tuple[Common, ...] = ()
     powers: tuple[int, ...] = (1,)
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         return _groups(node, *self.how)
@@ -265,6 +301,8 @@ class _Pairing(MatrixRule):
 class Reduced(Rule):
     """A sum or a norm of all entries: in their unit."""
 
+    by_operands = True
+
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         return None if _six(node.children()[0], space) else units[0]
 
@@ -274,6 +312,7 @@ class JoinedPieces(Rule):
     """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
 
     rows: bool = False
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         values = node.children()
@@ -288,7 +327,7 @@ class JoinedPieces(Rule):
         return distinct.pop() if len(distinct) == 1 else None
 
 
-SUM, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
+SUM, ALIKE, CHOICE, COMPARISON = Terms(adds=True), Terms(), Terms(conditions=1), Terms(compares=True)
 PRODUCT, QUOTIENT = _Product(), _Quotient()
 POWER, SIGN, SIZE = UnitPower(), UnitPower(Fraction(0)), UnitPower(Fraction(1))
 SQUARE, ROOT = UnitPower(Fraction(2)), UnitPower(Fraction(1, 2))
@@ -306,6 +345,7 @@ class OneFrame(Rule):
     """All these axes have one frame; the units multiply. `axes`: of each operand, then of the result."""
 
     axes: tuple[tuple[int, ...], ...]
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         values = [*node.children(), node]
@@ -317,8 +357,21 @@ class OneFrame(Rule):
         return _product(node.children(), units)
 
 
+class _Table(Rule):
+    """Coordinates, the points of their axes, and values: the unit of each axis, and that of the result."""
+
+    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
+        count, values = len(units) // 2, node.children()
+        for k in range(count):
+            pair = [values[k], values[count + k]]
+            _common_unit(pair, [units[k], units[count + k]], f"{type(node).__name__} has one unit along an axis")
+        return units[-1]
+
+
 class _Cross(Rule):
     """A vector product: one frame, units multiply."""
+
+    by_operands = True
 
     def links(self, node: Any) -> Iterable[Link]:
         left, right = node.children()
@@ -355,4 +408,4 @@ class _PartOfArray(Rule):
         return None if _six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
 
 
-CROSS, PART = _Cross(), _PartOfArray()
+CROSS, PART, TABLE = _Cross(), _PartOfArray(), _Table()

@@ -137,7 +137,7 @@ def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
 class _OnGrid(Expr):
     """Base of piecewise linear tables: its operands are the coordinates, the points of their axes, and the values."""
 
-    kinds = rules.OPEN
+    kinds = rules.TABLE
     abstract = True
 
     def validate(self) -> None:
