@@ -308,7 +308,7 @@ def gyroscope_on_springs() -> Rates:
 def hand_on_an_arm() -> Rates:
     """A payload on a moving base: relative twist and the wrench across the grip."""
     base, hand = pose("base", "world", "base"), pose("hand", "base", "hand")
-    Vb, rel = twist("Vb", "base"), twist("rel", "hand")
+    Vb, rel = twist("Vb", "base"), twist("rel", "hand", "base")
     Mb, Mh = spatial_inertia("Mb", "base"), spatial_inertia("Mh", "hand")
     tau, Wb = wrench("tau", "hand"), wrench("Wb", "base")
     Vh = lie.SE3Adjoint(lie.Inverse(hand)) @ Vb + rel

@@ -45,12 +45,12 @@ def pose(name: str = "g", to: str = "world", source: str = "body", **more: Any) 
     return tx.State(name, group=tx.SE3, kind=Pose(to, source), **more)
 
 
-def twist(name: str = "V", frame: str = "body") -> tx.State:
-    return tx.State(name, shape=(6,), kind=Twist(frame))
+def twist(name: str = "V", frame: str = "body", against: str = "world") -> tx.State:
+    return tx.State(name, shape=(6,), kind=Twist(frame, of=frame, relative_to=against))
 
 
-def wrench(name: str = "W", frame: str = "body") -> tx.Control:
-    return tx.Control(name, shape=(6,), kind=Wrench(frame))
+def wrench(name: str = "W", frame: str = "body", on: str = "") -> tx.Control:
+    return tx.Control(name, shape=(6,), kind=Wrench(frame, on or frame))
 
 
 def table(name: str, value: Any) -> tx.Parameter:
@@ -61,7 +61,7 @@ def angular_first_body() -> Rates:
     g, V = pose(order=LAST), twist()
     value = np.diag([0.1, 0.2, 0.3, 2.0, 2.0, 2.0])
     value[0, 4] = value[4, 0] = 0.1
-    M, W, far = tx.Parameter("M", value=value, kind=Inertia("body")), wrench(), wrench("far", "world")
+    M, W, far = tx.Parameter("M", value=value, kind=Inertia("body")), wrench(), wrench("far", "world", on="body")
     carried = lie.SE3AdjointDual(lie.Inverse(g), order=LAST) @ far
     return {g: V, V: solve(M, W + carried - lie.AdjointDual(V, M @ V, order=LAST))}
 

@@ -18,6 +18,7 @@ from ..graph import find_path, postorder
 from ..leaves import Constant, Leaf, State
 from ..node import Expr
 from .axes import AxisClasses, AxisFact
+from .body_inference import BodyInference, check_bodies
 from .kinds import Space
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
 from .rules import OPEN, Clash, Common, Link, Rule
@@ -46,7 +47,7 @@ class Inference:
     """
 
     def __init__(self, leaves: Sequence[Leaf]) -> None:
-        self._leaves = leaves
+        self.leaves = leaves
         self._roots: dict[str, Expr] = {}
         self._frames, self._spaces = AxisClasses(), AxisClasses()
         self._count = 0
@@ -188,8 +189,8 @@ class Inference:
             known = None if self._free[id(vector)] else self._frames.known(self._ends[id(vector)] - 1)
             if known:
                 raise KindError(
-                    f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self._place(node)}\n"
-                    f"  at: {self._place(known.at)}, {known.clause(short(known.value))}{_said(known.value)}\n"
+                    f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
+                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{_said(known.value)}\n"
                     f"  and: {short(scalar)} is a scalar\n"
                     "  fix: multiply it by the vector that it belongs to, such as a direction"
                 )
@@ -199,7 +200,7 @@ class Inference:
             return
         self._refuse(fixed.at, classes.fix(slot, fixed))
 
-    def _place(self, at: Expr | str) -> str:
+    def place(self, at: Expr | str) -> str:
         """Where a node is."""
         if isinstance(at, str):
             return at
@@ -215,17 +216,17 @@ class Inference:
         one, other = both
         if isinstance(one.fact, str) and isinstance(other.fact, str):
             what = f"two frames meet: {one.fact!r} and {other.fact!r}"
-            fix = remedy_of_frames(self._leaves, one.fact, other.fact, one.value, other.value)
+            fix = remedy_of_frames(self.leaves, one.fact, other.fact, one.value, other.value)
         else:
             what = "a twist meets a wrench or momentum, or is paired with another twist"
             fix = remedy_of_spaces()
-        texts = (f"{self._place(each.at)}, {each.clause(short(each.value))}{_said(each.value)}" for each in both)
+        texts = (f"{self.place(each.at)}, {each.clause(short(each.value))}{_said(each.value)}" for each in both)
         at_one, at_other = texts
-        raise KindError(f"{what}.\n  where: {self._place(at)}\n  at: {at_one}\n  and: {at_other}\n  fix: {fix}")
+        raise KindError(f"{what}.\n  where: {self.place(at)}\n  at: {at_one}\n  and: {at_other}\n  fix: {fix}")
 
     def _of_units(self, at: Expr | str, clash: Clash, wanted: Unit = ONE) -> KindError:
         units = " and ".join(dict.fromkeys(str(unit) for _, unit in clash.values))
-        lines = [f"{clash}, got {units}.", f"  where: {self._place(at)}"]
+        lines = [f"{clash}, got {units}.", f"  where: {self.place(at)}"]
         lines += [
             f"  {word}: {short(value)} is in {unit}{_said(value)}"
             for word, (value, unit) in zip(("at", "and"), clash.values, strict=False)
@@ -269,10 +270,13 @@ def infer_kinds(
 ) -> Inference:
     """What is known of all values of a system, whether leaves declare anything or not. Raises KindError."""
     inference = Inference([*leaves, *rates])
-    inference.read(roots, postorder(*roots.values()) if nodes is None else nodes)
+    nodes = postorder(*roots.values()) if nodes is None else nodes
+    inference.read(roots, nodes)
     for state, rate in rates.items():
         inference.read_rate(state, rate)
     inference.check_unframed()
+    if any(leaf.kind is not None and leaf.kind.bodies() for leaf in inference.leaves):
+        check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))
     return inference
 
 

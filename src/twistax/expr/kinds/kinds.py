@@ -7,6 +7,7 @@ import enum
 from typing import Any, ClassVar
 
 from ...errors import ModelError
+from .bodies import Acts, Bodies, Moves
 from .unit import JOULE, KILOGRAM, METRE, ONE, SECOND, Unit, parsed
 
 Shape = tuple[int, ...]
@@ -46,6 +47,10 @@ class Kind:
         """The frame of each axis, counted from the last."""
         raise NotImplementedError
 
+    def bodies(self) -> Bodies:
+        """Which body moves against which, or is acted upon; None where nothing is said of that."""
+        return None
+
     def check(self, name: str, shape: Shape) -> None:
         """Raise ModelError for a leaf of another shape, or a frame that is no name."""
         if shape not in self.shapes:
@@ -74,7 +79,7 @@ class Twist(_OfSix):
 
     Attributes:
         frame: whose axes and origin its numbers refer to.
-        of, relative_to: which frame moves, and against which; messages show them and nothing checks them.
+        of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
     Raises: ModelError where a leaf has another shape, or a frame is no name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
     """
@@ -84,6 +89,10 @@ class Twist(_OfSix):
     unit = ONE / SECOND
     space = Space.MOTION
 
+    def bodies(self) -> Bodies:
+        known = {self.of: 1, self.relative_to: -1}
+        return Moves({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
+
 
 @dataclasses.dataclass(frozen=True)
 class Wrench(_OfSix):
@@ -91,12 +100,17 @@ class Wrench(_OfSix):
 
     Attributes:
         frame: whose axes and origin its numbers refer to.
+        on: the body on which it acts; wrenches on two bodies are not added.
     Raises: ModelError where a leaf has another shape, or the frame is no name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
     """
 
+    on: str = ""
     unit = JOULE
     space = Space.FORCE
+
+    def bodies(self) -> Bodies:
+        return Acts(self.on) if self.on else None
 
 
 @dataclasses.dataclass(frozen=True)

@@ -58,6 +58,7 @@ class _Bracket(OneFrame):
 class ChangeOfFrame(_FixedUnit):
     """Ad_T or Ad*_T, as a matrix: from the frame on the right of T to that on its left."""
 
+    keeps_bodies = True  # of what it is multiplied by
     gives: Unit | None = ONE
     space: Space = Space.MOTION
 
@@ -76,7 +77,7 @@ class Carried(Rule):
     """Ad_T xi or Ad*_T F without the matrix."""
 
     space: Space = Space.MOTION
-    by_operands = True
+    by_operands = keeps_bodies = True
 
     def links(self, node: Any) -> Iterable[Link]:
         transform, vector = node.children()
@@ -95,7 +96,7 @@ class Carried(Rule):
 class _HalfOfSix(Rule):
     """The linear or the angular part of a six-vector."""
 
-    by_operands = True
+    by_operands = keeps_bodies = True
 
     def links(self, node: Any) -> Iterable[Link]:
         (vector,) = node.children()
@@ -162,7 +163,7 @@ class OfTwist(_FixedUnit):
 class _Reordered(Rule):
     """The same value in the other order."""
 
-    by_operands = True
+    by_operands = keeps_bodies = True
 
     def links(self, node: Any) -> Iterable[Link]:
         (value,) = node.children()

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterable, Sequence
 from fractions import Fraction
 from typing import Any, ClassVar, TypeAlias
 
+from .bodies import Acts, Bodies, Moves, summed
 from .kinds import Space
 from .unit import METRE, ONE, Unit
 
@@ -57,6 +58,8 @@ class Rule:
 
     #: Whether the unit is open where those of all operands are.
     by_operands: ClassVar[bool] = False
+    #: Whether the result is of the bodies of the last operand.
+    keeps_bodies: ClassVar[bool] = False
     #: Whether each link is one from an operand to the result.
     entrywise: ClassVar[bool] = False
 
@@ -79,6 +82,10 @@ class Rule:
     def made(self, node: Any, units: Units) -> Space | None:
         """The space of the result, where the units of the operands decide it."""
         return None
+
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        """Which body the result is of, from those of the operands. Raises BodyClash."""
+        return known[-1] if self.keeps_bodies else None
 
 
 #: Stated by nodes that can be anything: tables, maps over batches, functions of users.
@@ -168,16 +175,21 @@ def _product(values: Sequence[Any], units: Units) -> Unit | None:
 class Terms(Rule):
     """Operands and result agree in everything; the first `conditions` operands are apart from that.
 
-    What `adds` a scalar to each entry of a vector has no meaning in other axes.
+    What adds a scalar to each entry of a vector has no meaning in other axes.
+
+    Attributes:
+        conditions: how many operands come first that have nothing to do with the result.
+        compares: whether the result is true or false.
+        signs: of the terms of a sum; the last one is that of all others.
     """
 
     conditions: int = 0
     compares: bool = False
-    adds: bool = False
+    signs: tuple[int, ...] = ()
     by_operands = entrywise = True
 
     def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
-        if not self.adds or node.shape not in ((3,), (6,)):
+        if not self.signs or node.shape not in ((3,), (6,)):
             return ()
         return ((node, value) for value in node.children() if value.shape == ())
 
@@ -188,6 +200,12 @@ class Terms(Rule):
         values = node.children()[self.conditions :]
         unit = _common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
         return None if self.compares else unit
+
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        values = node.children()
+        return (
+            summed(values, known, [*self.signs, *self.signs[-1:] * len(values)][: len(values)]) if self.signs else None
+        )
 
 
 @dataclasses.dataclass(frozen=True)
@@ -296,6 +314,19 @@ class _Pairing(MatrixRule):
             return None
         return super().unit(node, units, space)
 
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        """A change of frame keeps them."""
+        left = node.children()[0]
+        return known[-1] if left.is_group_element or (left.kinds or OPEN).keeps_bodies else None
+
+
+@dataclasses.dataclass(frozen=True)
+class Solved(MatrixRule):
+    """A^-1 b: what a wrench on a body gives is the acceleration of that body."""
+
+    def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
+        return Moves({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
+
 
 @dataclasses.dataclass(frozen=True)
 class Reduced(Rule):
@@ -327,7 +358,8 @@ class JoinedPieces(Rule):
         return distinct.pop() if len(distinct) == 1 else None
 
 
-SUM, ALIKE, CHOICE, COMPARISON = Terms(adds=True), Terms(), Terms(conditions=1), Terms(compares=True)
+SUM, DIFFERENCE, NEGATIVE = Terms(signs=(1,)), Terms(signs=(1, -1)), Terms(signs=(-1,))
+ALIKE, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
 PRODUCT, QUOTIENT = _Product(), _Quotient()
 POWER, SIGN, SIZE = UnitPower(), UnitPower(Fraction(0)), UnitPower(Fraction(1))
 SQUARE, ROOT = UnitPower(Fraction(2)), UnitPower(Fraction(1, 2))
@@ -335,7 +367,7 @@ NUMBERS, RATIO = NumberRule(), NumberRule(of_one_unit=True)
 MATRIX_PRODUCT = _Pairing((Common.DUAL,), (1, 1))
 TRANSPOSE, OUTER = MatrixRule(), MatrixRule((), (1, 1))
 INVERSE = MatrixRule((Common.DUAL, Common.DUAL), (-1,))
-SOLVE = MatrixRule((Common.SAME, Common.DUAL), (-1, 1))
+SOLVE = Solved((Common.SAME, Common.DUAL), (-1, 1))
 DIAGONAL = MatrixRule((Common.FRAME,), (1,))
 REDUCED, PIECES, ROWS = Reduced(), JoinedPieces(), JoinedPieces(rows=True)
 
