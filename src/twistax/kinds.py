@@ -2,6 +2,7 @@
 
 from typing import Any
 
+from .expr.kinds.declare import declare
 from .expr.kinds.kinds import FreeVector, Inertia, Kind, Momentum, Point, Pose, Rotation, Twist, Wrench
 from .expr.kinds.rules import OPEN, FixedUnits, Rule
 from .expr.kinds.unit import Unit
@@ -20,6 +21,7 @@ __all__ = [
     "Twist",
     "Unit",
     "Wrench",
+    "declare",
 ]
 
 

@@ -8,6 +8,7 @@ from ...errors import KindError
 from ..leaves import Leaf, State
 from ..node import Expr
 from .bodies import Acts, Bodies, BodyClash, Moves
+from .declare import kind_of
 from .rules import OPEN
 
 _FIX = "add twists of A relative to B and of B relative to C, or declare the bodies that are meant by of=, relative_to="
@@ -28,7 +29,7 @@ class BodyInference:
     ) -> None:
         self._place, self._short = place, short
         self._known: dict[int, Bodies] = {}
-        known = [leaf.kind.bodies() for leaf in leaves if leaf.kind is not None]
+        known = [_said(leaf) for leaf in leaves]
         names = {name for bodies in known if isinstance(bodies, Moves) for name in bodies.bodies}
         #: The body that each frame is fixed to, with the place that says so.
         self._body_of: dict[str, tuple[str, str]] = {name: (name, "the body of that name") for name in names}
@@ -39,18 +40,18 @@ class BodyInference:
             if id(node) in self._known:
                 continue
             if isinstance(node, Leaf):
-                self._known[id(node)] = None if node.kind is None else node.kind.bodies()
+                self._known[id(node)] = _said(node)
                 continue
             children = node.children()
             known = [self._known.get(id(child)) for child in children]
-            if not any(known):
-                self._known[id(node)] = None
-                continue
             try:
-                bodies = (node.kinds or OPEN).bodies(node, known)
+                bodies = (node.kinds or OPEN).bodies(node, known) if any(known) else None
             except BodyClash as clash:
                 raise self._refused(str(clash), node, clash.values, _FIX_WRENCH) from None
-            self._known[id(node)] = bodies
+            said = _said(node)
+            self._known[id(node)] = bodies or said
+            if isinstance(bodies, Moves) and isinstance(said, Moves) and not bodies.fits(said):
+                raise self._refused("a twist is declared as that of another body", node, ((node, bodies),), _FIX)
             if bodies is None:
                 for child, of_child in zip(children, known, strict=True):
                     self._one_body(child, of_child)
@@ -65,14 +66,15 @@ class BodyInference:
         if not isinstance(of_rate, Moves):
             return
         self._one_body(rate, of_rate)
-        of_state = None if state.kind is None else state.kind.bodies()
+        of_state, kind = _said(state), kind_of(state)
         if isinstance(of_state, Moves) and not of_state.fits(of_rate):
             values = ((state, of_state), (rate, of_rate))
             raise self._refused(f"the twist of {state.name!r} has the rate of another one", place, values, _FIX)
-        if state.group.rigid and state.kind is not None and of_rate.complete and len(of_rate.bodies) == 2:
-            frames = state.kind.frames()
+        if state.group.rigid and kind is not None and of_rate.complete and len(of_rate.bodies) == 2:
+            frames = kind.axes()
             (moving,), (against,) = ([name for name, n in of_rate.bodies.items() if n * s > 0] for s in (1, -1))
-            for frame, body in ((frames[-1], moving), (frames[-2], against)):
+            pairs = ((frames[-1], moving), (frames[-2], against))
+            for frame, body in (pair for pair in pairs if pair[0]):
                 before, said = self._body_of.setdefault(frame, (body, place))
                 if before != body:
                     raise KindError(
@@ -91,6 +93,12 @@ class BodyInference:
             what = "a wrench" if isinstance(bodies, Acts) else "a twist"
             lines.append(f"  {word}: {self._short(value)} is {what} {bodies}")
         return KindError("\n".join([*lines, f"  fix: {fix}"]))
+
+
+def _said(node: Expr) -> Bodies:
+    """The bodies that a leaf or another expression declares."""
+    kind = kind_of(node)
+    return None if kind is None else kind.bodies()
 
 
 def check_bodies(

@@ -19,7 +19,8 @@ from ..leaves import Constant, Leaf, State
 from ..node import Expr
 from .axes import AxisClasses, AxisFact
 from .body_inference import BodyInference, check_bodies
-from .kinds import Space
+from .declare import declares, kind_of, known_of
+from .kinds import Kind, Space
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
 from .rules import OPEN, Clash, Common, Link, Rule
 from .unit import ONE, SECOND, Unit
@@ -77,6 +78,7 @@ class Inference:
                 self._leaf(node)
             else:
                 self._node(node, node.kinds or OPEN)
+                self._known_as(node)
 
     def _numbered(self, value: Expr) -> int:
         """The end of the numbers for the axes of another value. A quaternion has two frames."""
@@ -97,10 +99,30 @@ class Inference:
         self._ends[id(leaf)] = end = self._numbered(leaf) if end is None else end
         self._units[end] = self._units.get(end) if leaf.unit is None else leaf.unit
         if leaf.kind is not None:
-            for axis, frame in leaf.kind.frames().items():
-                self._fix(self._frames, end + axis, AxisFact(frame, leaf, axis, leaf))
-                if leaf.kind.space is not None:
-                    self._fix(self._spaces, end + axis, AxisFact(leaf.kind.space, leaf, axis, leaf))
+            self._kind(leaf, end, leaf.kind, f", declared {leaf.kind}")
+        self._known_as(leaf)
+
+    def _kind(self, value: Expr, end: int, kind: Kind, said: str) -> None:
+        """The frames and spaces of a declared kind."""
+        for axis, frame in kind.axes().items():
+            if frame:
+                self._fix(self._frames, end + axis, AxisFact(frame, value, axis, value, said))
+            if kind.space is not None:
+                self._fix(self._spaces, end + axis, AxisFact(kind.space, value, axis, value, said))
+
+    def _known_as(self, node: Expr) -> None:
+        """What an expression says of itself."""
+        facts = known_of(node)
+        if facts is None:
+            return
+        (kind, unit), end = facts, self._ends[id(node)]
+        self._free[id(node)] = False
+        if kind is not None:
+            self._kind(node, end, kind, f", taken as {kind}")
+        known = self._units[end]
+        if unit is not None and known is not None and unit != known:
+            raise self._of_units(node, Clash(f"{short(node)} is declared in {unit}", (node, known)), unit)
+        self._units[end] = known if unit is None else unit
 
     def _node(self, node: Expr, rule: Rule) -> None:
         free, ends, children = self._free, self._ends, node.children()
@@ -190,7 +212,7 @@ class Inference:
             if known:
                 raise KindError(
                     f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
-                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{_said(known.value)}\n"
+                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{known.said}\n"
                     f"  and: {short(scalar)} is a scalar\n"
                     "  fix: multiply it by the vector that it belongs to, such as a direction"
                 )
@@ -220,7 +242,7 @@ class Inference:
         else:
             what = "a twist meets a wrench or momentum, or is paired with another twist"
             fix = remedy_of_spaces()
-        texts = (f"{self.place(each.at)}, {each.clause(short(each.value))}{_said(each.value)}" for each in both)
+        texts = (f"{self.place(each.at)}, {each.clause(short(each.value))}{each.said}" for each in both)
         at_one, at_other = texts
         raise KindError(f"{what}.\n  where: {self.place(at)}\n  at: {at_one}\n  and: {at_other}\n  fix: {fix}")
 
@@ -253,7 +275,7 @@ class Inference:
 
 
 def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], nodes: Sequence[Expr]) -> Inference | None:
-    """What is known of all values of a system; None where no leaf declares anything.
+    """What is known of all values of a system; None where nothing is declared.
 
     Args:
         roots: every expression of a system, by the name used in messages.
@@ -262,7 +284,7 @@ def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], nodes: S
     Raises: KindError where two frames, spaces or units do not fit.
     """
     leaves = [*rates, *(node for node in nodes if isinstance(node, Leaf))]
-    return infer_kinds(roots, rates, leaves, nodes) if any(leaf.declares for leaf in leaves) else None
+    return infer_kinds(roots, rates, leaves, nodes) if any(map(declares, (*rates, *nodes))) else None
 
 
 def infer_kinds(
@@ -275,7 +297,8 @@ def infer_kinds(
     for state, rate in rates.items():
         inference.read_rate(state, rate)
     inference.check_unframed()
-    if any(leaf.kind is not None and leaf.kind.bodies() for leaf in inference.leaves):
+    said = map(kind_of, (*inference.leaves, *nodes))
+    if any(kind is not None and kind.bodies() for kind in said):
         check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))
     return inference
 
@@ -295,5 +318,6 @@ def short(value: Expr, longest: int = 60) -> str:
 
 
 def _said(value: Expr) -> str:
-    """What a leaf declares."""
-    return f", declared {value.kind}" if isinstance(value, Leaf) and value.kind is not None else ""
+    """What a value declares."""
+    kind = kind_of(value)
+    return "" if kind is None else f", declared {kind}"

@@ -31,7 +31,7 @@ class Kind:
 
     Attributes:
         unit: what the kind says of units; None where it says nothing.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError where a leaf has another shape, or a frame is no name. A frame that is not named is open.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -44,7 +44,11 @@ class Kind:
         return f"{type(self).__name__}({', '.join(names)})"
 
     def frames(self) -> dict[int, str]:
-        """The frame of each axis, counted from the last."""
+        """The frame of each axis, counted from the last, as far as they are named."""
+        return {axis: name for axis, name in self.axes().items() if name}
+
+    def axes(self) -> dict[int, str]:
+        """The frame of each axis, counted from the last; "" where it is open."""
         raise NotImplementedError
 
     def bodies(self) -> Bodies:
@@ -58,7 +62,7 @@ class Kind:
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
         for field in dataclasses.fields(self):
             frame = getattr(self, field.name)
-            if not isinstance(frame, str) or (not frame and field.default is dataclasses.MISSING):
+            if not isinstance(frame, str):
                 raise ModelError(f"{name!r}: {type(self).__name__} expects the name of a frame, got {frame!r}")
 
 
@@ -66,10 +70,10 @@ class Kind:
 class _OfSix(Kind):
     """Base of six-vectors in one frame."""
 
-    frame: str
+    frame: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((6,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -143,7 +147,7 @@ class Inertia(_OfSix):
     unit = KILOGRAM * METRE**2
     space = Space.FORCE  # of both axes: what it gives, and the dual of what it takes
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.frame, -1: self.frame}
 
 
@@ -157,10 +161,10 @@ class FreeVector(Kind):
     Example: `tx.Control("F", (3,), kind=tx.FreeVector("body"), unit="N")`.
     """
 
-    frame: str
+    frame: str = ""
     shapes = ((3,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -187,12 +191,12 @@ class Rotation(Kind):
     Example: `tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))`.
     """
 
-    to: str
-    source: str
+    to: str = ""
+    source: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((3, 3), (4,))
     unit: ClassVar[Unit | None] = ONE
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.to, -1: self.source}
 
 

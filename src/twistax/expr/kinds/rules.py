@@ -18,7 +18,7 @@ from typing import Any, ClassVar, TypeAlias
 
 from .bodies import Acts, Bodies, Moves, summed
 from .kinds import Space
-from .unit import METRE, ONE, Unit
+from .unit import ONE, Unit
 
 Units: TypeAlias = Sequence[Unit | None]
 #: The space of an axis of a value, as far as it is known.
@@ -120,7 +120,7 @@ class FixedUnits(Rule):
         return self.gives
 
 
-def _common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
+def common_unit(values: Sequence[Any], units: Units, what: str) -> Unit | None:
     """The unit that all known units are equal to. Raises Clash."""
     known = [(value, unit) for value, unit in zip(values, units, strict=True) if unit is not None]
     for value, unit in known[1:]:
@@ -156,7 +156,7 @@ def _groups(node: Any, *how: Common) -> Iterable[Link]:
                 yield value, axis, other, its_axis, common
 
 
-def _six(value: Any, space: SpaceOf) -> bool:
+def six(value: Any, space: SpaceOf) -> bool:
     """Whether a value is known to be made of six-vectors, whose entries differ in unit."""
     return any(size == 6 and space(value, k - value.ndim) is not None for k, size in enumerate(value.shape))
 
@@ -198,7 +198,7 @@ class Terms(Rule):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         values = node.children()[self.conditions :]
-        unit = _common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
+        unit = common_unit(values, units[self.conditions :], f"{type(node).__name__} has one unit")
         return None if self.compares else unit
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
@@ -219,7 +219,7 @@ class UnitPower(Rule):
         return _entries(node, node.children()[:1], Common.FRAME)
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        if _six(node.children()[0], space):
+        if six(node.children()[0], space):
             return None
         if self.power is not None:
             return None if units[0] is None else units[0] ** self.power
@@ -241,7 +241,7 @@ class NumberRule(Rule):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         if self.of_one_unit:
-            _common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
+            common_unit(node.children(), units, f"{type(node).__name__} takes operands of one unit")
         else:
             for value, unit in zip(node.children(), units, strict=True):
                 _number(node, value, unit)
@@ -265,7 +265,7 @@ class _Product(Rule):
                 if unit not in (None, ONE):
                     raise Clash("a pose has no unit: multiply its rotation or its position", (value, unit))
         unit = self.combined(node, units)
-        return None if unit is None or sum(_six(value, space) for value in values) > 1 else unit
+        return None if unit is None or sum(six(value, space) for value in values) > 1 else unit
 
     def combined(self, node: Any, units: Units) -> Unit | None:
         return _product(node.children(), units)
@@ -310,7 +310,7 @@ class _Pairing(MatrixRule):
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
         left, right = node.children()
-        if left.ndim == 1 and left.key() == right.key() and _six(left, space):
+        if left.ndim == 1 and left.key() == right.key() and six(left, space):
             return None
         return super().unit(node, units, space)
 
@@ -328,36 +328,6 @@ class Solved(MatrixRule):
         return Moves({known[-1].on: 1}) if isinstance(known[-1], Acts) else None
 
 
-@dataclasses.dataclass(frozen=True)
-class Reduced(Rule):
-    """A sum or a norm of all entries: in their unit."""
-
-    by_operands = True
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        return None if _six(node.children()[0], space) else units[0]
-
-
-@dataclasses.dataclass(frozen=True)
-class JoinedPieces(Rule):
-    """Pieces side by side: one unit if all have it. Vectors (3,) that make (6,) or rows of them have one frame."""
-
-    rows: bool = False
-    by_operands = True
-
-    def links(self, node: Any) -> Iterable[Link]:
-        values = node.children()
-        halves = node.shape == (6,) and all(value.shape == (3,) for value in values)
-        if halves or (self.rows and node.shape[-1:] == (3,)):
-            for value in values:
-                if value.shape[-1:] == (3,):
-                    yield value, -1, node, -1, Common.FRAME
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        distinct = set(units)
-        return distinct.pop() if len(distinct) == 1 else None
-
-
 SUM, DIFFERENCE, NEGATIVE = Terms(signs=(1,)), Terms(signs=(1, -1)), Terms(signs=(-1,))
 ALIKE, CHOICE, COMPARISON = Terms(), Terms(conditions=1), Terms(compares=True)
 PRODUCT, QUOTIENT = _Product(), _Quotient()
@@ -369,7 +339,6 @@ TRANSPOSE, OUTER = MatrixRule(), MatrixRule((), (1, 1))
 INVERSE = MatrixRule((Common.DUAL, Common.DUAL), (-1,))
 SOLVE = Solved((Common.SAME, Common.DUAL), (-1, 1))
 DIAGONAL = MatrixRule((Common.FRAME,), (1,))
-REDUCED, PIECES, ROWS = Reduced(), JoinedPieces(), JoinedPieces(rows=True)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -389,17 +358,6 @@ class OneFrame(Rule):
         return _product(node.children(), units)
 
 
-class _Table(Rule):
-    """Coordinates, the points of their axes, and values: the unit of each axis, and that of the result."""
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        count, values = len(units) // 2, node.children()
-        for k in range(count):
-            pair = [values[k], values[count + k]]
-            _common_unit(pair, [units[k], units[count + k]], f"{type(node).__name__} has one unit along an axis")
-        return units[-1]
-
-
 class _Cross(Rule):
     """A vector product: one frame, units multiply."""
 
@@ -414,30 +372,4 @@ class _Cross(Rule):
         return _product(node.children(), units)
 
 
-class _PartOfArray(Rule):
-    """A part of an array: whole axes keep their frame; the rotation and the position of a pose have its frames."""
-
-    def links(self, node: Any) -> Iterable[Link]:
-        base, index = node.base, node.index
-        if base.shape == (4, 4) and isinstance(index, tuple) and len(index) == 2:
-            if index[0] == slice(None, 3) or index[0] == slice(0, 3):
-                yield base, -2, node, -node.ndim, Common.FRAME
-                if node.shape == (3, 3):
-                    yield base, -1, node, -1, Common.FRAME
-        elif base.shape == (3, 3) and node.shape == (3,):
-            parts = index if isinstance(index, tuple) else (index,)
-            kept = -1 if isinstance(parts[0], int) else -2
-            yield base, kept, node, -1, Common.FRAME
-        elif node.shape in ((3,), (6,)) and base.shape == (6,) and isinstance(index, slice):
-            yield base, -1, node, -1, Common.FRAME
-
-    def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        base, index = node.base, node.index
-        if base.shape == (4, 4) and base.is_group_element and isinstance(index, tuple) and len(index) == 2:
-            if isinstance(index[1], int) and index[1] in (3, -1):
-                return METRE
-            return ONE if index[1] == slice(None, 3) else None
-        return None if _six(base, space) or (base.shape == (6,) and not base.is_leaf) else units[0]
-
-
-CROSS, PART, TABLE = _Cross(), _PartOfArray(), _Table()
+CROSS = _Cross()
