@@ -158,9 +158,13 @@ def test_what_a_leaf_leaves_open_is_inferred() -> None:
     known = tx.compile(system).explain(kinds=True)
     assert known.leaves["V"] == "a twist, in 'body', unit 1/s"
     assert known.leaves["F"] == "a wrench or momentum, in 'body', unit open"
-    assert known.leaves["g"] == "from 'body' to 'world', unit open"
+    assert known.leaves["g"] == "from 'body' to 'world'"
     assert known.rates["V"] == "a twist, in 'body', unit 1/s2"
-    assert "F: a wrench or momentum, in 'body', unit open" in str(known)
+    assert known.declared == ["g", "V", "M"]
+    assert known.open == []
+    lines = str(known).splitlines()
+    assert lines[lines.index("states") + 2] == "  V  a twist, in 'body', unit 1/s  (declared)"
+    assert lines[lines.index("controls") + 1] == "  F  a wrench or momentum, in 'body', unit open"
     with pytest.raises(tx.KindError, match="two frames meet"):
         tx.System(rates={g: V, V: solve(M, open_force - BODY)}, outputs={"y": open_force + far})
 
@@ -215,3 +219,10 @@ def test_one_leaf_of_a_name_may_leave_its_kind_open_and_two_kinds_are_refused() 
             tx.System(rates={state: -1.0 * state}, outputs={"y": used + W}, controls=[W])
     with pytest.raises(tx.ModelError, match=r"two leaves are named 'V'.*differ in kind"):
         tx.System(rates={typed: -1.0 * typed}, outputs={"y": other})
+
+
+def test_what_is_open_is_told() -> None:
+    x, y, u = tx.State("x", unit="m"), tx.State("y"), tx.Control("u")
+    known = tx.compile(tx.System(rates={x: 2.0 * x, y: u}, outputs={"z": x + 0.5})).explain(kinds=True)
+    assert known.open == ["y", "u", "rate of x", "rate of y"]
+    assert str(known).endswith("nothing is known of: y, u, rate of x, rate of y")

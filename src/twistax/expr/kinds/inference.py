@@ -255,6 +255,13 @@ class Inference:
         ]
         return KindError("\n".join([*lines, f"  fix: {remedy_of_units([unit for _, unit in clash.values], wanted)}"]))
 
+    def knows(self, value: Expr) -> bool:
+        """Whether anything is known of a value."""
+        end = self._ends[id(value)]
+        axes = range(-2 if value.shape == (4,) else -value.ndim, 0)
+        facts = (classes.known(end + axis) for axis in axes for classes in (self._frames, self._spaces))
+        return self._units.get(end) is not None or any(facts)
+
     def description(self, value: Expr) -> str:
         """What is known of a value: its kind, frames and unit, or open."""
         end = self._ends[id(value)]
@@ -265,12 +272,13 @@ class Inference:
         parts = []
         if len(value.shape) == 1 and spaces[0] is not None:
             parts.append(spaces[0].value)
-        if value.is_group_element or (value.shape == (4,) and any(frames)):
+        if value.is_group_element or (value.shape in ((4, 4), (4,)) and any(frames)):
             parts.append(f"from {names[-1]} to {names[0]}")
         elif any(frames):
             parts.append("in " + " by ".join(dict.fromkeys(names)))
         unit = self._units.get(end)
-        parts.append("unit open" if unit is None else f"unit {unit}")
+        if unit is not None or value.shape != (4, 4):
+            parts.append("unit open" if unit is None else f"unit {unit}")
         return ", ".join(parts)
 
 
