@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import functools
 import itertools
 import threading
@@ -26,12 +27,15 @@ from ..expr import (
     postorder,
 )
 from ..expr.functions.function import Call
+from ..expr.transformations.vmap import Vmap, elements_by
 from ..jax_inside import is_traced
 from ..progress import say_once, watched
-from ..scalar.backends import Backend, Emission
+from ..scalar.backends import JAX, Backend, Emission
+from ..scalar.fast import fast
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
+from ..scalar.targets.llvm.backend import Native
 from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
@@ -42,6 +46,11 @@ Arrays = dict[str, jax.Array]
 Made = TypeVar("Made")
 #: What the numbers of a trace depend on beyond its arguments.
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
+
+
+def _of_copies(backend: Native) -> Native:
+    """What runs the function of one copy in a fleet: a kernel also where alone it would be too small for one."""
+    return Native(threads=backend.threads) if type(backend) is not Native else backend
 
 
 class Kept:
@@ -247,13 +256,26 @@ class Functions:
         backend = self.backend.in_loops() if in_loop else self.backend
 
         def make() -> tuple[Emission, Any]:
-            written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
-            shapes = list(itertools.starmap(jax.ShapeDtypeStruct, types))
-            closed, shape = written(*jax.tree.unflatten(structure, shapes))
+            arguments = jax.tree.unflatten(structure, list(itertools.starmap(jax.ShapeDtypeStruct, types)))
+
+            def traced() -> tuple[Any, Any]:
+                written = jax.make_jaxpr(lambda *arguments: self.as_written(family, *arguments), return_shape=True)
+                return written(*arguments)
+
+            closed, shape = traced()
             places = jax.tree.unflatten(structure, range(len(types)))
-            return backend.emit(closed, jax.tree.leaves(places[3])), jax.tree.structure(shape)
+            emission = backend.emit(closed, jax.tree.leaves(places[3]))
+            if emission.program is None and isinstance(self.backend, Native) and self._has_copies(family):
+                with elements_by(functools.partial(fast, backend=_of_copies(self.backend))):
+                    batched, _ = traced()
+                emission = dataclasses.replace(JAX().emit(batched), reason="a batch of one kernel for all copies")
+            return emission, jax.tree.structure(shape)
 
         return self._made.get((backend, family, structure, types), make)
+
+    def _has_copies(self, family: str) -> bool:
+        roots = itertools.chain.from_iterable(self.families[family].values())
+        return any(isinstance(node, Vmap) and node.copies for node in postorder(*roots))
 
     def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """Rates, outputs or constraints in arrays, node by node."""

@@ -74,7 +74,7 @@ class _Fleet:
     def leaf(self, leaf: Leaf) -> Any:
         return self.leaves[leaf.name][1] if leaf.name in self.leaves else leaf
 
-    def copies(self, expr: Expr) -> Expr:
+    def copies(self, expr: Expr) -> Any:
         """An expression of one copy for all of them, (n, *shape)."""
         pairs = list(self.leaves.values())
 
@@ -82,8 +82,7 @@ class _Fleet:
             keys = (leaf.key() for leaf, _ in pairs)
             return substitute(expr, dict(zip(keys, elements, strict=True)))
 
-        result: Expr = Vmap(one, [many for _, many in pairs])
-        return result
+        return Vmap(one, [many for _, many in pairs])
 
     def constraint(self, constraint: Any) -> Any:
         if not isinstance(constraint, Soft):
@@ -101,7 +100,7 @@ def _tangents(fleet: _Fleet, states: Any, exprs: Mapping[str, Expr]) -> dict[Any
     """Rates or corrections of all copies: one batch of all of them, of which each state takes its columns."""
     if not states:
         return {}
-    columns = fleet.copies(Concat(*(_flat(exprs[state.name]) for state in states)))
+    columns = fleet.copies(Concat(*(_flat(exprs[state.name]) for state in states))).of_copies()
     result, start = dict[Any, Expr](), 0
     for state in states:
         end, many = start + state.group.dimension, fleet.leaf(state)
