@@ -9,7 +9,7 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from .problem.controls import rate_name
-from .transcription.points import Point
+from .transcription.iterate import Iterate
 from .transcription.shooting import Shooting
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
@@ -78,7 +78,7 @@ class SizeMeter:
         self._fixed = np.isin(np.arange(n), shooting.layout.fixed) & ~shooting.free.d[0]
 
     @np.errstate(all="ignore")
-    def __call__(self, point: Point, moved: Array, gaps: Array, with_reserve: bool = True) -> Sizes:
+    def __call__(self, point: Iterate, moved: Array, gaps: Array, with_reserve: bool = True) -> Sizes:
         """Sizes of states, controls and shared unknowns.
 
         Args:
@@ -134,20 +134,20 @@ class SizeMeter:
         d, u, b = (usable(a) for a in (d, u, b))
         return Sizes(d, u, b, steers.any(axis=0), reserve)
 
-    def largest(self, point: Point) -> Array:
+    def largest(self, point: Iterate) -> Array:
         """The largest value of each flat state, zero of others."""
         largest = np.zeros(self._shooting.n)
         largest[self._columns] = np.abs(self._flat_values(point)).max(axis=0, initial=0.0)
         return largest
 
-    def _flat_values(self, point: Point) -> Array:
+    def _flat_values(self, point: Iterate) -> Array:
         """(nodes, columns) of all flat states."""
         nodes = self._shooting.nodes
         return np.concatenate(
             [np.zeros((nodes, 0)), *(np.reshape(point.xs[name], (nodes, -1)) for name in self._flat)], axis=1
         )
 
-    def _of_states(self, point: Point, values: Array, largest: Array) -> Array:
+    def _of_states(self, point: Iterate, values: Array, largest: Array) -> Array:
         """Sizes of the states' tangents; NaN where nothing is known."""
         d = np.full(self._shooting.n, np.nan)
         d[self._columns] = _spread(values, largest)

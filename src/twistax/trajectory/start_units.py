@@ -7,7 +7,7 @@ from numpy import ndarray as Array
 
 from .sizes import Sizes
 from .transcription.evaluation import Evaluated, moved
-from .transcription.points import Point
+from .transcription.iterate import Iterate
 from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
@@ -31,7 +31,7 @@ class StartUnits:
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point, limits: Array | None = None, *, with_rows: bool = True) -> None:
+    def __init__(self, staged: Staged, point: Iterate, limits: Array | None = None, *, with_rows: bool = True) -> None:
         z = staged.flat(point)
         self._staged_at = z, staged.coordinates(z)
         at = Evaluated(staged.transcription, z)
@@ -82,12 +82,12 @@ class StartUnits:
             inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
         return steps
 
-    def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
+    def fitted_durations(self, staged: Staged, point: Iterate, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""
         return self._fitted(staged, point, limits, self._first)[0]
 
     @classmethod
-    def _fitted(cls, staged: Staged, point: Point, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
+    def _fitted(cls, staged: Staged, point: Iterate, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
         """Durations in which limited controls can move the states as far as required, and sizes for them.
 
         A guess of a duration may be thousands of times too long. What controls do to states over such a time says
@@ -118,7 +118,7 @@ class StartUnits:
             ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
 
-    def fit(self, staged: Staged, point: Point) -> bool:
+    def fit(self, staged: Staged, point: Iterate) -> bool:
         """Whether every unknown of a point is within its unit of the start at which the units were measured."""
         (z, v), there = self._staged_at, staged.flat(point)
         moved = np.abs(staged.coordinates(there) - v) <= self.v
@@ -133,7 +133,7 @@ class StartUnits:
 
     @staticmethod
     def _measured(
-        staged: Staged, point: Point, at: Evaluated, is_good: bool = True, with_reserve: bool = True
+        staged: Staged, point: Iterate, at: Evaluated, is_good: bool = True, with_reserve: bool = True
     ) -> list[Sizes]:
         """Sizes of each phase; without derivatives those that the point and the leaves tell."""
         parts, sizes_of = list[Sizes](), dict[str, Array]()
