@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -169,9 +170,9 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                limits = used.instance.limits
-                if StartUnits(self.staged, point, limits, with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, StartUnits(self.staged, point, limits))
+                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
+                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, measured())
                 return fresh is not None
 
             check.extra = is_misfit
