@@ -20,7 +20,6 @@ from typing import TypeAlias
 from ..errors import OrderError
 from ..groups import Order
 from .graph import find_path, postorder
-from .kinds.inference import bodies, short
 from .leaves import Constant, Leaf, State
 from .node import Expr
 
@@ -193,3 +192,17 @@ def _axes(value: Expr) -> list[int]:
     """The axes of a vector (6,) or an operator (6, 6), counted from the last."""
     shape = value.shape
     return [-1 - i for i in range(len(shape))] if shape in ((_SIX,), (_SIX, _SIX)) else []
+
+
+def bodies(node: Expr) -> list[Expr]:
+    """The expressions that a node holds besides its children."""
+    if type(node).outline is Expr.outline:
+        return []
+    children = {id(child) for child in node.children()}
+    return [part for _, part in node.outline() if id(part) not in children]
+
+
+def short(value: Expr, longest: int = 60) -> str:
+    """The text of a value, cut off where it is long."""
+    text = repr(value)
+    return text if len(text) <= longest else f"{text[:longest]}..."

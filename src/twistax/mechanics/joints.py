@@ -17,14 +17,11 @@ from ..errors import ModelError, ShapeError
 from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Solve, Stack, State, Where
 from ..expr.fields import ExprLike
 from ..expr.kinds.declare import known_as
-from ..expr.kinds.kinds import FreeVector, Kind, Rotation, Twist
-from ..expr.kinds.kinds import Pose as PoseKind
-from ..expr.kinds.unit import METRE, ONE, SECOND, Unit
 from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log, twist
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
-from .screws import Screws, Subspaces, complement
+from .screws import Screws, Subspaces, complement, kinds_of
 
 # fmt: off
 __all__ = [
@@ -78,7 +75,10 @@ class Joint(Subspaces, ABC):
         self.position: State | None = None
         self.velocity: State | None = None
         if self.dofs:
-            shape, of_place, of_rate = (self.dofs,) if self.group is None else None, *self._kinds()
+            shape, of_place, of_rate = (
+                (self.dofs,) if self.group is None else None,
+                *kinds_of(self.motion_subspace, self.group),
+            )
             self.position = known_as(State(f"{name}_position", shape, group=self.group), *of_place)
             self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *of_rate)
 
@@ -97,27 +97,6 @@ class Joint(Subspaces, ABC):
 
     def __repr__(self) -> str:
         return f"{type(self).__name__}({self.name!r})"
-
-    @property
-    def turns(self) -> tuple[bool, ...] | None:
-        """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
-        if not isinstance(self.motion_subspace, Constant):
-            return None
-        return tuple(bool(np.any(column[3:])) for column in np.asarray(self.motion_subspace.value).T)
-
-    def unit(self) -> Unit | None:
-        """The unit that all coordinates have; None where they differ."""
-        turns = set(self.turns or ())
-        return None if len(turns) != 1 else ONE if turns == {True} else METRE
-
-    def _kinds(self) -> tuple[tuple[Kind | None, Unit | None], tuple[Kind | None, Unit | None]]:
-        """The kind and unit of position and velocity. Their frames are named by what the joint connects."""
-        if self.group is SE3:
-            return (PoseKind(), None), (Twist(), None)
-        if self.group is SO3:
-            return (Rotation(), None), (FreeVector(), ONE / SECOND)
-        unit = self.unit() if self.group is None else None
-        return (None, unit), (None, None if unit is None else unit / SECOND)
 
     def _columns(self, name: str, value: Any) -> np.ndarray:
         columns = reals(f"{self!r}: {name}", value, ModelError).astype(np.float64)

@@ -13,13 +13,14 @@ from ..errors import ModelError
 from ..expr import Constant, Control, Expr, State
 from ..expr.fields import ExprLike
 from ..expr.kinds.declare import known_as
-from ..expr.kinds.kinds import Pose, Rotation, Twist
+from ..expr.kinds.kinds import Pose, Twist
 from ..expr.kinds.unit import JOULE, SECOND, Unit
 from ..expr.lie import AdjointAction, Compose, Inverse
 from ..expr.operations.arithmetic import is_identity
 from .arguments import of_shape
 from .bodies import SpatialInertia
 from .loops import Loop, Metric, check_loops
+from .screws import element_kind, unit_of
 from .tree import Frame, Link, Segment, segments_of, shapes_of, sorted_links
 
 if TYPE_CHECKING:
@@ -136,15 +137,15 @@ class KinematicTree:
         """The unit of all coordinates, with those of joints on groups; None where they differ."""
         segments = [s for s in self.segments if s.freedoms and s.link.mimic is None]
         joints = [s.link.joint for s in segments if grouped or s.link.joint.group is None]
-        units = {joint.unit() for joint in joints}
+        units = {unit_of(joint.motion_subspace) for joint in joints}
         return units.pop() if len(units) == 1 else None
 
     def _element(self, segment: Segment) -> Any:
         """The position of a joint on a group, between the frames that it connects where these are named."""
         joint, before = segment.link.joint, self.base if segment.before < 0 else self.segments[segment.before].link.name
         to = before if is_identity(segment.link.mount) else ""
-        kind = {(3, 3): Rotation, (4, 4): Pose}.get(joint.position.shape if joint.position is not None else ())
-        return joint.position if kind is None else known_as(joint.position, kind(to, segment.link.name))
+        place, kind = joint.position, element_kind(joint.group, to, segment.link.name)
+        return place if kind is None or place is None else known_as(place, kind)
 
     def _bounds(self, limits: Any, *, by_freedom: bool) -> tuple[np.ndarray | None, np.ndarray | None]:
         """The limits of all leaders in one vector each; None where no joint has one."""

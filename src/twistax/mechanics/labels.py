@@ -8,6 +8,7 @@ import numpy as np
 
 from ..expr import Constant, State
 from .kinematic_tree import KinematicTree
+from .screws import turns_of
 from .tree import Segment
 
 Labels = dict[str, list[tuple[str, str]]]
@@ -36,7 +37,7 @@ def labels_of(mechanism: KinematicTree, driven: Sequence[int]) -> Labels:
 
 def _of_joint(segment: Segment) -> list[tuple[str, str]]:
     joint = segment.link.joint
-    turns = joint.turns
+    turns = turns_of(joint.motion_subspace)
     if turns is None or not isinstance(joint.motion_subspace, Constant):
         return [(joint.name, "SI")]
     H = np.asarray(joint.motion_subspace.value)

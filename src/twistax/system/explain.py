@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 
 from ..checks import listed
 from ..errors import InputError, ModelError
-from ..expr import Constant, Expr, Inputs, evaluate_all, infer_kinds, leaves_of, postorder
+from ..expr import Constant, Expr, Inputs, evaluate_all, leaves_of, postorder
+from ..expr.kinds.inference import infer_kinds
 from ..jax_inside import all_equations, inner_jaxprs
 from ..scalar.backends import array_operations
 from ..scalar.graph import TooLarge
@@ -179,9 +180,12 @@ def explain_kinds(system: System) -> KindsExplanation:
     known = infer_kinds(roots, {state: system.rates[state.name] for state in system.states}, leaves)
     named: dict[str, dict[str, Expr]] = {"": {leaf.name: leaf for leaf in leaves}}
     named |= {"rate of ": system.rates, "output ": system.outputs}
-    texts = [{name: known.description(expr) for name, expr in exprs.items()} for exprs in named.values()]
+    texts = ({name: known.description(expr) for name, expr in exprs.items()} for exprs in named.values())
+    of_leaves, of_rates, of_outputs = texts
     return KindsExplanation(
-        *texts,
+        of_leaves,
+        of_rates,
+        of_outputs,
         of_kind={kind: [leaf.name for leaf in of_one] for kind, of_one in of_kind.items()},
         declared=[leaf.name for leaf in leaves if leaf.declares],
         open=[what + name for what, exprs in named.items() for name, e in exprs.items() if not known.knows(e)],

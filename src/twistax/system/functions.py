@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import dataclasses
 import functools
 import itertools
 import threading
@@ -27,30 +26,23 @@ from ..expr import (
     postorder,
 )
 from ..expr.functions.function import Call
-from ..expr.transformations.vmap import Vmap, elements_by
 from ..jax_inside import is_traced
 from ..progress import say_once, watched
-from ..scalar.backends import JAX, Backend, Emission
-from ..scalar.fast import fast
+from ..scalar.backends import Backend, Emission
 from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import Derived, call_program
 from ..scalar.small_call import no_small_call
-from ..scalar.targets.llvm.backend import Native
 from ..scalar.walk import uncollected
 from .expressions import canonical, chosen_outputs, constants_of, silent
 from .inputs import CallArguments, Values
 from .jacobian import Differentiated, Places, RateJacobian, blocks_in_arrays, fewer
+from .repeat import copies_in_a_kernel
 from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
 Made = TypeVar("Made")
 #: What the numbers of a trace depend on beyond its arguments.
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
-
-
-def _of_copies(backend: Native) -> Native:
-    """What runs the function of one copy in a fleet: a kernel also where alone it would be too small for one."""
-    return Native(threads=backend.threads) if type(backend) is not Native else backend
 
 
 class Kept:
@@ -265,17 +257,10 @@ class Functions:
             closed, shape = traced()
             places = jax.tree.unflatten(structure, range(len(types)))
             emission = backend.emit(closed, jax.tree.leaves(places[3]))
-            if emission.program is None and isinstance(self.backend, Native) and self._has_copies(family):
-                with elements_by(functools.partial(fast, backend=_of_copies(self.backend))):
-                    batched, _ = traced()
-                emission = dataclasses.replace(JAX().emit(batched), reason="a batch of one kernel for all copies")
+            emission = copies_in_a_kernel(emission, self.backend, self.families[family], lambda: traced()[0])
             return emission, jax.tree.structure(shape)
 
         return self._made.get((backend, family, structure, types), make)
-
-    def _has_copies(self, family: str) -> bool:
-        roots = itertools.chain.from_iterable(self.families[family].values())
-        return any(isinstance(node, Vmap) and node.copies for node in postorder(*roots))
 
     def as_written(self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """Rates, outputs or constraints in arrays, node by node."""

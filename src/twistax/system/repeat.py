@@ -3,16 +3,22 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Mapping
+import functools
+import itertools
+from collections.abc import Callable, Mapping, Sequence
 from typing import Any
 
 import numpy as np
 
 from ..checks import listed, short, whole
 from ..errors import ModelError
-from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, substitute
+from ..expr import Concat, Control, Expr, Leaf, Parameter, Reshaped, State, Vmap, leaves_of, postorder, substitute
 from ..expr.operations.soft import Soft
+from ..expr.transformations.vmap import elements_by
 from ..groups.power import Power
+from ..scalar.backends import JAX, Backend, Emission
+from ..scalar.fast import fast
+from ..scalar.targets.llvm.backend import Native, installed
 from .composable import named_leaves
 from .system import System
 
@@ -138,3 +144,24 @@ def _many(leaf: Any, count: int) -> Leaf:
         return State(leaf.name, (count, *leaf.shape), **ends, **options)
     scale = None if leaf.scale is None else np.tile(leaf.scale, count)
     return State(leaf.name, group=Power(leaf.group, count), scale=scale, **ends)
+
+
+def copies_in_a_kernel(
+    emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], Any]
+) -> Emission:
+    """How expressions run that would run as arrays: each batch of copies in them as a batch of one kernel.
+
+    Args:
+        emission: how the whole of them would run by the backend.
+        roots: the expressions by name.
+        traced: their function, traced anew.
+    """
+    if emission.program is not None or not isinstance(backend, Native) or not installed():
+        return emission
+    nodes = postorder(*itertools.chain.from_iterable(roots.values()))
+    if not any(isinstance(node, Vmap) and node.copies for node in nodes):
+        return emission
+    # One copy has a kernel also where it would be too small for one alone.
+    of_one = backend if type(backend) is Native else Native(threads=backend.threads)
+    with elements_by(functools.partial(fast, backend=of_one)):
+        return dataclasses.replace(JAX().emit(traced()), reason="a batch of one kernel for all copies")

@@ -12,14 +12,14 @@ _Fact: TypeAlias = "str | Space"
 class AxisFact(NamedTuple):
     """The frame or the space of an axis, of which value, and the node or the place, in words, that fixed it.
 
-    `said` is what the value declares, in words.
+    `note` is what the value declares, in words.
     """
 
     fact: _Fact
     value: Any
     axis: int
     at: Any
-    said: str = ""
+    note: str = ""
 
     @property
     def dual(self) -> AxisFact:

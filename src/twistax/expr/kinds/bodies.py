@@ -72,9 +72,9 @@ class BodyClash(Exception):
 def summed(values: Sequence[Any], known: Sequence[Bodies], signs: Sequence[int]) -> Bodies:
     """The bodies of a sum. Raises BodyClash for wrenches on different bodies."""
     acting = [(v, k) for v, k, sign in zip(values, known, signs, strict=True) if isinstance(k, Acts) and sign > 0]
-    for value, bodies in acting[1:]:
-        if bodies != acting[0][1]:
-            raise BodyClash("wrenches on two bodies are added", acting[0], (value, bodies))
+    for pair in acting[1:]:
+        if pair[1] != acting[0][1]:
+            raise BodyClash("wrenches on two bodies are added", acting[0], pair)
     if acting:
         return acting[0][1]
     total = Moves({})

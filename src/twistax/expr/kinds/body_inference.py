@@ -29,7 +29,7 @@ class BodyInference:
     ) -> None:
         self._place, self._short = place, short
         self._known: dict[int, Bodies] = {}
-        known = [_said(leaf) for leaf in leaves]
+        known = [_declared_bodies(leaf) for leaf in leaves]
         names = {name for bodies in known if isinstance(bodies, Moves) for name in bodies.bodies}
         #: The body that each frame is fixed to, with the place that says so.
         self._body_of: dict[str, tuple[str, str]] = {name: (name, "the body of that name") for name in names}
@@ -40,7 +40,7 @@ class BodyInference:
             if id(node) in self._known:
                 continue
             if isinstance(node, Leaf):
-                self._known[id(node)] = _said(node)
+                self._known[id(node)] = _declared_bodies(node)
                 continue
             children = node.children()
             known = [self._known.get(id(child)) for child in children]
@@ -48,9 +48,9 @@ class BodyInference:
                 bodies = (node.kinds or OPEN).bodies(node, known) if any(known) else None
             except BodyClash as clash:
                 raise self._refused(str(clash), node, clash.values, _FIX_WRENCH) from None
-            said = _said(node)
-            self._known[id(node)] = bodies or said
-            if isinstance(bodies, Moves) and isinstance(said, Moves) and not bodies.fits(said):
+            declared = _declared_bodies(node)
+            self._known[id(node)] = bodies or declared
+            if isinstance(bodies, Moves) and isinstance(declared, Moves) and not bodies.fits(declared):
                 raise self._refused("a twist is declared as that of another body", node, ((node, bodies),), _FIX)
             if bodies is None:
                 for child, of_child in zip(children, known, strict=True):
@@ -66,7 +66,7 @@ class BodyInference:
         if not isinstance(of_rate, Moves):
             return
         self._one_body(rate, of_rate)
-        of_state, kind = _said(state), kind_of(state)
+        of_state, kind = _declared_bodies(state), kind_of(state)
         if isinstance(of_state, Moves) and not of_state.fits(of_rate):
             values = ((state, of_state), (rate, of_rate))
             raise self._refused(f"the twist of {state.name!r} has the rate of another one", place, values, _FIX)
@@ -75,11 +75,11 @@ class BodyInference:
             (moving,), (against,) = ([name for name, n in of_rate.bodies.items() if n * s > 0] for s in (1, -1))
             pairs = ((frames[-1], moving), (frames[-2], against))
             for frame, body in (pair for pair in pairs if pair[0]):
-                before, said = self._body_of.setdefault(frame, (body, place))
+                before, reason = self._body_of.setdefault(frame, (body, place))
                 if before != body:
                     raise KindError(
                         f"the frame {frame!r} is fixed to two bodies: {before!r} and {body!r}.\n  where: {place}\n"
-                        f"  at: {said}, {frame!r} is fixed to {before!r}\n"
+                        f"  at: {reason}, {frame!r} is fixed to {before!r}\n"
                         f"  and: {self._short(rate)} is a twist {of_rate}\n  fix: {_FIX}"
                     )
 
@@ -95,7 +95,7 @@ class BodyInference:
         return KindError("\n".join([*lines, f"  fix: {fix}"]))
 
 
-def _said(node: Expr) -> Bodies:
+def _declared_bodies(node: Expr) -> Bodies:
     """The bodies that a leaf or another expression declares."""
     kind = kind_of(node)
     return None if kind is None else kind.bodies()

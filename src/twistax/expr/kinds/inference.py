@@ -17,9 +17,10 @@ from ...errors import KindError
 from ..graph import find_path, postorder
 from ..leaves import Constant, Leaf, State
 from ..node import Expr
+from ..orders import bodies, short
 from .axes import AxisClasses, AxisFact
 from .body_inference import BodyInference, check_bodies
-from .declare import declares, kind_of, known_of
+from .declare import kind_of, known_of
 from .kinds import Kind, Space
 from .remedies import remedy_of_frames, remedy_of_spaces, remedy_of_units
 from .rules import OPEN, Clash, Common, Link, Rule
@@ -102,13 +103,13 @@ class Inference:
             self._kind(leaf, end, leaf.kind, f", declared {leaf.kind}")
         self._known_as(leaf)
 
-    def _kind(self, value: Expr, end: int, kind: Kind, said: str) -> None:
+    def _kind(self, value: Expr, end: int, kind: Kind, note: str) -> None:
         """The frames and spaces of a declared kind."""
         for axis, frame in kind.axes().items():
             if frame:
-                self._fix(self._frames, end + axis, AxisFact(frame, value, axis, value, said))
+                self._fix(self._frames, end + axis, AxisFact(frame, value, axis, value, note))
             if kind.space is not None:
-                self._fix(self._spaces, end + axis, AxisFact(kind.space, value, axis, value, said))
+                self._fix(self._spaces, end + axis, AxisFact(kind.space, value, axis, value, note))
 
     def _known_as(self, node: Expr) -> None:
         """What an expression says of itself."""
@@ -212,7 +213,7 @@ class Inference:
             if known:
                 raise KindError(
                     f"a scalar is added to each entry of a vector in {known.fact!r}.\n  where: {self.place(node)}\n"
-                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{known.said}\n"
+                    f"  at: {self.place(known.at)}, {known.clause(short(known.value))}{known.note}\n"
                     f"  and: {short(scalar)} is a scalar\n"
                     "  fix: multiply it by the vector that it belongs to, such as a direction"
                 )
@@ -242,7 +243,7 @@ class Inference:
         else:
             what = "a twist meets a wrench or momentum, or is paired with another twist"
             fix = remedy_of_spaces()
-        texts = (f"{self.place(each.at)}, {each.clause(short(each.value))}{each.said}" for each in both)
+        texts = (f"{self.place(fact.at)}, {fact.clause(short(fact.value))}{fact.note}" for fact in both)
         at_one, at_other = texts
         raise KindError(f"{what}.\n  where: {self.place(at)}\n  at: {at_one}\n  and: {at_other}\n  fix: {fix}")
 
@@ -250,7 +251,7 @@ class Inference:
         units = " and ".join(dict.fromkeys(str(unit) for _, unit in clash.values))
         lines = [f"{clash}, got {units}.", f"  where: {self.place(at)}"]
         lines += [
-            f"  {word}: {short(value)} is in {unit}{_said(value)}"
+            f"  {word}: {short(value)} is in {unit}{_declared_in_words(value)}"
             for word, (value, unit) in zip(("at", "and"), clash.values, strict=False)
         ]
         return KindError("\n".join([*lines, f"  fix: {remedy_of_units([unit for _, unit in clash.values], wanted)}"]))
@@ -282,19 +283,6 @@ class Inference:
         return ", ".join(parts)
 
 
-def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], nodes: Sequence[Expr]) -> Inference | None:
-    """What is known of all values of a system; None where nothing is declared.
-
-    Args:
-        roots: every expression of a system, by the name used in messages.
-        rates: the rate of every state.
-        nodes: all nodes below the roots, children first.
-    Raises: KindError where two frames, spaces or units do not fit.
-    """
-    leaves = [*rates, *(node for node in nodes if isinstance(node, Leaf))]
-    return infer_kinds(roots, rates, leaves, nodes) if any(map(declares, (*rates, *nodes))) else None
-
-
 def infer_kinds(
     roots: Mapping[str, Expr], rates: Mapping[State, Expr], leaves: Sequence[Leaf], nodes: Sequence[Expr] | None = None
 ) -> Inference:
@@ -305,27 +293,13 @@ def infer_kinds(
     for state, rate in rates.items():
         inference.read_rate(state, rate)
     inference.check_unframed()
-    said = map(kind_of, (*inference.leaves, *nodes))
-    if any(kind is not None and kind.bodies() for kind in said):
+    kinds = map(kind_of, (*inference.leaves, *nodes))
+    if any(kind is not None and kind.bodies() for kind in kinds):
         check_bodies(nodes, roots, rates, BodyInference(inference.leaves, inference.place, short))
     return inference
 
 
-def bodies(node: Expr) -> list[Expr]:
-    """The expressions that a node holds besides its children."""
-    if type(node).outline is Expr.outline:
-        return []
-    children = {id(child) for child in node.children()}
-    return [part for _, part in node.outline() if id(part) not in children]
-
-
-def short(value: Expr, longest: int = 60) -> str:
-    """The text of a value, cut off where it is long."""
-    text = repr(value)
-    return text if len(text) <= longest else f"{text[:longest]}..."
-
-
-def _said(value: Expr) -> str:
+def _declared_in_words(value: Expr) -> str:
     """What a value declares."""
     kind = kind_of(value)
     return "" if kind is None else f", declared {kind}"
