@@ -14,7 +14,7 @@ from ..errors import ModelError
 from ..jax_inside import spread
 from ..scalar.array_primitive import on_any_mesh
 from ..scalar.backends import JAX
-from ..scalar.small_call import held
+from ..scalar.small_call import stored_once
 from ..system.dynamics import Arrays, Dynamics
 from .charts.chart import compensated
 from .charts.coordinates import Blocks, StateCoordinates, StoredState
@@ -257,9 +257,9 @@ class Stepper:
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.run_by(JAX())))
 
     @property
-    def beside_loops(self) -> Stepper:
+    def outside_loops(self) -> Stepper:
         """This stepper for functions outside the kernel of a loop."""
-        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.beside_loops()))
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.outside_loops()))
 
     def clock(self, t: Any) -> Any:
         """A time of the clock of the loop from one in s, or the other way round; lengths of time alike."""
@@ -330,14 +330,14 @@ class Stepper:
         def size(e: Blocks) -> jax.Array:
             return jnp.sqrt(tolerances.mean_square(local, e, y, y))
 
-        slope = held(local.first_slope(y, rate))
+        slope = stored_once(local.first_slope(y, rate))
         reach, speed = tolerances.reach(local, y), size(slope)
         short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
         # Controls beyond the end may not be defined.
         short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
         z = jax.tree.map(lambda k: self.clock(short) * k, slope)
-        moved = held(local.move(y, z))
-        later = local.slope(z, moved, held(self.rate(t + short, moved, 1e-3 * short)))
+        moved = stored_once(local.move(y, z))
+        later = local.slope(z, moved, stored_once(self.rate(t + short, moved, 1e-3 * short)))
         bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
         largest = jnp.maximum(speed, bend)
         h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))

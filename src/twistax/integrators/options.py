@@ -20,7 +20,7 @@ from ..expr import Inputs, State
 from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
 from ..system.dynamics import Dynamics, need_compiled
-from ..system.inputs import cast, is_finite, need_held, precision
+from ..system.inputs import cast, is_finite, need_representable, precision
 from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import EventConditions, event_conditions
@@ -148,7 +148,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     inputs = _inputs_of(dynamics, x0, options, controls)
     dtype = inputs.dtype
     if span is not None:
-        need_held("t1", np.asarray(span[1]), dtype)
+        need_representable("t1", np.asarray(span[1]), dtype)
         if isinstance(controls, ByName):
             controls.check_span(min(span), max(span))
     signals, x = controls.prepared(inputs.u, dtype), dict(inputs.x)
@@ -172,7 +172,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     limits = limits_of(start, end, options.jumps, signals, direction)
     steps: AdaptiveSteps | FixedSteps
     if options.adaptive:
-        steps = _adaptive_steps(dynamics, method, options, Stops.given(limits, start, saves, count), start, events)
+        steps = _adaptive_steps(dynamics, method, options, Stops.of(limits, start, saves, count), start, events)
     else:
         polynomial = options.between if options.between is Between.POLYNOMIAL else None
         for name, value in (("control", options.control), ("between", polynomial)):
@@ -246,7 +246,7 @@ def _adaptive_steps(
         method.need_polynomial()
     dt, dtype = options.dt, start.dtype
     if dt is not None:
-        need_held("dt", real_array("dt", dt), dtype)
+        need_representable("dt", real_array("dt", dt), dtype)
     first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
     tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
     control = options.control or _CONTROL
@@ -335,7 +335,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
         relative,
         {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
         {
-            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
+            s.name: _by_deviation(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
             for s in dynamics.states
             if s.scale is not None
         },
@@ -349,21 +349,21 @@ def _absolute(state: State, value: Any, dtype: Any) -> Any:
     if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
         rotation, position = (_numbers(place, part, dtype) for part in value)
         stack: Any = jnp.stack if is_traced(value) else np.stack
-        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
+        array = _by_deviation(state, stack([rotation if angular else position for angular in group.angular]))
     else:
         array = _numbers(place, value, dtype)
         shape = group.tangent_shape
         if array.shape not in ((), shape):
             pair = ", or the pair (rotation, position)" if is_pose else ""
             raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
-        array = _held(state, array) if array.shape else array
+        array = _by_deviation(state, array) if array.shape else array
     # Not < 0, so that NaN is refused too.
     if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
         raise InputError(f"{place} must not be negative, got {array}")
     return array
 
 
-def _held(state: State, array: Any) -> Any:
+def _by_deviation(state: State, array: Any) -> Any:
     """Values by tangent entry, in the order of the state's deviations."""
     return state.group.to_linear_first(array.reshape(-1))
 

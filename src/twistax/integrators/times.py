@@ -12,7 +12,7 @@ import numpy as np
 from ..checks import number, real_array, short, whole
 from ..errors import InputError
 from ..jax_inside import is_traced
-from ..system.inputs import is_finite, need_held
+from ..system.inputs import is_finite, need_representable
 from ..units import Quantity, same_unit, seconds
 from .controls import Signals
 from .loop.fixed_steps import FixedSteps, Saves, Splits, slack, splits_of
@@ -169,7 +169,7 @@ class Stops(NamedTuple):
     count: Any  # how many of these were asked for; those that fill up the rest are at the end
 
     @classmethod
-    def given(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
+    def of(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
         """The stops of limits, the last one the end, and of saved times."""
         if save_at is None:
             return cls(limits, None, 0)
@@ -205,7 +205,7 @@ def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) ->
         )
         if array_of_jumps.ndim != 1 or not is_finite(array_of_jumps) or falls:
             raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
-        need_held("jumps", array_of_jumps, t0.dtype)
+        need_representable("jumps", array_of_jumps, t0.dtype)
     known = [*signals.jumps, *([] if jumps is None else [jumps])]
     # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
     array: Any = jnp if is_traced((t0, t1, known)) else np

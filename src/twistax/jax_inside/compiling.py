@@ -74,12 +74,13 @@ def batched_branches_transpose() -> bool:
     return jax.__version_info__ >= (0, 11)
 
 
-def makes_an_array(frame: FrameType) -> bool:
-    """Whether a frame that asks for `__jax_array__` is a function of JAX that needs an array of what it was given.
+def makes_an_array(getter: Any) -> bool:
+    """Whether the caller of a getter of `__jax_array__` is a function of JAX that needs an array.
 
-    The operators of JAX's arrays ask too. They hand over to the other operand where there is no such attribute.
+    The operators of JAX's arrays read it too. They leave the operation to the other operand where it is missing.
     """
-    module = str(frame.f_globals.get("__name__", ""))
+    caller: FrameType = getter.f_back
+    module = str(caller.f_globals.get("__name__", ""))
     return module.startswith("jax.") and not module.endswith(".array_methods")
 
 

@@ -1,4 +1,4 @@
-"""A function of arrays as one equation of JAX: what the types of arrays say of meshes ends there."""
+"""A function of arrays as one equation of JAX, inside of which the types of arrays say nothing of meshes."""
 
 from __future__ import annotations
 
@@ -109,19 +109,13 @@ def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
     Else loops inside of the function would have to say it too. What the function closes over must not be traced.
     Arguments and result are pytrees of arrays.
     """
-    leaves, structure = jax.tree.flatten(arguments)
+    leaves = jax.tree.leaves(arguments)
     if not spread(leaves):
         return function(*arguments)
-    shapes: list[Any] = []
-
-    def flat(*leaves: jax.Array) -> list[jax.Array]:
-        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        shapes.append(shape)
-        return results
-
+    structs = jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), arguments)
     with of_one_device():
-        closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*structs)
     if closed.effects:
         return function(*arguments)
-    result: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
+    result: Result = jax.tree.unflatten(jax.tree.structure(shape), call_program(Written(closed), *leaves))
     return result

@@ -17,7 +17,7 @@ from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as
 from .array_primitive import on_any_mesh
 from .backends import XLA, Backend, chosen
 from .jax_primitive import call_program
-from .segments import Whole, has_loops
+from .segments import Segmented, has_loops
 from .targets.llvm.backend import Native, installed
 
 P = ParamSpec("P")
@@ -104,8 +104,6 @@ class Fast(Generic[P, R]):
 
 
 class _Bound(functools.partial[Any]):
-    """A bound method."""
-
     def explain(self, *args: Any, **kwargs: Any) -> str:
         text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
         return text
@@ -120,7 +118,7 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if not has_loops(closed):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]
-    program = Whole(closed, backend)
+    program = Segmented(closed, backend)
     return functools.partial(call_program, program), program.parts[1]
 
 

@@ -32,7 +32,7 @@ from ..jax_inside import (
 from .batch import Batch, Rows
 from .derivatives import cotangent_program, is_real, tangent_program
 from .program import ScalarProgram
-from .small_call import apart, inside_small_call, small_call
+from .small_call import inside_small_call, not_inlined, small_call
 from .targets.xla import as_function, without_barriers
 
 #: Of each result of a program.
@@ -164,8 +164,8 @@ class Derived(Differentiable):
         return as_function(self.program)
 
     @functools.cached_property
-    def _apart(self) -> Any:
-        return as_function(self.program, apart)
+    def _in_pieces(self) -> Any:
+        return as_function(self.program, not_inlined)
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
         """What the runner runs for a batch of that many members on a platform; None: XLA does."""
@@ -185,13 +185,13 @@ class Derived(Differentiable):
             return super().by_xla(arguments, batch, inside, platform)
         empty = not any(jnp.size(a) for a in arguments)
         if batch.depth == 0:
-            return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
+            return self._in_pieces(*arguments) if inside or empty else small_call(self._in_pieces, *arguments)
         if empty:
             return batch.each(self.function, arguments)
 
         def every(*flat: jax.Array) -> list[jax.Array]:
             def one(row: dict[int, jax.Array]) -> list[jax.Array]:
-                return self._apart(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
+                return self._in_pieces(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
 
             return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in batch.shared})
 
@@ -306,14 +306,14 @@ def _transpose(
     return result
 
 
-class _Held:
+class _KeepsAlive:
     """Keeps a program alive as long as compiled code; pickled it is empty."""
 
     def __init__(self, program: Computed | None = None) -> None:
         self.program = program
 
-    def __reduce__(self) -> tuple[type[_Held], tuple[()]]:
-        return _Held, ()
+    def __reduce__(self) -> tuple[type[_KeepsAlive], tuple[()]]:
+        return _KeepsAlive, ()
 
 
 def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms: Sequence[str] = PLATFORMS) -> None:
@@ -341,7 +341,7 @@ def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms:
             # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
             module = context.module_context
             if not module.lowering_parameters.for_export:
-                module.add_keepalive(_Held(params["program"]))
+                module.add_keepalive(_KeepsAlive(params["program"]))
 
             # JAX keeps what it traced as long as the function: a new one each time.
             def once(*a: Any) -> list[jax.Array]:

@@ -121,7 +121,7 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
         return jax.lax.while_loop(due, fill_all, (rows.table, rows.number))
 
-    def whole(size: int, mapped: Any, arguments: Any) -> Any:
+    def with_batch_axis(size: int, mapped: Any, arguments: Any) -> Any:
         """All arguments with the batch axis."""
         return jax.tree.map(
             lambda batched, a: a if batched else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
@@ -129,11 +129,11 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
     @one.def_vmap
     def of_one(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        return many(*whole(size, mapped, arguments)), (True, True)
+        return many(*with_batch_axis(size, mapped, arguments)), (True, True)
 
     @many.def_vmap
     def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        batched = whole(size, mapped, arguments)
+        batched = with_batch_axis(size, mapped, arguments)
         shape = batched[0].shape
         results = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), batched))
         table, number = (a.reshape(*shape, *a.shape[1:]) for a in results)

@@ -36,7 +36,7 @@ _DIV = OPERATIONS["div"]
 _PACKAGE = str(Path(__file__).parents[2]) + os.sep
 
 
-class _OwnDerivative:
+class _CustomDerivative:
     """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
 
     Those of this package, by name and place, have one derivative, which is not traced for it.
@@ -45,19 +45,21 @@ class _OwnDerivative:
     def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
         self._alone = equation
         source = source_of(body) or ""
-        self._key = (name, source, _fingerprint(equation))
+        self.key = (name, source, _fingerprint(equation))
         self._named = f" at {_PACKAGE}" in source
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
         return (
-            isinstance(other, _OwnDerivative) and self._key == other._key and (self._named or self._back == other._back)
+            isinstance(other, _CustomDerivative)
+            and self.key == other.key
+            and (self._named or self.transpose == other.transpose)
         )
 
     @functools.cached_property
-    def _back(self) -> Any:
+    def transpose(self) -> Any:
         avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
 
         def real(*values: Any) -> Any:
@@ -122,7 +124,7 @@ class JaxprReader:
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
         # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
-        key = object() if body is None else _OwnDerivative(eqn.primitive.name, body, equation)
+        key = object() if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
@@ -209,7 +211,7 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
     head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
-        # Callables are the rules of a function with a derivative of its own, which `_OwnDerivative` compares.
+        # Callables are the rules of a function with a derivative of its own, which `_CustomDerivative` compares.
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
         moved = _MOVED if eqn.primitive.name == "jit" else ()

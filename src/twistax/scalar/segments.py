@@ -59,7 +59,7 @@ class Part:
 
 
 @weakly_kept
-class Whole(Written):
+class Segmented(Written):
     """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:
@@ -74,13 +74,13 @@ class Whole(Written):
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
         """The function for platforms with kernels, and a reason for each part."""
-        return emit_whole(self.program, self.backend)
+        return emit_segments(self.program, self.backend)
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         return batch.each(self.parts[0], arguments)
 
-    def made(self, program: ClosedJaxpr) -> Whole:
-        return Whole(program, self.backend)
+    def made(self, program: ClosedJaxpr) -> Segmented:
+        return Segmented(program, self.backend)
 
 
 # ---- parting ---------------------------------------------------------------------------------------------------------
@@ -91,7 +91,7 @@ def has_loops(program: ClosedJaxpr) -> bool:
     return any(map(_loops, _opened(program).jaxpr.eqns))
 
 
-def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
     """The function that runs a jaxpr, and a sentence for each of its parts."""
     program = _opened(program)
     jaxpr = program.jaxpr
@@ -244,7 +244,7 @@ class _Operands:
 
 def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
     """A branch with loops in it."""
-    branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
+    branches = [emit_segments(closed(branch), backend) for branch in eqn.params["branches"]]
 
     def switched(*values: Any) -> Any:
         index, *arguments = operands.joined(values)
@@ -298,7 +298,7 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     if ring.length is None:
         run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
-    body, reasons = emit_whole(inside, backend if around else backend.in_loops())
+    body, reasons = emit_segments(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)
     reasons = [f"{name}: {reason}" for reason in reasons]
     return Part(inputs, eqn.outvars, lambda *values: small_call(run, *arguments(values)), reasons)
@@ -320,8 +320,8 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
     """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
-    going, reasons_of_condition = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
-    body, reasons_of_body = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+    going, reasons_of_condition = emit_segments(closed(eqn.params["cond_jaxpr"]), backend)
+    body, reasons_of_body = emit_segments(closed(eqn.params["body_jaxpr"]), backend)
 
     def run(*values: Any) -> list[jax.Array]:
         return jax.lax.while_loop(

@@ -28,7 +28,7 @@ from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, Straight, by_numpy,
 from ..scalar.targets.llvm.machine_code import BuildError, Processor
 from ..scalar.targets.llvm.self_test import check_kernel
 from ..scalar.walk import uncollected
-from ..system.functions import Kept
+from ..system.functions import Cache
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
 from ..system.jacobian import Differentiated, RateJacobian
 
@@ -223,7 +223,7 @@ class SmoothKernels:
         numbers = np.zeros(0) if numbers is None else numbers
         sizes = dict(arguments) | ({Argument.NUMBERS: len(numbers)} if len(numbers) else {})
         make = functools.partial(_Made, function, sizes, order)
-        made = make() if key is None else _KEPT.get((key, tuple(sizes.items()), order), make)
+        made = make() if key is None else _CACHE.get((key, tuple(sizes.items()), order), make)
         self.rows = made.rows
         self._made, self._numbers = made, numbers
 
@@ -245,7 +245,7 @@ class SmoothKernels:
 _COMPILING = threading.Lock()
 
 #: Functions that were traced, by their keys, those of some twenty problems.
-_KEPT = Kept(200)
+_CACHE = Cache(200)
 
 
 class _Made:

@@ -44,36 +44,37 @@ Made = TypeVar("Made")
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
-class Kept:
-    """A cache by key, and by the settings of JAX on which numbers depend.
+class Cache:
+    """A cache by key, and by the settings of JAX on which numbers depend. The least recently used entries are dropped.
 
-    Beyond `most` entries that which was used longest ago is dropped.
+    Args:
+        most: the largest number of entries.
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._found: dict[Any, Any] = {}
+        self._entries: dict[Any, Any] = {}
         self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
         """The cached value of a key; made by `make` if there is none."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
-        kept = self._found.get(key, self)
+        kept = self._entries.get(key, self)
         if kept is self:
             with watched("compile"), uncollected():
                 made: Any = make()
         else:
             made = kept
         with self._lock:
-            self._found.pop(key, None)
-            self._found[key] = made
-            while len(self._found) > self._most:
-                del self._found[next(iter(self._found))]
+            self._entries.pop(key, None)
+            self._entries[key] = made
+            while len(self._entries) > self._most:
+                del self._entries[next(iter(self._entries))]
         return made
 
     def values(self) -> list[Any]:
-        """All that is kept, what was used last at the end."""
-        return list(self._found.values())
+        """All cached values, the last used one at the end."""
+        return list(self._entries.values())
 
 
 class Functions:
@@ -111,8 +112,8 @@ class Functions:
             "corrections": {name: [expr] for name, expr in canonical(system.corrections, constants).items()},
         }
         self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
-        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
-        self._made, self._beside = Kept(64), False
+        self.steps, self.hessians, self.loops = Cache(32), Cache(32), Cache(32)
+        self._made, self._outside = Cache(64), False
         self.without_kernel = _without_kernel(self.families["rates"], backend)
         self.jitted, self._called = _for_calls(self), set[str]()
 
@@ -122,21 +123,21 @@ class Functions:
         """The same functions with another backend."""
         return self._changed(backend=backend)
 
-    def beside_loops(self) -> Functions:
+    def outside_loops(self) -> Functions:
         """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
-        return self._changed(_beside=True)
+        return self._changed(_outside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
         """A copy with some of the outputs."""
         known, wanted = self.families["outputs"], set(names)
         outputs = {name: exprs for name, exprs in known.items() if name in wanted}
-        twin = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
+        twin = self._changed(families={**self.families, "outputs": outputs}, loops=Cache(32), _made=Cache(64))
         twin.__dict__.pop("reads", None)
         return twin
 
     def twin(self) -> Functions:
         """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
-        return self._changed(loops=Kept(32))
+        return self._changed(loops=Cache(32))
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
@@ -220,7 +221,7 @@ class Functions:
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
         """The rates; what an integrator puts into its loop, or beside it."""
-        return self.evaluate("rates", t, x, u, params, in_loop=not self._beside)
+        return self.evaluate("rates", t, x, u, params, in_loop=not self._outside)
 
     def evaluate(
         self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
@@ -233,11 +234,11 @@ class Functions:
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
         emission, shape = self.emission(family, structure, types, in_loop=in_loop)
-        with no_small_call() if self._apart(emission) else contextlib.nullcontext():
+        with no_small_call() if self._runs_as_kernel(emission) else contextlib.nullcontext():
             return jax.tree.unflatten(shape, emission.function(*leaves))
 
-    def _apart(self, emission: Emission) -> bool:
-        least, program = self.backend.least if self._beside else None, emission.program
+    def _runs_as_kernel(self, emission: Emission) -> bool:
+        least, program = self.backend.least if self._outside else None, emission.program
         return least is not None and program is not None and program.operations >= least
 
     def emission(

@@ -85,7 +85,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
 
     Arrays of JAX stay on their devices. Those in a wider precision are waited for, and read on the host.
     """
-    need_held(place, array, dtype)
+    need_representable(place, array, dtype)
     if isinstance(array, np.ndarray):
         array = array.astype(dtype)
         if on_host:
@@ -93,7 +93,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
     return jnp.asarray(array, dtype)
 
 
-def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
+def need_representable(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
     """Raise InputError if known numbers of an array overflow in a precision."""
     wider = array.dtype.itemsize > np.dtype(dtype).itemsize and jnp.issubdtype(array.dtype, jnp.floating)
     if not wider or is_traced(array):

@@ -131,7 +131,6 @@ class Call(Expr, init=False):
         return tuple(got.shape)
 
     def _traced(self, structs: Sequence[jax.ShapeDtypeStruct]) -> Any:
-        """What the function returns of abstract arrays."""
         try:
             return jax.eval_shape(self._applied, *structs)
         except _NEEDS_NUMBERS as error:

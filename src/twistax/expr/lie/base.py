@@ -151,8 +151,6 @@ def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
 
 
 class _Part(ColumnsNode):
-    """Base of both parts."""
-
     vector: Operand
     order: Order = LINEAR_FIRST
     kinds = lie_rules.HALF

@@ -32,7 +32,7 @@ from ...expr import (
 from ...expr.operations.margins import margin
 from ...jax_inside import is_traced, is_tracing
 from ...system.dynamics import Arrays, Dynamics
-from ...system.inputs import need_held
+from ...system.inputs import need_representable
 from ..controls import Signals
 from ..loop.kernels import Packed, opened, shared_kernel
 from ..loop.outcome import EventState, Halt, Result
@@ -321,7 +321,7 @@ def event_conditions(
             )
             condition, levels = compiled[0], tuple(map(np.asarray, compiled[1]))
             for level in levels:
-                need_held("what an event compares with", level, start.dtype)
+                need_representable("what an event compares with", level, start.dtype)
             closed = tuple(level.astype(start.dtype) for level in levels)
         elif is_tracing():
             value, arguments = value_of(number, condition)

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...scalar.small_call import held, small_call
+from ...scalar.small_call import small_call, stored_once
 from ..loop.kernels import Packed, in_one, opened, shared_kernel
 from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
@@ -168,7 +168,7 @@ def _first(
 ) -> tuple[_Samples, jax.Array, _PackedJob]:
     """The conditions along a step and at its end, as of `EventConditions.seen`, and the first search."""
     values, after = events.seen(stepper, t, h, states, old, ends)
-    samples = held(_Samples.of(events, values))
+    samples = stored_once(_Samples.of(events, values))
     return samples, after, _Search(events, t, h, samples).first()
 
 
@@ -256,8 +256,10 @@ class _Search:
             end: how far into the step the integration ends, as far as is known.
         """
         h, number = self.h, self.numbers[job.item]
-        place, value = held((job.place, values[number]))
-        job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
+        place, value = stored_once((job.place, values[number]))
+        job = stored_once(
+            dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value))
+        )
 
         # The bracket closed on an end whose sign came from a polynomial: the step itself may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
@@ -271,7 +273,7 @@ class _Search:
         done = job.visits | jnp.where(job.looks, job.extremum.done, closed & ~widens & ~visits)
         here = job.visits | (closed & ~missed & ~visits)
         terminal = jnp.asarray(np.array(self.events.terminal))[number]
-        done, widens, visits, here = held((done, widens, visits, here))
+        done, widens, visits, here = stored_once((done, widens, visits, here))
         root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
 
         # The condition moves in the direction of its sign up to an extremum, then back.
@@ -281,7 +283,7 @@ class _Search:
         half, follows = 0.5 * self.spacing, self._next_item(job.item)
         # Pairs after the end of the integration are skipped.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
-        follows = held(jnp.where(over, self.flags.size, follows))
+        follows = stored_once(jnp.where(over, self.flags.size, follows))
         none = -jnp.ones_like(h)
         parts = [
             (widens, (job.item, job.looks, job.sign, *self._next_to(job, at_low, half), job.rest)),
@@ -296,7 +298,7 @@ class _Search:
         for condition, part in reversed(parts):
             chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
         widened = jnp.where(widens, jnp.where(at_low, -1, 1), 0)
-        another = dataclasses.replace(self._job(*held(chosen)), widened=widened)
+        another = dataclasses.replace(self._job(*stored_once(chosen)), widened=widened)
         job = jax.tree.map(
             lambda a, b: jnp.where(done | widens, a, b), another, dataclasses.replace(job, visits=visits)
         )

@@ -135,8 +135,6 @@ class Saves:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """The carry of the loop."""
-
     steps: Any  # taken so far
     y: Any
     carry: Any

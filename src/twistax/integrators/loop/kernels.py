@@ -47,7 +47,7 @@ class _Unpacked:
 class Packed:
     """A pytree in one array: XLA would compile separate code for each of many scalars."""
 
-    flat: jax.Array
+    flat: Any  # an array; JAX rebuilds pytrees with stand-ins for arrays
     read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
 
     @classmethod
@@ -198,19 +198,19 @@ def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *r
     """
     if inside_small_call():
         return function(of, stepper, *rest)
-    made = _beside(function, of, stepper, rest)
+    made = _shared_program(function, of, stepper, rest)
     if made is None:
-        return small_call(function, of, stepper.beside_loops, *rest)
+        return small_call(function, of, stepper.outside_loops, *rest)
     program, shape = made
     return jax.tree.unflatten(shape, call_program(program, *jax.tree.leaves((of, stepper, rest))))
 
 
 def has_shared_kernel(function: Callable[..., Any], of: Any, stepper: Stepper, *rest: Any) -> bool:
     """Whether `shared_kernel` calls a kernel."""
-    return not inside_small_call() and _beside(function, of, stepper, rest) is not None
+    return not inside_small_call() and _shared_program(function, of, stepper, rest) is not None
 
 
-def _beside(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) -> tuple[Derived, Any] | None:
+def _shared_program(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) -> tuple[Derived, Any] | None:
     """The kernel of `shared_kernel`, and the structure of its results."""
     leaves, structure = jax.tree.flatten((of, stepper, rest))
     types = _types(leaves)

@@ -77,7 +77,7 @@ def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
     @jax.custom_jvp
     def taken(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
         # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
-        return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+        return _batched_alike(small_call(_rolled_out, steps, stepper, x), (steps, stepper, x))
 
     def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
         return _differentiated(primals, tangents)
@@ -98,7 +98,7 @@ def ended_well(code: Any) -> Any:
     return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
-def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
+def _rolled_out(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
     # Without a path saved times lie as the loop left them.
     run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
     meeting, moved = None, None

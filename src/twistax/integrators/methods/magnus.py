@@ -95,7 +95,6 @@ class Magnus(Method):
 
     @property
     def _nodes(self) -> np.ndarray:
-        """The Gauss-Legendre nodes in [0, 1]."""
         return 0.5 * (np.polynomial.legendre.leggauss(_EXPANSIONS[self.order][0])[0] + 1.0)
 
     def check(self, dynamics: Dynamics) -> None:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...checks import instance
 from ...errors import ModelError
-from ...scalar.small_call import held, inside_small_call
+from ...scalar.small_call import inside_small_call, stored_once
 from ...system.dynamics import Arrays, Dynamics
 from ..charts.chart import Chart, Exponential, chart_of
 from ..charts.coordinates import Blocks
@@ -67,8 +67,8 @@ class RKMK(ChartMethod):
         local = self.coordinates(field.dynamics)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
-            moved = held(local.move(y, z))
-            return local.slope(z, moved, held(self.rate(field, time, moved))), None
+            moved = stored_once(local.move(y, z))
+            return local.slope(z, moved, stored_once(self.rate(field, time, moved))), None
 
         first = local.first_slope(y, self.rate(field, t, y))
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
@@ -99,8 +99,8 @@ class RKMK(ChartMethod):
         (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(rate)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[jax.Array, jax.Array]]:
-            moved = held(local.move(y, z))
-            rate = held(self.rate(field, time, moved))
+            moved = stored_once(local.move(y, z))
+            rate = stored_once(self.rate(field, time, moved))
             # Packed: the loop would carry every scalar by itself.
             return local.slope(z, moved, rate), (ravel_pytree(moved)[0], ravel_pytree(rate)[0])
 

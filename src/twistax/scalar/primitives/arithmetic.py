@@ -274,7 +274,6 @@ def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
 
 
 def _lu_of(g: Graph, a: Nodes, index: np.dtype[Any]) -> tuple[Nodes, Nodes, Nodes]:
-    """Those of one matrix."""
     n, A = a.shape[0], a.copy()
     rows = [g.constant(i, index) for i in range(n)]
     pivots, order = list(rows), list(rows)

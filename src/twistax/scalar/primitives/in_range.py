@@ -72,7 +72,7 @@ _taylor_rules[quotient_p] = jet.jet_rules[jax.lax.div_p]
 # ---- products --------------------------------------------------------------------------------------------------------
 
 
-def apart(x: jax.Array) -> jax.Array:
+def behind_barrier(x: jax.Array) -> jax.Array:
     """x, of which XLA takes no part into products with others: those may be out of range."""
     result: jax.Array = apart_p.bind(x)
     return result

@@ -58,7 +58,6 @@ _load_p = Primitive("table_load")
 
 
 def _taken(place: jax.Array, *, table: Table, offset: int, dtype: np.dtype[Any]) -> jax.Array:
-    """By a gather."""
     return jnp.asarray(table.numbers(dtype)).at[place + offset].get(mode="promise_in_bounds")
 
 

@@ -194,14 +194,16 @@ class KernelBody(BatchFunction):
 
     def _moved(self, code: Code) -> dict[str, Rows]:
         """The rows of all arrays, in a function that has their heads."""
-        places = ["0"]  # the row of a lane: its own, or the last one
+        places = ["0"]  # the row of a lane: its own, or the last one where there are fewer rows than lanes
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        return {
-            name: Rows(code, array, f"%{name}", stride, places, stride if code.module.by_columns else "1")
-            for name, array in self.arrays.items()
-            for stride in (f"%{name}.stride",)
-        }
+        rows = dict[str, Rows]()
+        for name, array in self.arrays.items():
+            stride = f"%{name}.stride"  # entries from one row to the next; zero where all lanes share one
+            starts = [code.emit(f"mul nuw nsw i64 {place}, {stride}") for place in places]
+            pointers = [code.emit(f"getelementptr {array.stored}, ptr %{name}, i64 {start}") for start in starts]
+            rows[name] = Rows(code, array, pointers, stride if code.module.by_columns else "1")
+        return rows
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:

@@ -202,7 +202,6 @@ def load(
 
 
 def _target_machine(processor: Processor, level: int) -> Any:
-    """What LLVM writes for."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()

@@ -1,4 +1,4 @@
-"""The targets of kernels: what makes a kernel of a kernel body on each platform of JAX."""
+"""The targets of kernels: each makes a kernel from a kernel body for one platform of JAX."""
 
 from __future__ import annotations
 
@@ -22,12 +22,12 @@ class Target(ABC):
     @property
     @abstractmethod
     def present(self) -> bool:
-        """Whether this process has devices of it. Programs may be lowered for others: those run as XLA has them."""
+        """Whether this process has such devices. Programs that are lowered for other platforms run by XLA."""
 
     @property
     @abstractmethod
     def note(self) -> str:
-        """How native programs run here, for `explain`; empty on the processor, where that needs no words."""
+        """How native programs run here, for `explain`; empty on the processor."""
 
     @abstractmethod
     def kernel(
@@ -36,12 +36,12 @@ class Target(ABC):
         """The kernel of a kernel body.
 
         Args:
-            kind: the body, made of a program in its native form, the lanes, and more.
+            kind: the class of the body, which takes a program in native form, the lanes, and `more`.
             single: whether it is for one member.
             threads: of the processor, at most; None: all.
         Raises:
             ImportError: llvmlite is not installed.
-            BuildError: no code came of it.
+            BuildError: it could not be compiled.
         """
 
 
