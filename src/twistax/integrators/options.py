@@ -25,14 +25,14 @@ from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import EventConditions, event_conditions
 from .loop.adaptive_steps import AdaptiveSteps
-from .loop.fixed_steps import FixedSteps
+from .loop.fixed_steps import FixedSteps, equal_steps
 from .method import Method, Stepper
 from .methods.interpolant import Between
 from .methods.projected import need_start_on_manifold, projected
 from .methods.rkmk import RKMK
-from .step_control import FINEST, StepControl, Tolerances
+from .step_control import FINEST, StepControl, Stops, Tolerances, direction_of, limits_of, span_of
 from .tableaus import DOP853, RK4
-from .times import Stops, check_saves, direction_of, filled, fixed_steps, limits_of, span_of
+from .times import check_saves, filled, with_saves
 
 First = TypeVar("First")
 Second = TypeVar("Second")
@@ -180,9 +180,8 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        steps = fixed_steps(
-            start, end, span, options, saves, limits, count=count, bounded=traced or options.dense, events=events
-        )
+        steps, number = equal_steps(start, end, span, options, limits, traced or options.dense, events)
+        steps = steps if saves is None else with_saves(steps, number, saves, span, count)
     ends = [options.t1] if options.save_at is None else options.save_at
     ts = (jnp if is_traced(ends) else np).asarray(ends, dtype)
     return Plan(stepper, steps, x, inputs.t, ts, traced)
@@ -345,8 +344,8 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
 def _absolute(state: State, value: Any, dtype: Any) -> Any:
     """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
     place, group = f"atol of state {state.name!r}", state.group
-    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
-    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
+    is_pair = isinstance(value, (tuple, list)) and len(value) == 2 and not any(map(np.ndim, value))
+    if is_pair and _is_pose(group):
         rotation, position = (_numbers(place, part, dtype) for part in value)
         stack: Any = jnp.stack if is_traced(value) else np.stack
         array = _by_deviation(state, stack([rotation if angular else position for angular in group.angular]))
@@ -354,13 +353,17 @@ def _absolute(state: State, value: Any, dtype: Any) -> Any:
         array = _numbers(place, value, dtype)
         shape = group.tangent_shape
         if array.shape not in ((), shape):
-            pair = ", or the pair (rotation, position)" if is_pose else ""
+            pair = ", or the pair (rotation, position)" if _is_pose(group) else ""
             raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
         array = _by_deviation(state, array) if array.shape else array
     # Not < 0, so that NaN is refused too.
     if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
         raise InputError(f"{place} must not be negative, got {array}")
     return array
+
+
+def _is_pose(group: Group) -> bool:
+    return {part.unit for part in group.parts} == {"rad", "m"}
 
 
 def _by_deviation(state: State, array: Any) -> Any:

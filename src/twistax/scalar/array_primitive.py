@@ -11,8 +11,8 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
-from .batch import Rows
 from .jax_primitive import Differentiable, Shapes, call_program, differentiable
+from .program import Rows
 
 Result = TypeVar("Result")
 

@@ -23,8 +23,7 @@ from .jax_primitive import Derived, call_program
 from .loops import MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
-from .reader import scalarize
-from .rewriting import emitted_form
+from .reader import emitted_form, scalarize
 from .small_call import is_key, known_inside
 
 #: A step from arrays to arrays, and the shapes of its arguments.

@@ -29,9 +29,8 @@ from ..jax_inside import (
     varying_alike,
     weakly_kept,
 )
-from .batch import Batch, Rows
 from .derivatives import cotangent_program, is_real, tangent_program
-from .program import ScalarProgram
+from .program import Batch, Rows, ScalarProgram
 from .small_call import inside_small_call, not_inlined, small_call
 from .targets.xla import as_function, without_barriers
 

@@ -13,9 +13,8 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import Primitive, varying_alike, weakly_kept
-from .batch import Batch, Rows
 from .jax_primitive import Computed, Shapes, by_kernel, define
-from .program import ScalarProgram
+from .program import Batch, Rows, ScalarProgram
 from .small_call import need_outside
 from .targets.xla import as_function
 

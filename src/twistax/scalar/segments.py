@@ -28,9 +28,9 @@ from ..jax_inside import (
 )
 from .array_primitive import Written, is_written
 from .backends import Backend, array_operations
-from .batch import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
+from .program import Batch
 from .small_call import small_call
 
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.

@@ -63,10 +63,11 @@ class _Stored(Coordinates):
         return matrix([*([*row, p] for row, p in zip(rows, y[4:], strict=True)), [zero, zero, zero, zero + 1.0]])
 
     def rate(self, omega: jax.Array) -> Components:
-        return unpack(omega if self.order is None else self.order.to_linear_first(omega))
+        return unpack(omega if self.order is None or self.order.linear_leads else self.order.to_linear_first(omega))
 
     def velocity(self, omega: Components) -> jax.Array:
-        return vector(omega) if self.order is None else self.order.from_linear_first(vector(omega))
+        velocity = vector(omega)
+        return velocity if self.order is None or self.order.linear_leads else self.order.from_linear_first(velocity)
 
     def sizes(self, before: Components, after: Components) -> Components:
         one = jnp.ones_like(after[0])

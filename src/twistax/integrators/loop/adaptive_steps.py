@@ -17,8 +17,7 @@ from ..charts.coordinates import Blocks
 from ..events.search import AcceptedStep, halted_code
 from ..method import Stepper
 from ..methods.interpolant import Between
-from ..step_control import ErrorHistory, StepControl, Tolerances
-from ..times import Stops
+from ..step_control import ErrorHistory, StepControl, Stops, Tolerances
 from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import (
     StepPolynomial,

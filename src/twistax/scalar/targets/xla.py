@@ -17,7 +17,7 @@ from ..graph import Call, ScalarGraph
 from ..primitives.interface import flat
 from ..primitives.operations import OPERATIONS
 from ..program import ScalarProgram, called_names
-from ..rewriting import emitted_form
+from ..reader import emitted_form
 
 #: Operations that become a function of their own. XLA computes what several results need again for each of them, but
 #: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.

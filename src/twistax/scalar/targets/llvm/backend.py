@@ -1,4 +1,4 @@
-"""The backends whose functions run as machine code of their own, on processors and on CUDA devices."""
+"""The backends whose functions run as native code, and their targets: this processor and CUDA devices."""
 
 from __future__ import annotations
 
@@ -9,30 +9,32 @@ import importlib.util
 import math
 import time
 import weakref
-from collections.abc import Callable, Collection
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import jax
 
 from ....checks import instance, whole
 from ....errors import ModelError
-from ....jax_inside import ClosedJaxpr
+from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
 from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
-from ...batch import Rows
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
-from ...program import ScalarProgram
+from ...program import Rows, ScalarProgram
 from ...walk import uncollected
+from ..cuda.driver import driver
+from ..cuda.kernel import CudaKernel
+from ..cuda.ptx import libdevice
 from .code import NotNative
 from .iterations import Iterations
-from .kernel import Kernel
+from .kernel import HostKernel, Kernel
 from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
 from .loop import LoopBody
-from .machine_code import BuildError
+from .machine_code import BuildError, Processor
 from .self_test import check_kernel
-from .targets import TARGETS, notes, on_all_platforms
 
 #: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
 #: read it from the cache.
@@ -44,6 +46,89 @@ _LONG = 5000
 #: The forms of programs, between the check that they have one and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
+
+
+# ---- targets ---------------------------------------------------------------------------------------------------------
+
+
+class Target(ABC):
+    """A platform."""
+
+    @property
+    @abstractmethod
+    def present(self) -> bool:
+        """Whether this process has such devices. Programs that are lowered for other platforms run by XLA."""
+
+    @property
+    @abstractmethod
+    def note(self) -> str:
+        """How native programs run here, for `explain`; empty on the processor."""
+
+    @abstractmethod
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        """The kernel of a kernel body.
+
+        Args:
+            kind: the class of the body, which takes a program in native form, the lanes, and `more`.
+            single: whether it is for one member.
+            threads: of the processor, at most; None: all.
+        Raises:
+            ImportError: llvmlite is not installed.
+            BuildError: it could not be compiled.
+        """
+
+
+class Host(Target):
+    """This processor: as many members side by side as a vector has lanes."""
+
+    present, note = True, ""
+
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        processor = Processor.host()
+        return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
+
+
+class Cuda(Target):
+    """Devices of CUDA: a thread for each member."""
+
+    @property
+    def present(self) -> bool:
+        return "cuda" in backends()
+
+    @property
+    def note(self) -> str:
+        try:
+            major, minor = driver().capability
+        except BuildError as error:
+            return f"as XLA has them on CUDA devices: {error}"
+        rest = "" if libdevice() else ", but by XLA where they call the C library: libdevice.10.bc is not installed"
+        return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
+
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        return CudaKernel(kind(form, 1, *more))
+
+
+#: By the names that JAX has for platforms.
+TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
+
+
+def on_all_platforms() -> bool:
+    """Whether kernels can be made for all platforms of this process."""
+    return all(name in TARGETS for name in backends())
+
+
+def notes() -> str:
+    """How native programs run on the devices of this process."""
+    return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
+
+
+# ---- backends --------------------------------------------------------------------------------------------------------
 
 
 def installed() -> bool:
@@ -96,7 +181,8 @@ class KernelRunner:
         try:
             with uncollected():
                 kernel = target.kernel(kind, form, more, single, self.threads)
-                check_kernel(kernel)
+                if not kernel.handle.checked:
+                    check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None

@@ -15,7 +15,7 @@ from ...primitives.entry import Operation
 from ...primitives.interface import flat
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
-from ...rewriting import emitted_form
+from ...reader import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import LONG, PieceValues, Scratch
