@@ -61,17 +61,17 @@ class StepAttempt:
 
 
 class Method(ABC):
-    """A one-step method. A value: methods are equal, with equal hashes, if they mean the same.
+    """A one-step method. Methods with equal coefficients are equal, and have equal hashes.
 
-    A new method subclasses this; `tx.integrate` takes any with fixed steps. One that estimates its own error also gives
-    `error_order` and `attempt`, and chooses its own steps. One that learns from the step before gives `before` and
-    `follow`, or `begin` and `resume` where steps are chosen.
+    A new method subclasses this; `tx.integrate` takes any with fixed steps. A method with an error estimate also
+    defines `error_order` and `attempt`, for adaptive steps. One that reads data of the step before defines `before` and
+    `follow`, or `begin` and `resume` for adaptive steps.
     """
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """How tables call it."""
+        """The name in tables."""
 
     @property
     @abstractmethod
@@ -95,12 +95,12 @@ class Method(ABC):
         """How the states of a system are stored, with coordinates around the start of a step.
 
         Raises:
-            ModelError: the method has no such coordinates; then it says with `stored` how states are stored.
+            ModelError: the method has no such coordinates; it defines `stored` instead.
         """
         raise ModelError(f"{self.name} has no coordinates around the start of a step")
 
     def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
-        """How the states of a system are stored between steps: by their coordinates, unless a method knows better."""
+        """How the states of a system are stored between steps: by their coordinates, unless a method overrides this."""
         return self.coordinates(dynamics)
 
     @abstractmethod
@@ -160,7 +160,7 @@ class Method(ABC):
         """One step of length h with its error. Pure and traceable.
 
         Args:
-            tolerances: what is allowed, for methods that solve equations no better than that.
+            tolerances: of the error, for methods that solve equations only as exactly as these ask.
         """
         raise NotImplementedError
 
@@ -272,7 +272,7 @@ class Stepper:
             return VectorField(self.dynamics, during, self.params)
 
         def clock(time: jax.Array) -> jax.Array:
-            # A few units of round-off inside of the step where it is one of its ends.
+            # The ends of the step are moved inside of it by a few units of round-off.
             small = 4.0 * jnp.finfo(time.dtype).eps
             hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
             first, last = jnp.where(h < 0.0, t + h, t) + hair, jnp.where(h < 0.0, t, t + h) - hair
@@ -307,7 +307,7 @@ class Stepper:
         return self.method.resume(field, t, y, carry)
 
     def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> StepAttempt:
-        """A step of length h that may be taken back, with its error."""
+        """A step of length h that may be rejected, with its error."""
         field, t, h = self._in_s(t, h)
         return self.method.attempt(field, t, y, carry, h, tolerances)
 
@@ -356,9 +356,9 @@ def flattened(
 ) -> tuple[Callable[..., Any], list[Any], Any]:
     """The jitted function on the arrays of its arguments, those arrays, and their structure.
 
-    JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
-    with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures
-    of arguments longer still: so the function takes their arrays, and has their structure inside.
+    JAX caches the traces of a function as long as the function lives: each system has its own functions, which go with
+    it. Traces read a twin of the system, so that they do not keep the system alive. JAX caches structures of arguments
+    longer still: so the function takes arrays, and has their structure inside.
     """
     functions = stepper.dynamics.functions
     twin = functions.loops.get(Dynamics, lambda: Dynamics(functions.twin()))
@@ -366,7 +366,7 @@ def flattened(
 
     def flat() -> Callable[..., Any]:
         function = make()
-        # Where jit is disabled arrays of NumPy would come in as they are.
+        # With jit disabled arrays of NumPy are not converted.
         return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
     return functions.loops.get((make, structure), flat), leaves, structure

@@ -39,7 +39,7 @@ Second = TypeVar("Second")
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
-#: The methods of fixed and of adaptive steps, and the step control, unless given.
+#: The default methods of fixed and of adaptive steps, and the default step control.
 _FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
 
 
@@ -138,7 +138,8 @@ class Plan(NamedTuple):
 
 def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     """Read and check the arguments of `integrate`. Raises its errors before anything is integrated."""
-    need_compiled("integrate", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        need_compiled("integrate", dynamics)
     method = _method_of(dynamics, options)
     need_flag("dense", options.dense)
     instance("between", options.between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
@@ -226,12 +227,12 @@ def _saves_of(options: Options, span: Any, direction: Any, end: Any, width: int 
     """The saved times on the clock of the loop; with the width of a row, known ones are padded."""
     known = check_saves(options.save_at, None if span is None else (float(options.t0), float(options.t1)))
     saves = (jnp if is_traced((direction, options.save_at)) else np).asarray(options.save_at)
-    # In the precision they came in, which says how exact they are.
+    # In the precision of the argument, which says how exact they are.
     saves = saves if saves.dtype.kind == "f" else saves.astype(end.dtype)
     saves = direction.astype(saves.dtype) * saves
     if not known or width is None:
         return saves
-    # A polynomial is evaluated as far as the time has come: never for the padding.
+    # Polynomials are evaluated up to the time of the loop: never at infinity, the padding.
     return filled(saves, np.inf if options.between is Between.POLYNOMIAL else end, width)
 
 
@@ -259,7 +260,7 @@ def need_flag(name: str, value: Any) -> None:
 
 
 def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
-    """The controls at t0, to check names and shapes with. A function that was checked is not called again."""
+    """The controls at t0, for the check of names and shapes; those of a function are cached."""
     if isinstance(controls, ByName):
         return controls.sample(t0)
     plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
@@ -270,7 +271,7 @@ def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: An
 
 
 def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
-    """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
+    """Raise InputError where known values of the start are not finite, or rotations and poses not in their groups."""
     for place, values in zip(places[1:], (inputs.x, inputs.u, inputs.params), strict=True):
         for name, value in values.items():
             if not is_finite(value):
@@ -285,7 +286,7 @@ def need_element(name: str, group: Group, value: Any) -> None:
         return
     defect = group.known_defect(np.asarray(value))
     tolerance = 1e-6
-    if defect > tolerance:  # what is known of the type takes long to find
+    if defect > tolerance:  # jnp.finfo takes long
         tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
     if defect > tolerance:
         raise InputError(

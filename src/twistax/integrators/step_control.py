@@ -214,11 +214,11 @@ def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
 
 
 class Stops(NamedTuple):
-    """Where the loop over steps halts, at saved times, which a step may pass; and limits, where a step must end."""
+    """The saved times, which steps may pass, and the limits, where steps must end."""
 
     limits: Any  # (m,) times in order, the last one the end; rates may jump there
-    ts: Any  # (n,) the saved times in order, infinite where rows stay as they are; None if no times are saved
-    count: Any  # how many of these were asked for; those that fill up the rest are at the end
+    ts: Any  # (n,) the saved times in order, with infinity as padding; None if no times are saved
+    count: Any  # how many of these are asked for; the padding is at the end
 
     @classmethod
     def of(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
@@ -259,7 +259,7 @@ def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) ->
             raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
         need_representable("jumps", array_of_jumps, t0.dtype)
     known = [*signals.jumps, *([] if jumps is None else [jumps])]
-    # Known times are sorted by NumPy: JAX would run each of these operations by itself, in tens of microseconds.
+    # NumPy sorts known times: in JAX each of these operations takes tens of microseconds.
     array: Any = jnp if is_traced((t0, t1, known)) else np
     t1 = array.asarray(t1, t0.dtype)
 

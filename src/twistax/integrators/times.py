@@ -96,14 +96,14 @@ def _beyond_jumps(at: Saves, splits: Splits | None, start: Any, h: Any) -> Saves
     return dataclasses.replace(at, index=at.index + past.astype(slots.dtype), on=there | at.on)
 
 
-#: So many numbers are written in no time.
+#: The time to write so many numbers is negligible.
 _LIGHT = 2**15
 
 
 def room_for(count: int, width: int) -> int:
-    """How many rows of so many numbers to make room for, so that another count mostly compiles nothing anew.
+    """The number of rows to allocate, so that most other counts of rows do not compile again.
 
-    Up to eight times as many where they are light, else up to twice as many.
+    Up to eight times `count` for short rows, else up to twice.
     """
     room = 64
     while room < count:
@@ -112,7 +112,7 @@ def room_for(count: int, width: int) -> int:
 
 
 def filled(save_at: Any, t1: Any, width: int) -> Any:
-    """Known saved times with the end behind them, as many as there is room for."""
+    """Known saved times, padded with the end to `room_for` rows."""
     times = np.asarray(save_at)
     room, kind = room_for(len(times), width), times.dtype if times.dtype.kind == "f" else float
     return np.append(times.astype(kind), np.full(room - len(times), float(t1), kind))

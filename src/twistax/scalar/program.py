@@ -59,12 +59,12 @@ class ScalarProgram:
         number: Callable[[Any, Any], Value],
         apply: Callable[..., Value],
     ) -> dict[int, Value]:
-        """What each node that is needed is in another language, arguments first.
+        """Each needed node in another language, arguments first.
 
         Args:
-            entry: of an argument, at a place.
-            number: with its type.
-            apply: an operation, by its node, on the values of its arguments.
+            entry: of the number of an argument and the place of an entry.
+            number: of a constant and its type.
+            apply: of an operation, its node, and the values of its arguments.
         """
         g = self.graph
         values: dict[int, Value] = {}
@@ -92,7 +92,7 @@ class ScalarProgram:
         return sum(self.counts().values())
 
     def depending(self, arguments: Sequence[int]) -> set[int]:
-        """The nodes that are needed and depend on some of the arguments, and the arguments' own."""
+        """The nodes of these arguments, and the needed nodes that depend on some of them."""
         dependent = set(flat(*(self.inputs[k] for k in arguments)))
         for i in self.live:
             if any(j in dependent for j in self.graph.sources(i)):
@@ -101,7 +101,7 @@ class ScalarProgram:
 
     @property
     def tables(self) -> list[Table]:
-        """The tables that are loaded from, each once."""
+        """The tables that the program reads, each once."""
         operations = map(self.graph.operation, self.live)
         return list(dict.fromkeys(operation.table for operation in operations if isinstance(operation, Load)))
 

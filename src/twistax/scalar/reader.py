@@ -281,7 +281,7 @@ def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgr
     A shared reciprocal costs one more rounding, half a unit in the last place.
 
     Args:
-        limits: up to which size parts are unrolled; larger for emitters that cannot call a library.
+        limits: the sizes up to which parts are unrolled; larger for emitters that cannot call a library.
     """
     unrolled = program.calls or any(o.written for i in program.live if (o := program.graph.operation(i)) is not None)
     expanded = rebuilt(program, set(), keep_calls=False, limits=limits) if unrolled else program
@@ -298,8 +298,8 @@ def one_by_one(
 ) -> ScalarProgram:
     """The program in another order: result by result, each with the nodes that it needs in addition.
 
-    Derivatives along many tangents come side by side. In this order compilers keep fewer numbers at a time, and pieces
-    of the program need fewer of one another.
+    In the original order derivatives along many tangents are interleaved. In this one fewer numbers are live at a time,
+    and pieces of the program share fewer.
 
     Args:
         first: nodes that come before the results, in their order.
@@ -346,7 +346,7 @@ def rebuilt(
 def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgram, ScalarProgram]:
     """What depends on one argument alone as a program, and the program that takes its results in that argument's place.
 
-    What is divided by such numbers is multiplied by their inverses.
+    Quotients by such numbers become products with their inverses.
 
     Args:
         program: one without calls.

@@ -1,4 +1,4 @@
-"""The functions of a system on prepared arguments, each made when it is first needed, and cached."""
+"""The functions of a system on prepared arguments, each compiled at its first use and cached."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
 Made = TypeVar("Made")
-#: What the numbers of a trace depend on beyond its arguments.
+#: Settings of JAX on which the numbers of a traced function depend.
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
@@ -80,16 +80,16 @@ class Cache:
 class Functions:
     """The functions of a system on prepared arguments: traceable, unchecked.
 
-    For integrators, solvers and filters, which check arguments once: `prepare` makes these.
+    For integrators, solvers and filters, which check arguments once, by `prepare`.
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
         families: the simplified expressions of "rates", "outputs", "constraints" and "corrections", by name.
         constraints: the simplified residuals of "inequality" and "equality", by name.
-        steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
-        hessians: likewise the programs of Hessians.
+        steps: a cache of what integrators compile of steps of this system, of 32 entries.
+        hessians: a cache of the programs of Hessians.
         jitted: `evaluate`, in the form for calls.
-        loops: likewise functions of integrators, jitted, that take a `twin` of this.
+        loops: a cache of jitted functions of integrators, which take a `twin` of this.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
@@ -117,14 +117,14 @@ class Functions:
         self.without_kernel = _without_kernel(self.families["rates"], backend)
         self.jitted, self._called = _for_calls(self), set[str]()
 
-    # ---- the same functions otherwise --------------------------------------------------------------------------------
+    # ---- copies with other options -----------------------------------------------------------------------------------
 
     def run_by(self, backend: Backend) -> Functions:
         """The same functions with another backend."""
         return self._changed(backend=backend)
 
     def outside_loops(self) -> Functions:
-        """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
+        """A copy for functions outside of loops in kernels, where large rates are kernels of their own too."""
         return self._changed(_outside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
@@ -136,7 +136,7 @@ class Functions:
         return twin
 
     def twin(self) -> Functions:
-        """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
+        """A copy with another cache `loops`: functions in the cache read the copy, and do not keep this alive."""
         return self._changed(loops=Cache(32))
 
     def _changed(self, **changes: Any) -> Functions:
@@ -164,9 +164,9 @@ class Functions:
         """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
 
         Args:
-            reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
-            names: what messages call the arguments.
-            on_host: leave arrays of NumPy what they are, for a jitted function.
+            reads: which of "rates", "outputs", "constraints" will be evaluated: the leaves that they read are required.
+            names: of the arguments, for messages.
+            on_host: leave arrays of NumPy as they are, for a jitted function.
         Raises:
             InputError: as a call of the dynamics.
         """
@@ -174,7 +174,7 @@ class Functions:
         return self._arguments.prepare(required, t, x, u, params, names=names, on_host=on_host)
 
     def zeros(self) -> Inputs:
-        """Zeros for all leaves that anything reads, in JAX's default precision."""
+        """Zeros for all leaves that any function reads, in JAX's default precision."""
         read = set().union(*self.reads.values())
         x = {leaf.name: np.zeros(leaf.shape) for leaf in self.states}
         u, params = (
@@ -185,7 +185,7 @@ class Functions:
 
     @functools.cached_property
     def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
-        """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
+        """The declared derivatives of rates, simplified: by state, pairs of an argument and a matrix."""
         known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
         flat = {f"{k} {part}": expr for k, (_, pair) in enumerate(known) for part, expr in enumerate(pair)}
         simple, slopes = canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
@@ -213,14 +213,14 @@ class Functions:
     # ---- values ------------------------------------------------------------------------------------------------------
 
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
-        """Rates, outputs or constraints from arguments as users give them, jitted."""
+        """Rates, outputs or constraints from unchecked arguments, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
         first, self._called = family not in self._called, self._called | {family}
         with watched("compile") if first else contextlib.nullcontext():
             return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        """The rates; what an integrator puts into its loop, or beside it."""
+        """The rates, for the loop of an integrator, or for functions outside of it."""
         return self.evaluate("rates", t, x, u, params, in_loop=not self._outside)
 
     def evaluate(
@@ -229,7 +229,7 @@ class Functions:
         """Rates, outputs or constraints, not jitted.
 
         Args:
-            in_loop: in the form that suits an integrator's loop; else in the one for calls and batches.
+            in_loop: in the form for the loop of an integrator; else in that for calls and batches.
         """
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
@@ -266,7 +266,7 @@ class Functions:
         """Expressions by name, in arrays, node by node.
 
         Args:
-            joined: give the entries of all expressions of a name as one vector; else there is one for each.
+            joined: whether the entries of all expressions of a name form one vector; else a name has one expression.
         """
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
@@ -348,7 +348,7 @@ class Functions:
         return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
 
     def _flat_slopes(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
-        """The rates as one vector; then, of what is known of their derivatives, what they are by, and the matrices."""
+        """The rates as one vector; then the vectors and the matrices of the known derivatives."""
         pairs = [pair for known in self.slopes.values() for pair in known]
         roots = {name: [rate] for name, (rate,) in self.families["rates"].items()}
         vectors = [by for by, _ in pairs if not isinstance(by, State)]

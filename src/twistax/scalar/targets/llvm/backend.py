@@ -36,14 +36,14 @@ from .loop import LoopBody
 from .machine_code import BuildError, Processor
 from .self_test import check_kernel
 
-#: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
-#: read it from the cache.
+#: An event of `jax.monitoring` for each kernel, with the seconds to write, compile and check it, or to read it from the
+#: cache.
 KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
-#: Operations of functions that XLA compiles for many seconds.
+#: XLA takes many seconds to compile functions of more operations.
 _LONG = 5000
-#: The forms of programs, between the check that they have one and the first kernel.
+#: Native forms of programs, between the check that there is one and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
 
@@ -159,7 +159,7 @@ class KernelRunner:
         return self.built(Straight, form, (), single, platform)
 
     def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
-        """Why a function cannot be part of a kernel; None where it can."""
+        """The reason why a function cannot be part of a kernel; None where it can."""
         if not installed():
             return None
         closed = pure(function, shapes)
@@ -241,7 +241,7 @@ class Native(Backend):
 
     @property
     def runner(self) -> KernelRunner:
-        """What runs its programs."""
+        """Runs its programs."""
         return KernelRunner(self.least, self.threads)
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
@@ -361,8 +361,8 @@ class _KernelSteps(StepCompiler):
         return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
-        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        # Where there are no kernels a step written out whole compiles for long and runs no faster.
+        """The program of a step that has a native form, all stages unrolled; None: it has none, or no kernels run."""
+        # Without kernels an unrolled step takes long to compile and runs no faster.
         if not installed() or not on_all_platforms():
             return None
         closed = pure(step, shapes)
