@@ -23,7 +23,7 @@ from .targets.llvm.backend import Native, installed
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Variables of functions are changed for a while.
+#: For one thread at a time: variables of functions are replaced temporarily.
 _LOCK = threading.RLock()
 
 
@@ -76,7 +76,7 @@ class Fast(Generic[P, R]):
         if any(dtypes.canonicalize_dtype(t) != t for t in (leaf.dtype for leaf in [*over, *leaves] if is_traced(leaf))):
             # Of these JAX decides operation by operation.
             return self._function(*args, **kwargs), ["arrays, as written: 64-bit arrays where jax_enable_x64 is off"]
-        # Elsewhere JAX itself makes inputs of what a function closes over.
+        # Else JAX makes closed-over values inputs.
         over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []
 

@@ -88,9 +88,9 @@ class ScalarGraph:
         self.largest = largest
         self.limits = limits
         self.signed_zeros = signed_zeros
-        #: Whether derivatives are being added, in which the sign of a zero means nothing.
+        #: Whether derivatives are being added, in which the sign of a zero has no effect.
         self.differentiating = False
-        #: Held while derivatives are added, which several threads may ask for.
+        #: The lock of threads that add derivatives.
         self.lock = threading.RLock()
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
@@ -145,7 +145,7 @@ class ScalarGraph:
         numbers = [self.numbers[a] for a in arguments]
         dtype = operation.result or self.dtypes[arguments[-1]]
         if None not in numbers:
-            # The same few numbers meet again and again.
+            # The same few numbers are combined many times.
             known = self._known.get((operation, *arguments))
             if known is None:
                 # As the emitter would: in the types of the arguments.

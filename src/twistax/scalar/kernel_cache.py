@@ -12,16 +12,16 @@ from pathlib import Path
 
 from ..progress import say_once
 
-#: A directory, or "off". Read whenever a kernel is needed.
+#: The environment variable with the directory, or "off". Read for each kernel.
 _VARIABLE = "TWISTAX_CACHE"
 
-#: Bytes that all files may have together. The Panda's step takes 0.1 MB, its Jacobian 0.7 MB.
+#: The largest size of all files together, bytes. The Panda's step takes 0.1 MB, its Jacobian 0.7 MB.
 _MOST = 2**28
 
-#: What the names of all files begin with: nothing else in the directory is ever touched.
+#: The prefix of the names of all files. Other files in the directory are left alone.
 _NAME = "kernel_"
 
-#: Bytes of the checksum that each file begins with.
+#: The length of the checksum at the start of each file, bytes.
 _SUM = hashlib.sha256().digest_size
 
 
@@ -80,7 +80,7 @@ def _folder() -> Path | None:
         return None
     if named:
         return Path(os.path.expanduser(named)).absolute()  # shells leave "~" within quotes
-    # The rule for this variable is that relative paths do not count; nor does a home that the system does not know.
+    # By its specification relative paths are ignored; so is a home directory that the system does not know.
     usual = usual if os.path.isabs(usual) else os.path.expanduser("~/.cache")
     return Path(usual, "twistax") if os.path.isabs(usual) else None
 

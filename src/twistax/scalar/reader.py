@@ -124,7 +124,7 @@ class JaxprReader:
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
-        # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
+        # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
         key = object() if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
@@ -165,7 +165,7 @@ class JaxprReader:
 
     def _copy_call(self, call: Call, known: dict[int, int]) -> None:
         arguments = [renamed(known, array) for array in call.arguments]
-        # What was a call for its size may fit a graph that unrolls more.
+        # A call that was too large to unroll may fit a graph with larger limits.
         if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):
             results = self.read(call.jaxpr, arguments)
         else:
@@ -261,7 +261,7 @@ def scalarize(
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
     precision = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
-    # Of the operations on scalars only the angle of a point distinguishes signed zeros.
+    # Only atan2 distinguishes signed zeros.
     signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
     graph = ScalarGraph(precision, checked, largest, limits, signed_zeros)
     inputs = tuple(

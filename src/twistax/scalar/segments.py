@@ -38,7 +38,7 @@ _UNROLLED = 2000
 _LOOPS = ("scan", "while")
 #: Constants of more entries are arguments of the parts.
 _LARGEST = 1000
-#: Calls of which nothing but the function matters, once derivatives are taken.
+#: Calls that are inlined once derivatives are taken.
 _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 
 
@@ -83,7 +83,7 @@ class Segmented(Written):
         return Segmented(program, self.backend)
 
 
-# ---- parting ---------------------------------------------------------------------------------------------------------
+# ---- segments --------------------------------------------------------------------------------------------------------
 
 
 def has_loops(program: ClosedJaxpr) -> bool:

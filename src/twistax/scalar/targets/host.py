@@ -18,7 +18,7 @@ from .llvm.kernel_body import NATIVE_LIMITS, by_numpy, native_form
 
 Result = TypeVar("Result")
 
-#: Larger functions are not evaluated: reading them would take more than about a second.
+#: The most scalars of a function to evaluate: reading takes about a second.
 _LARGEST = 40_000
 
 

@@ -27,7 +27,7 @@ NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 #: The value of an entry of an argument.
 Read: TypeAlias = Callable[[int, int], str]
 
-#: Values as some other order of operations may round them.
+#: A function that perturbs values as another order of operations may round them.
 Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 
 #: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
@@ -132,7 +132,7 @@ class Scalars:
         return [list(by_depth[k]) for k in sorted(by_depth)]
 
 
-# ---- tiles -----------------------------------------------------------------------------------------------------------
+# ---- kernel bodies----------------------------------------------------------------------------------------------------
 
 
 class BatchFunction(ABC):

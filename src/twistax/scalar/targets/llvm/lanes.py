@@ -58,7 +58,7 @@ class Rows:
     def __init__(self, code: Code, array: Array, pointers: Iterable[str], entry_stride: str = "1") -> None:
         self._code = code
         self._array = array
-        # Parts of vectors are moved whole only where a row has as many numbers, or masks are free.
+        # Blocks of entries move as vectors only if a row has a full block, or masks are free.
         self._blocks = array.kind in ("double", "float") and (array.size >= code.lanes or code.module.processor.masks)
         self._pointers = list(pointers)
         self._align, self._entry_stride = array.dtype.itemsize, entry_stride
