@@ -35,7 +35,7 @@ class Written(Differentiable):
 
     @property
     def real(self) -> list[int]:
-        """Complex results too."""
+        """All inexact results, complex ones too."""
         return [k for k, (_, dtype) in enumerate(self.results) if jnp.issubdtype(dtype, jnp.inexact)]
 
     @functools.cached_property
@@ -50,7 +50,7 @@ class Written(Differentiable):
         return None
 
     def made(self, program: ClosedJaxpr) -> Written:
-        """Another function that runs in the same way."""
+        """A derived function of the same class."""
         return Written(program)
 
     def _tangent(self, active: tuple[int, ...]) -> Written:
@@ -104,9 +104,9 @@ def is_written(eqn: Any) -> bool:
 
 
 def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
-    """function(*arguments): as one equation where the types of arrays say how they lie on a mesh.
+    """function(*arguments), as one equation if the types of arrays have shardings over a mesh.
 
-    Else loops inside of the function would have to say it too. What the function closes over must not be traced.
+    Otherwise loops inside of the function would need these shardings too. It must not close over traced values.
     Arguments and result are pytrees of arrays.
     """
     leaves = jax.tree.leaves(arguments)

@@ -79,12 +79,12 @@ class StepCompiler:
         return None
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
-        """A function beside loops in kernels as a kernel too, however small; None: it runs as it is."""
+        """A function outside of loops in kernels as a kernel too, however small; None: it runs as it is."""
         return None
 
 
 class Backend(ABC):
-    """Turns a function of arrays into the function that runs. A value: equal if it does the same."""
+    """Turns a function of arrays into the function that runs. Hashable; equal backends give equal functions."""
 
     #: The least number of scalar operations of a call that runs as a kernel; None: no call does.
     least: int | None = None
@@ -123,7 +123,7 @@ class Backend(ABC):
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
-    """Runs every function as it is written, as operations of JAX on small arrays."""
+    """Runs every function as written, as operations of JAX on small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(as_arrays(closed), None, "arrays, as written")
@@ -236,10 +236,9 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
 
 
 def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
-    """The jaxpr of a function; None where it has no good program.
+    """The jaxpr of a function; None where it must not become a program.
 
-    Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
-    closes over take minutes to read.
+    Programs have no effects, closed-over traced values or random keys. Long closed-over tables take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
     keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
@@ -249,13 +248,14 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
 
 
 def _steady(jaxpr: Jaxpr) -> bool:
-    """Whether a call runs inside of a small function and has a derivative in reverse: none of its loops is open."""
+    """Whether a call can be part of a small function and has a reverse derivative: none of its loops is a `while`."""
     return known_inside(jaxpr) and all(eqn.primitive.name != "while" for eqn in all_equations(jaxpr))
 
 
 def array_operations(jaxpr: Any) -> Counter[str]:
-    """Operations by name, with all entries of arrays and all iterations of loops; factorisations count by the cube of
-    their size.
+    """The number of scalar operations by name, over all entries of arrays and all iterations of loops.
+
+    Factorisations count as the cube of their size.
     """
     counts: Counter[str] = Counter()
     for eqn in jaxpr.eqns:

@@ -1,4 +1,4 @@
-"""Scalars as the nodes of a graph in which equal nodes are one, and zeros and ones disappear.
+"""A graph of scalars, in which equal nodes are one node, and operations with zeros and ones are removed.
 
 A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
 results, so that the list is in an order in which nodes can be computed.
@@ -305,7 +305,7 @@ class ScalarGraph:
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
     def known(self, operation: Operation, *arguments: int) -> int | None:
-        """The node of an operation on other nodes, if there is one."""
+        """The node of an operation on nodes if the graph has it, else None."""
         return self._known.get((operation, *arguments))
 
     def input_of(self, node: int) -> tuple[int, int] | None:
@@ -314,7 +314,7 @@ class ScalarGraph:
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
 
     def reciprocal_of(self, node: int) -> int | None:
-        """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
+        """b of a node 1 / b; x^n of a node x^-n if the graph has it; else None."""
         entry = self.nodes[node]
         if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
             return self.known(_POW, entry[1], self.constant(-n))
@@ -325,7 +325,7 @@ class ScalarGraph:
         return entry[0] if isinstance(entry[0], Operation) else None
 
     def values(self, array: Nodes) -> NDArray[Any] | None:
-        """The numbers of an array of nodes where all are numbers."""
+        """The numbers of an array of nodes; None unless all are numbers."""
         numbers = [self.numbers[i] for i in flat(array)]
         if any(n is None for n in numbers):
             return None

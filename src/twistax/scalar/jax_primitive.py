@@ -48,10 +48,10 @@ class Runner(Protocol):
 
     @property
     def alone(self) -> bool:
-        """Whether it runs them also in what would be one small function without them."""
+        """Whether it runs programs also inside of what could be one small function."""
 
     def prepare(self, program: ScalarProgram, single: bool, platform: str = "cpu") -> Rows | None:
-        """What runs the program; None: XLA does. Asked once for each program and platform.
+        """A function that runs the program; None: XLA does. Called once for each program and platform.
 
         Args:
             single: for one row; else for many.
@@ -75,7 +75,7 @@ class Computed(ABC):
 
     @abstractmethod
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What runs a batch of that many members on a platform instead."""
+        """A function that runs a batch of that many members on a platform in place of XLA; None: there is none."""
 
 
 class Differentiable(Computed):
@@ -167,19 +167,19 @@ class Derived(Differentiable):
         return as_function(self.program, not_inlined)
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What the runner runs for a batch of that many members on a platform; None: XLA does."""
+        """The kernel for a batch of that many members on a platform; None: XLA runs it."""
         if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
         return self.native(rows == 1, platform)
 
     def native(self, single: bool, platform: str = "cpu") -> Rows | None:
-        """What the runner runs, for one member or for more, however many operations there are."""
+        """The kernel for one member or for several, whatever the number of operations."""
         if self.runner is not None and (single, platform) not in self._prepared:
             self._prepared[single, platform] = self.runner.prepare(self.program, single, platform)
         return self._prepared.get((single, platform))
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
-        """On the CPU member after member, each loop compiled as one function, or `inside` of one."""
+        """On the CPU one member after the other, as small functions, or `inside` of one."""
         if platform != "cpu":
             return super().by_xla(arguments, batch, inside, platform)
         empty = not any(jnp.size(a) for a in arguments)

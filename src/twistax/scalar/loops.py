@@ -233,11 +233,11 @@ class Repeated(_Rolled):
 
 @dataclasses.dataclass(frozen=True)
 class Ring:
-    """The order of the arguments and results of one iteration.
+    """Which results of an iteration are which arguments of the next.
 
-    A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
-    A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
-    not going.
+    An iteration of a scan takes (*fixed, *state, *rows) and returns (*state, *rows), with rows of longer arrays. One of
+    a `while_loop` takes (*fixed, *state) and returns (going, *state); where it is not going, the loop ends with the
+    state before.
 
     Attributes:
         fixed, state: how many arguments stay the same, and how many are carried.
@@ -281,11 +281,11 @@ def repeat(
 ) -> tuple[list[jax.Array], jax.Array, Filling | None]:
     """state = step(k, fixed, state) for k = first, ..., stop - 1.
 
-    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
-    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
+    A step with the result `more` may end the loop early. Other loops end where the new state is not finite, with the
+    state before. Traceable, batched by vmap, not differentiable.
 
     Args:
-        rows: of a step that leaves something for them.
+        rows: for a step that returns records.
     Returns:
         The state, the number of the next iteration, and the rows.
     """

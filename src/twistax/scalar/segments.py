@@ -1,4 +1,4 @@
-"""A function of arrays with loops, in parts: straight parts as scalars, loops as kernels."""
+"""A function of arrays with loops, in segments: straight code as scalars, loops as kernels."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ class _Constants:
                 self.known.update(dict.fromkeys(eqn.outvars))
 
     def close(self, eqns: Sequence[Any], outputs: Sequence[Any]) -> ClosedJaxpr:
-        """The jaxpr of equations, with those of the constants that they read; its inputs are what else they read."""
+        """The jaxpr of equations with the constants that they read; its inputs are the other variables they read."""
         wanted = _read(eqns) | dict.fromkeys(v for v in outputs if not isinstance(v, Literal))
         before: list[Any] = []
         for eqn in reversed(self.made):
@@ -194,7 +194,7 @@ def _read(eqns: Iterable[Any]) -> dict[Any, None]:
 
 
 def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
-    """The parts in order: equations that wait for no loop, loops, equations that wait for these, and so on."""
+    """The segments in order: equations before all loops, loops, equations that depend on these, and so on."""
     jaxpr, constants = program.jaxpr, _Constants(program)
     made = set(map(id, constants.made))
     after: dict[Any, int] = {}
