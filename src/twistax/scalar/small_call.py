@@ -46,23 +46,22 @@ def inside_small_call() -> bool:
 
 
 @contextlib.contextmanager
-def tracing_kernel() -> Iterator[None]:
+def _setting(variable: contextvars.ContextVar[bool], value: bool) -> Iterator[None]:
+    before = variable.set(value)
+    try:
+        yield
+    finally:
+        variable.reset(before)
+
+
+def tracing_kernel() -> contextlib.AbstractContextManager[None]:
     """A context in which functions are traced to become kernels, which need no small calls."""
-    before = _IN_KERNEL.set(True)
-    try:
-        yield
-    finally:
-        _IN_KERNEL.reset(before)
+    return _setting(_IN_KERNEL, True)
 
 
-@contextlib.contextmanager
-def no_small_call() -> Iterator[None]:
+def no_small_call() -> contextlib.AbstractContextManager[None]:
     """A context in which traced functions are not part of a small function."""
-    inside = _INSIDE.set(False)
-    try:
-        yield
-    finally:
-        _INSIDE.reset(inside)
+    return _setting(_INSIDE, False)
 
 
 def stored_once(tree: Tree) -> Tree:
@@ -104,14 +103,12 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     if debugging.jax_disable_jit:  # operations one by one would have the attribute
         return function(*arguments)
     arguments = jax.tree.map(jnp.asarray, arguments)
-    outside = _INSIDE.set(True)
     try:
-        jaxpr, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
+        with _setting(_INSIDE, True):
+            jaxpr, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     except _Outside:
-        jaxpr = None
-    finally:
-        _INSIDE.reset(outside)
-    if jaxpr is None or not (trusted or known_inside(jaxpr.jaxpr)):
+        return function(*arguments)
+    if not (trusted or known_inside(jaxpr.jaxpr)):
         return function(*arguments)
     run, traced = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
