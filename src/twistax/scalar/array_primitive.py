@@ -44,7 +44,7 @@ class ArrayProgram(Differentiable):
         return lambda *a: [jnp.asarray(value) for value in run(*a)]
 
     def primitive(self, inside: bool) -> Primitive:
-        return _written_p
+        return _array_program_p
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
         return None
@@ -94,13 +94,13 @@ class ArrayProgram(Differentiable):
 
 
 #: A function, or one that runs in parts.
-_written_p = Primitive("whole_function")
-differentiable(_written_p)
+_array_program_p = Primitive("whole_function")
+differentiable(_array_program_p)
 
 
-def is_written(eqn: Any) -> bool:
+def is_array_program(eqn: Any) -> bool:
     """Whether an equation of a jaxpr is such a function."""
-    return eqn.primitive is _written_p
+    return eqn.primitive is _array_program_p
 
 
 def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:

@@ -26,7 +26,7 @@ from ..jax_inside import (
     scan_parts,
     weakly_kept,
 )
-from .array_primitive import ArrayProgram, is_written
+from .array_primitive import ArrayProgram, is_array_program
 from .backends import Backend, array_operations
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
@@ -127,7 +127,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if is_written(eqn) and not eqn.params["batch"].depth:
+        if is_array_program(eqn) and not eqn.params["batch"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
@@ -144,7 +144,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 def _loops(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
     inside = [equation for inner in inner_jaxprs(eqn) for equation in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or any(is_written(e) or e.primitive.name == "while" for e in inside):
+    if eqn.primitive.name == "while" or any(is_array_program(e) or e.primitive.name == "while" for e in inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
         return any(_loops(equation) for inner in inner_jaxprs(eqn) for equation in inner.jaxpr.eqns)
