@@ -74,6 +74,11 @@ class SizeMeter:
             self._slack[part] = name in shooting.slacks
             if leaf_u.scale is not None:
                 self._u_declared[part] = np.ravel(leaf_u.scale)
+        #: Rows |a|^2 / s <= s have the unit of s: their derivatives by a norm close to zero say nothing of it.
+        slices = {name: (True, part) for name, part in group.slices.items()}
+        slices |= {name: (False, part) for name, part in self._controls.items()}
+        names = enumerate(shooting.path.names)
+        self._norm_bounds = [(row, *slices[name]) for row, name in names if name in shooting.path.norm_bounds]
         self._half_limits = 0.5 * np.subtract(*np.reshape(shooting.border.limits, (-1, 2)).T[::-1])
         self._fixed = np.isin(np.arange(n), shooting.layout.fixed) & ~shooting.free.d[0]
 
@@ -133,6 +138,10 @@ class SizeMeter:
         b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
         d, u, b = (usable(a) for a in (d, u, b))
         return Sizes(d, u, b, steers.any(axis=0), reserve)
+
+    def of_norm_bounds(self, sizes: Sizes) -> list[tuple[int, float]]:
+        """Path rows that bound norms, and their units."""
+        return [(row, float((sizes.d if is_state else sizes.u)[at][0])) for row, is_state, at in self._norm_bounds]
 
     def largest(self, point: Point) -> Array:
         """The largest value of each flat state, zero of others."""

@@ -125,7 +125,8 @@ class StatedPhase:
         free = {box.name for box in border.boxes}
         self._check_by_node(free)
         self.own_guess = user_guess(self.phase.guess, self._guessed, self._lengths)
-        self.path = describe_path(self.dynamics, self.path_bounds, free, self.continuous.straight)
+        norm_bounds = [*self.functionals.bounds, *self.continuous.bounds]
+        self.path = describe_path(self.dynamics, self.path_bounds, free, self.continuous.straight, norm_bounds)
         self.shooting = Shooting(
             self.dynamics,
             self.objective,

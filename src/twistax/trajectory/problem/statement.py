@@ -119,6 +119,7 @@ class PathRows:
     residuals: tuple[Expr, ...]  # <= 0 or = 0
     names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
     cones: frozenset[str]  # names of rows that squares state in place of norms
+    norm_bounds: frozenset[str]  # names of rows that say |a| <= s for an added s, each that of its s
     equality: Array  # which rows are equalities
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
@@ -150,10 +151,14 @@ class PathRows:
         return np.array([*rows[: len(rows) - len(boxes)], *boxes], bool) & (at_known_time | ~self.timed) & ~self.free
 
 
-def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str] = ()) -> PathRows:
+def describe_path(
+    dynamics: Dynamics, norms: Any, free: Collection[str], straight: Collection[str], norm_bounds: Collection[str]
+) -> PathRows:
     """The rows of a compiled system, of `PathBounds`, and the leaves' boxes; and which read free parameters.
 
-    Boxes of states that are linear over each interval hold between its ends.
+    Args:
+        straight: states that are linear over each interval: their boxes hold between its ends.
+        norm_bounds: leaves of the system that bound norms, by rows of the same name.
     """
     functions = dynamics.functions
     residuals: list[Expr] = []
@@ -187,6 +192,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
         residuals=tuple(residuals),
         names=names,
         cones=frozenset(cones),
+        norm_bounds=frozenset([*norm_bounds, *(name for name, _ in norms.rows)]),
         equality=np.array(equality, bool),
         reads=reads,
         states=states,

@@ -35,8 +35,9 @@ _TURN, _CHANGE = 1.5, 0.2
 _FITTED_AT, _MISFIT = (7, 30, 80), 10.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
-#: Options that change nothing of a start: it is only measured.
-_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+#: Options that change nothing of a start: it is only measured, however large its error is.
+_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-20, "bound_push": 0.0, "warm_range": 1e300}
+_AS_IT_IS |= {"acceptable": 1e300}
 
 
 class _Start(NamedTuple):
@@ -134,12 +135,20 @@ class CoreSolver:
         check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
-        warm, violated = self._warm(begin, start.dynamics, start.rows)
-        if violated <= self.tolerance:
-            outcome = self._as_it_is(warm, begin)
-            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
+        for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
+            outcome = self._if_solved(begin._replace(units=units_of), start)
+            if outcome is not None:
                 return outcome
+        warm, violated = self._warm(begin, start.dynamics, start.rows)
         return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
+
+    def _if_solved(self, begin: _Start, start: WarmStart) -> Outcome | None:
+        """The warm start as it is, if it solves the problem in these units."""
+        warm, violated = self._warm(begin, start.dynamics, start.rows)
+        if not violated <= self.tolerance:
+            return None
+        outcome = self._as_it_is(warm, begin)
+        return outcome if outcome.status is Status.SOLVED else None
 
     def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""
@@ -148,7 +157,7 @@ class CoreSolver:
 
     def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
         """The optimality errors of a warm start."""
-        result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        result = self._call(start, {**self._exactly, **_AS_IT_IS}, warm)
         return self.measure.outcome(result, start.units, start.instance, warm=True)
 
     def _from_point(
