@@ -142,6 +142,14 @@ def test_a_warm_start_from_a_result_with_norms_of_zero_comes_back_as_it_is(unit:
     np.testing.assert_array_equal(again.us["u"], result.us["u"])
 
 
+def test_a_refinement_goes_on_where_norms_are_zero() -> None:
+    """On a finer mesh a warm start is no optimum, though it violates nothing: its first barrier is that of its slope."""
+    result = rendezvous(11).solve(refine=1e-4)
+    assert result.solved
+    assert [mesh.status for mesh in result.meshes] == [Status.SOLVED] * len(result.meshes)
+    assert len(result.meshes) > 2
+
+
 @pytest.mark.parametrize("seed", [None, 0, 1])
 def test_a_bound_that_falls_to_zero_keeps_its_sign(seed: int | None) -> None:
     """Where the bound of a norm is a state; by rounding of summed steps, or by a step to its limit, searches ended."""

@@ -138,20 +138,14 @@ class CoreSolver:
         check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
-        for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
-            outcome = self._if_solved(begin._replace(units=units_of), start)
-            if outcome is not None:
-                return outcome
-        warm, violated = self._warm(begin, start.dynamics, start.rows)
-        return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
-
-    def _if_solved(self, begin: _Start, start: WarmStart) -> Outcome | None:
-        """The warm start as it is, if it solves the problem in these units."""
-        warm, violated = self._warm(begin, start.dynamics, start.rows)
-        if not violated <= self.tolerance:
-            return None
-        outcome = self._as_it_is(warm, begin)
-        return outcome if outcome.status is Status.SOLVED else None
+        warm, distance = self._warm(begin, start.dynamics, start.rows)
+        if distance <= self.tolerance:
+            for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
+                outcome = self._as_it_is(warm, begin._replace(units=units_of))
+                if outcome.status is Status.SOLVED:
+                    return outcome
+                distance = max(distance, outcome.errors.stationarity / COST)
+        return self.measure.outcome(self._call(begin, {**options, **_near(distance)}, warm, check), units, instance)
 
     def measured(self, point: Iterate, dynamics: Array, rows: Array, instance: Instance) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""
@@ -237,9 +231,11 @@ class CoreSolver:
         return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
 
 
-def _near(violated: float) -> dict[str, float]:
-    """Options that keep the iterates near a warm start: the larger its violation, the larger the initial barrier."""
-    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+def _near(distance: float) -> dict[str, float]:
+    """Options that keep the iterates near a warm start: the larger its violation, and where there is none the gradient
+    of its Lagrangian, the larger the initial barrier.
+    """
+    barrier = float(np.clip(_WARM_SHARE * distance, _WARM_LEAST, _WARM_MOST))
     push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
     return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
 
