@@ -75,12 +75,9 @@ class Joint(Subspaces, ABC):
         self.position: State | None = None
         self.velocity: State | None = None
         if self.dofs:
-            shape, of_place, of_rate = (
-                (self.dofs,) if self.group is None else None,
-                *kinds_of(self.motion_subspace, self.group),
-            )
-            self.position = known_as(State(f"{name}_position", shape, group=self.group), *of_place)
-            self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *of_rate)
+            shape, known = (self.dofs,) if self.group is None else None, kinds_of(self.motion_subspace, self.group)
+            self.position = known_as(State(f"{name}_position", shape, group=self.group), *known[0])
+            self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *known[1])
 
     def _fix(self, motion: Any, actuation_basis: Any) -> None:
         """Compute the subspaces, as numbers."""

@@ -147,14 +147,14 @@ def _many(leaf: Any, count: int) -> Leaf:
 
 
 def copies_in_a_kernel(
-    emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], Any]
+    emission: Emission, backend: Backend, roots: Mapping[str, Sequence[Expr]], traced: Callable[[], tuple[Any, Any]]
 ) -> Emission:
     """How expressions run that would run as arrays: each batch of copies in them as a batch of one kernel.
 
     Args:
         emission: how the whole of them would run by the backend.
         roots: the expressions by name.
-        traced: their function, traced anew.
+        traced: gives their function, traced anew, and the structure of its results.
     """
     if emission.program is not None or not isinstance(backend, Native) or not installed():
         return emission
@@ -164,4 +164,4 @@ def copies_in_a_kernel(
     # One copy has a kernel also where it would be too small for one alone.
     of_one = backend if type(backend) is Native else Native(threads=backend.threads)
     with elements_by(functools.partial(fast, backend=of_one)):
-        return dataclasses.replace(JAX().emit(traced()), reason="a batch of one kernel for all copies")
+        return dataclasses.replace(JAX().emit(traced()[0]), reason="a batch of one kernel for all copies")

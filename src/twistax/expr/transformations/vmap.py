@@ -14,7 +14,7 @@ import numpy as np
 from ...checks import callable_with, whole
 from ...errors import ModelError, OperationError, ShapeError
 from ..fields import Operands
-from ..graph import evaluate_all, leaves_of, substitute
+from ..graph import function_of, leaves_of, other_leaves, substitute
 from ..kinds import rules
 from ..leaves import Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
@@ -136,8 +136,7 @@ class Vmap(Expr):
     @property
     def captured(self) -> list[Leaf]:
         """The leaves the body reads besides its placeholders."""
-        keys = {placeholder.key() for placeholder in self.placeholders}
-        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
+        return other_leaves(self.body, self.placeholders)
 
     def makes_boolean(self, *operands: bool) -> bool:
         return self.body.boolean
@@ -181,14 +180,8 @@ class Vmap(Expr):
         return (shapes[0][self.axis], *self.body.check_shape())
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
-        count = len(self.batches)
-
-        def element(*arguments: jax.Array) -> jax.Array:
-            scope = {
-                leaf.key(): value for leaf, value in zip((*self.placeholders, *self.captured), arguments, strict=True)
-            }
-            return evaluate_all([self.body], lambda leaf: scope[leaf.key()])[0]
-
+        leaves = [*self.placeholders, *self.captured]
+        element, count = function_of(self.body, leaves, {}), len(self.batches)
         program = _program_of.get() if self.copies else None
         in_axes = (*[self.axis] * count, *[None] * (len(values) - count))
         return jax.vmap(element if program is None else program(element), in_axes=in_axes)(*values)
