@@ -19,8 +19,8 @@ from ..expr import (
     Noise,
     Parameter,
     State,
-    check_kinds,
     check_orders,
+    declares,
     find_path,
     leaves_of,
     postorder,
@@ -130,7 +130,10 @@ class System(Composable):
         self.labels = checked_labels(labels, (*self.states, *self.controls))
         rate_of = {state: self.rates[state.name] for state in self.states}
         check_orders(self._roots, rate_of)
-        check_kinds(self._roots, rate_of, nodes)
+        if any(map(declares, (*self.states, *nodes))):
+            from ..expr.kinds.inference import infer_kinds  # most systems do without
+
+            infer_kinds(self._roots, rate_of, [*self.states, *leaves], nodes)
 
     def __repr__(self) -> str:
         kinds = ("states", "controls", "parameters")

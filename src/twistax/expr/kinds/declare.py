@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any, TypeVar
 
 from ...errors import ModelError
-from ..leaves import Constant, Leaf, State
+from ..leaves import Constant, Leaf
 from ..node import Expr, to_expr
 from .kinds import Kind, declared
 
@@ -71,18 +70,3 @@ def kind_of(node: Expr) -> Kind | None:
     known = known_of(node)
     kind = node.kind if isinstance(node, Leaf) else None
     return kind or (known[0] if known else None)
-
-
-def check_kinds(roots: Mapping[str, Expr], rates: Mapping[State, Expr], nodes: Sequence[Expr]) -> None:
-    """Check a system in which something is declared.
-
-    Args:
-        roots: every expression of a system, by the name used in messages.
-        rates: the rate of every state.
-        nodes: all nodes below the roots, children first.
-    Raises: KindError where two frames, spaces, units or bodies do not fit.
-    """
-    if any(map(declares, (*rates, *nodes))):
-        from .inference import infer_kinds
-
-        infer_kinds(roots, rates, [*rates, *(node for node in nodes if isinstance(node, Leaf))], nodes)
