@@ -7,7 +7,6 @@ from __future__ import annotations
 import ctypes
 import functools
 import hashlib
-from typing import Any
 
 import jax
 
@@ -55,7 +54,7 @@ class Library:
         self.workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(size)
         self.phase_work = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(work)
         self.phase_states = ctypes.CFUNCTYPE(None, _VOID_POINTER, ctypes.c_int32, _VOID_POINTER)(states)
-        self.transcribed: dict[str, Any] = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
+        self.transcribed = {name: code.addresses[f"twx_transcribed_{name}"] for name in _TRANSCRIBED}
         self.solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 6)(solve)
         self.qp_workspace_size = ctypes.CFUNCTYPE(ctypes.c_size_t, _VOID_POINTER)(qp_size)
         self.qp_solve = ctypes.CFUNCTYPE(ctypes.c_int32, *[_VOID_POINTER] * 5)(qp_solve)
