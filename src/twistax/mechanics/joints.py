@@ -16,11 +16,12 @@ from ..checks import number, reals
 from ..errors import ModelError, ShapeError
 from ..expr import Block, Concat, Constant, Expr, Norm, Parameter, Solve, Stack, State, Where
 from ..expr.fields import ExprLike
+from ..expr.kinds.declare import known_as
 from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log, twist
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
-from .screws import Screws, Subspaces, complement
+from .screws import Screws, Subspaces, complement, kinds_of
 
 # fmt: off
 __all__ = [
@@ -74,9 +75,9 @@ class Joint(Subspaces, ABC):
         self.position: State | None = None
         self.velocity: State | None = None
         if self.dofs:
-            shape = (self.dofs,) if self.group is None else None
-            self.position = State(f"{name}_position", shape, group=self.group)
-            self.velocity = State(f"{name}_velocity", (self.dofs,))
+            shape, known = (self.dofs,) if self.group is None else None, kinds_of(self.motion_subspace, self.group)
+            self.position = known_as(State(f"{name}_position", shape, group=self.group), *known[0])
+            self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *known[1])
 
     def _fix(self, motion: Any, actuation_basis: Any) -> None:
         """Compute the subspaces, as numbers."""

@@ -13,13 +13,20 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
 from __future__ import annotations
 
 import dataclasses
+from typing import TypeAlias
 
 import numpy as np
 
-from ..expr import Expr
+from ..expr import Constant, Expr
 from ..expr.fields import ExprLike
+from ..expr.kinds.kinds import FreeVector, Kind, Pose, Rotation, Twist
+from ..expr.kinds.unit import METRE, ONE, SECOND, Unit
 from ..expr.lie import SE3Adjoint, SE3AdjointDual
+from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
+
+#: What a state is known as.
+Known: TypeAlias = tuple[Kind | None, Unit | None]
 
 
 class Subspaces:
@@ -105,3 +112,34 @@ def complement(columns: np.ndarray) -> np.ndarray:
             basis.append(vector / np.linalg.norm(vector))
     # Adding 0 turns -0 into 0.
     return np.stack(basis[k:], axis=1) + 0.0 if k < n else np.zeros((n, 0))
+
+
+# ---- kinds and units of coordinates ----------------------------------------------------------------------------------
+
+
+def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
+    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
+    if not isinstance(motion_subspace, Constant):
+        return None
+    return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
+
+
+def unit_of(motion_subspace: Expr) -> Unit | None:
+    """The unit that all coordinates of a joint have; None where they differ."""
+    turns = set(turns_of(motion_subspace) or ())
+    return None if len(turns) != 1 else ONE if turns == {True} else METRE
+
+
+def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
+    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
+    if group is SE3:
+        return (Pose(), None), (Twist(), None)
+    if group is SO3:
+        return (Rotation(), None), (FreeVector(), ONE / SECOND)
+    unit = unit_of(motion_subspace) if group is None else None
+    return (None, unit), (None, None if unit is None else unit / SECOND)
+
+
+def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
+    """The kind of a position on a group between two frames; None for other groups."""
+    return Pose(to, source) if group is SE3 else Rotation(to, source) if group is SO3 else None

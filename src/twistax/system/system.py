@@ -19,10 +19,11 @@ from ..expr import (
     Noise,
     Parameter,
     State,
-    check_kinds,
     check_orders,
+    declares,
     find_path,
     leaves_of,
+    postorder,
     refuse_conditions,
     to_expr,
 )
@@ -111,7 +112,8 @@ class System(Composable):
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        no_elements(leaves := list(leaves_of(*self._roots.values())))
+        nodes = postorder(*self._roots.values())
+        no_elements(leaves := [node for node in nodes if isinstance(node, Leaf)])
         for leaf in leaves:
             leaf.check_in_system()
         used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter, Noise))]
@@ -128,7 +130,10 @@ class System(Composable):
         self.labels = checked_labels(labels, (*self.states, *self.controls))
         rate_of = {state: self.rates[state.name] for state in self.states}
         check_orders(self._roots, rate_of)
-        check_kinds(self._roots, rate_of, leaves)
+        if any(map(declares, (*self.states, *nodes))):
+            from ..expr.kinds.inference import infer_kinds  # most systems do without
+
+            infer_kinds(self._roots, rate_of, [*self.states, *leaves], nodes)
 
     def __repr__(self) -> str:
         kinds = ("states", "controls", "parameters")
