@@ -23,9 +23,9 @@ class Mesh(Shape):
         source: a path of a file that trimesh reads, such as STL, OBJ or DAE, or a pair of corners (n, 3) in m and
             triangles (m, 3) of their numbers.
         at, color, opacity: as of every `Shape`.
-        scale: what the corners are multiplied by, a number or three, such as 0.001 for a file in mm.
-    Raises: InputError where the file is drawn: one that is not there, is not understood, or has no triangles.
-        ModelError there without trimesh.
+        scale: the factor of the corners, a number or three, such as 0.001 for a file in mm.
+    Raises: InputError when the file is drawn: it does not exist, cannot be read, or has no triangles.
+        ModelError when it is drawn without trimesh.
     """
 
     source: Any

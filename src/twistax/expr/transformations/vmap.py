@@ -60,14 +60,14 @@ class Vmap(Expr):
     Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
     the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
 
-    If fn returns a constraint the result is the constraint on all of them, to be used like any other:
+    If fn returns a constraint the result is the constraint on all elements:
     `Vmap(lambda p: Norm(x - p) >= 1, points)` is `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`.
 
     Attributes:
-        batches: the expressions or arrays mapped over; a list stands for several, one argument of fn each.
+        batches: the expressions or arrays mapped over; a list means several, one argument of fn each.
         axis: the axis mapped over, counted from 0.
-        body: what fn returned.
-        placeholders: the arguments fn was called with.
+        body: the expression that fn returned.
+        placeholders: the arguments of that call of fn.
     Raises:
         ShapeError: a batch without that axis, or batches of different length; a substitution that gives the elements
             another shape.
@@ -114,7 +114,7 @@ class Vmap(Expr):
 
     @property
     def captured(self) -> list[Leaf]:
-        """The leaves the body reads besides its placeholders."""
+        """The leaves that the body depends on besides its placeholders."""
         keys = {placeholder.key() for placeholder in self.placeholders}
         return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
 
@@ -141,7 +141,7 @@ class Vmap(Expr):
         )
 
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
-        """The same with other batches and another body, of the same placeholders."""
+        """The same map with other batches and another body, of the same placeholders."""
         fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
         return Vmap.from_fields(fields)
 

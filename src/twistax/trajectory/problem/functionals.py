@@ -113,7 +113,7 @@ class Initial(Functional):
 
     In problems of phases it is the start of the first phase, which must have the state. Shape: that of the state.
 
-    Raises: ModelError if it is not given a state.
+    Raises: ModelError if the argument is not a state.
     """
 
     operand: State

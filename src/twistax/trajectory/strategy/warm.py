@@ -44,7 +44,7 @@ class WarmStart:
         integrated.
 
         Raises:
-            TrajectoryError: steps is no positive whole number; intervals are not equally long.
+            TrajectoryError: steps is not a positive whole number; intervals are not equally long.
         """
         whole("steps", steps, 1, TrajectoryError)
         point = self.point
