@@ -141,8 +141,8 @@ def fast(
     Operations without a scalar form (libraries, large arrays, effects, random keys) are executed by JAX, as is
     everything on other devices. `fast(f).explain(*arguments)` reports how each part runs.
 
-    Results equal those of the function up to round-off, except that 0 x, 0 / x and x - x are zero also where x is
-    infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
+    Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
+    x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
     In single precision intermediate derivatives may overflow or underflow. `jax.jacfwd(fast(f))` and
     `jax.grad(fast(f))` differentiate the program in a form that avoids this. `fast(jax.jacfwd(f))` and

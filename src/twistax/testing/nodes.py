@@ -29,7 +29,7 @@ def check_node(node_class: type[Expr]) -> None:
     that float32 stays float32, within 100 round-offs of its size and of the effect of its operands' round-off; jit =
     eager = vmap; derivatives forward = reverse = by finite differences, where a case is smooth, and finite at `kinks`;
     that `canonicalize` preserves the value and is idempotent; that equal trees have equal keys; that texts and formulas
-    are complete; that nodes are immutable; that a rule of kinds is defined. Units are not checked.
+    are complete; that nodes are immutable; that a rule of kinds is defined. It does not check units.
 
     Args:
         node_class: a subclass of `Expr` with `cases`.

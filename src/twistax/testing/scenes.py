@@ -19,7 +19,8 @@ def check_scene(scene: Any, *, stiff: bool = False, tolerance: float = 1e-8, **o
 
     It checks that start, end, params and invariants have the names and shapes of the system, and that elements are in
     their groups; that a closed form begins at the start and has the rates of the system, $x'(t) = f(t, x(t))$, at times
-    in between; that invariants are conserved by an integration, and that this ends at the exact solution.
+    in between; that invariants are conserved by an integration, and that this ends at the exact solution, in the
+    scene's units.
 
     Args:
         scene: a `twistax.scenes.Scene`.

@@ -61,7 +61,6 @@ class Arrow:
             largest vector along the motion is a fifth of the scene.
         color: red, green and blue from 0 to 255. A torque is darker.
     Raises: InputError for a start that is not a point, or a scale that is zero.
-    Raises: InputError for a place that is no point, or a scale that is zero.
     """
 
     on: str | None = None

@@ -187,7 +187,7 @@ def translation(position: ExprLike) -> Expr:
 
 
 def rotation(rotation: ExprLike) -> Expr:
-    """The pose [R 0; 0 1] of a frame rotated by R (3, 3) about the common origin; an expression or numbers.
+    """The pose [R 0; 0 1] of a frame turned by a rotation R (3, 3) about the common origin; an expression or numbers.
 
     Ad and Ad* of it, and of its inverse, rotate both halves of a six-vector. Raises ShapeError.
     """

@@ -30,7 +30,6 @@ def load(
     """The mechanism that a file describes, in URDF or in MJCF, which the root element determines.
 
     MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules
-    and meshes: of URDF those whose file is found, of MJCF those that a mass follows from. `mechanism.notes` says what
     and meshes: of URDF those whose file is found, of MJCF those that a mass follows from. `mechanism.notes` lists
     elements of the file that are not used, such as other meshes or an unknown attribute, and interpretations by
     convention. Nothing in a file is executed. Meshes of URDF are opened when they are drawn, of MJCF

@@ -126,7 +126,7 @@ class TrajectoryResult(Quality):
 
 
 class PhasedResult(TrajectoryResult):
-    """The result of a problem with a list of phases: `phases`, `durations`.
+    """The result of a problem with a list of phases: `phases`, and their `durations` in s.
 
     `result.phases[0].xs["v"]` has the shape (nodes, ...), as in a `Trajectory`. Names begin with that of the phase. The
     multipliers of the link before a phase are "join before <phase>: <state>".
