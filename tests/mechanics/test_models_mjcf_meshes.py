@@ -23,7 +23,8 @@ ARM = """<mujoco><compiler meshdir="meshes" angle="degree"/>
   <asset><mesh name="rod" file="rod.stl" {mesh}/><mesh name="gone" file="gone.stl"/>
     <material name="red" rgba="0.9 0.1 0.1 1"/></asset>
   <worldbody><body name="arm" pos="0 0 1"><joint axis="0 1 0"/>{inertial}
-    <frame pos="0.1 0.2 0.3" euler="10 20 0"><geom class="visual" mesh="rod" pos="0 0 0.5" material="red" {geom}/></frame>
+    <frame pos="0.1 0.2 0.3" euler="10 20 0">
+      <geom class="visual" mesh="rod" pos="0 0 0.5" material="red" {geom}/></frame>
     {more}</body></worldbody></mujoco>"""
 
 

@@ -30,10 +30,9 @@ def load(
     """The mechanism that a file describes, in URDF or in MJCF, which the root element determines.
 
     MJCF is compiled by MuJoCo (`pip install twistax[models]`). `solution.show` draws boxes, cylinders, balls, capsules
-    and meshes: of URDF those whose file is found, of MJCF those that a mass follows from. `mechanism.notes` lists
-    elements of the file that are not used, such as other meshes or an unknown attribute, and interpretations by
-    convention. Nothing in a file is executed. Meshes of URDF are opened when they are drawn, of MJCF
-    included files and the meshes that a mass follows from when the model is loaded.
+    and meshes whose files are found. `mechanism.notes` lists elements of the file that are not used, such as missing
+    meshes or an unknown attribute, and interpretations by convention. Nothing in a file is executed. Meshes are opened
+    when they are drawn; included files of MJCF, and meshes that a mass follows from, when the model is loaded.
 
     Masses and inertias are checked. Links that are fixed together count as one body. A moving body whose mass or a
     principal moment is not positive raises an error, because the equations of motion may have no unique solution.
