@@ -184,7 +184,7 @@ class Expr(Printed, Operators):
     def infer_shape(self, *shapes: Shape) -> Shape:
         """Shape of the result from the children's shapes; raises ShapeError."""
         if not self.takes:
-            raise NotImplementedError(f"{type(self).__name__} says neither takes and gives nor infer_shape")
+            raise NotImplementedError(f"{type(self).__name__} defines neither takes and gives nor infer_shape")
         for name, got, wanted in zip(self.child_names(), shapes, self.takes, strict=True):
             expect(self, name, got, wanted, self.takes_hint)
         return self.gives

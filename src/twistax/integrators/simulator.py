@@ -151,7 +151,7 @@ class Simulator:
             if slot is None:
                 fixed = ", and the function u stays" if kind == "u" and callable(self._options.u) else ""
                 raise InputError(
-                    f"unknown key {name!r} in {kind}; the simulator was made with: {listed(slots, name)}{fixed}"
+                    f"unknown key {name!r} in {kind}; the simulator was built with: {listed(slots, name)}{fixed}"
                 )
             if isinstance(slot.value, ControlTable) or isinstance(value, ControlTable):
                 placed[name] = self._table(f"{kind}[{name!r}]", slot.value, value)
@@ -176,7 +176,7 @@ class Simulator:
         same = type(value) is type(before) and value.values.shape == before.values.shape
         if not same or not np.array_equal(np.asarray(value.ts, before.ts.dtype), before.ts):
             raise InputError(
-                f"{place} expects what the simulator was made with, {type(before).__name__} of shape "
+                f"{place} expects what the simulator was built with, {type(before).__name__} of shape "
                 f"{np.shape(getattr(before, 'values', before))} at the same times, got {short(value)}.\n"
                 "  fix: another tx.simulator for other times"
             )

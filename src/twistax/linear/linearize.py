@@ -222,5 +222,5 @@ def _kept(place: str, present: Sequence[str], wanted: Iterable[str] | None) -> l
         wanted_labels = [label for i, label in enumerate(labels({name: shapes[name]})) if i in chosen]
         kept += [present.index(label) for label in wanted_labels if label in present]
     if len(set(kept)) < len(kept):
-        raise InputError(f"{place} names something twice: {listed(wanted)}")
+        raise InputError(f"{place} has a name twice: {listed(wanted)}")
     return kept

@@ -151,7 +151,8 @@ def trim(
     solution = dataclasses.replace(solution, trimmed=solution.measure <= tolerance)
     if throw and not solution.trimmed:
         raise TrajectoryError(
-            f"trim: no point meets the conditions.\n{solution}\n  fix: free more, ask for less, or start nearer"
+            f"trim: no point satisfies the conditions.\n{solution}\n"
+            "  fix: free more quantities, remove conditions, or start nearer"
         )
     return solution
 

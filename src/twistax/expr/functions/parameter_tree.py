@@ -50,7 +50,7 @@ class ParameterTree:
             )
         if is_traced(arrays):
             raise ModelError(
-                f"ParameterTree {name!r} expects arrays with known numbers, got one that JAX is tracing.\n"
+                f"ParameterTree {name!r} expects arrays with known numbers, got one that is traced by JAX.\n"
                 "  fix: build the system outside of the transformation, and pass params=weights.values(tree) inside"
             )
         leaves, self._structure = jax.tree.flatten(value)

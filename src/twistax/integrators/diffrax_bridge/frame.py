@@ -43,7 +43,7 @@ class LieTerm(diffrax.AbstractTerm):
         raise ModelError(
             "a term of tx.diffrax.lie_term gives body velocities, which a plain solver cannot add to poses.\n"
             "  fix: wrap the solver, tx.diffrax.LieSolver(diffrax.Tsit5(), dynamics), or give a plain solver "
-            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a solver of its own ends here too: leave it out"
+            "tx.diffrax.ambient_term(dynamics). BacksolveAdjoint with a custom solver ends here, too: omit it"
         )
 
 

@@ -45,7 +45,7 @@ class Functional(Leaf):
 
     def check_in_system(self) -> NoReturn:
         raise ModelError(
-            f"{self!r} is a value of a whole path, which nothing knows here.\n"
+            f"{self!r} is a functional of a whole path, which is not defined here.\n"
             "  fix: use it in the objective or final= of a tx.trajectory.Problem"
         )
 

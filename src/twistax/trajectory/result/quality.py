@@ -155,7 +155,7 @@ class Quality:
     def _need_finite(self) -> None:
         """Raise TrajectoryError where the solution is not finite: there is no rollout of it."""
         if not np.isfinite(list(self.violations.values())).all():
-            raise TrajectoryError(f"there is no rollout of a point that is not finite. {self.message}")
+            raise TrajectoryError(f"a point that is not finite has no rollout. {self.message}")
 
     def __repr__(self) -> str:
         return (

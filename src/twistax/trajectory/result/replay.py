@@ -164,7 +164,7 @@ def _rollout_ambient(result: Any, solver: Any, steps: int, rtol: float, atol: fl
     xs, good = rollout(start, jnp.asarray(result.ts), jax.tree.map(jnp.asarray, held_of(result)))
     if not bool(good.all()):
         number = int(np.argmin(np.asarray(good)))
-        raise IntegrationError(f"the solver gave up between nodes {number} and {number + 1} of the replay")
+        raise IntegrationError(f"the solver failed between nodes {number} and {number + 1} of the replay")
     return {name: np.asarray(values) for name, values in xs.items()}
 
 
