@@ -18,7 +18,7 @@ Result = TypeVar("Result")
 
 
 @weakly_kept
-class Written(Differentiable):
+class ArrayProgram(Differentiable):
     """A function of arrays that JAX runs, with JAX's derivatives.
 
     Args:
@@ -49,23 +49,23 @@ class Written(Differentiable):
     def kernel(self, rows: int, platform: str) -> Rows | None:
         return None
 
-    def made(self, program: ClosedJaxpr) -> Written:
+    def made(self, program: ClosedJaxpr) -> ArrayProgram:
         """Another function that runs in the same way."""
-        return Written(program)
+        return ArrayProgram(program)
 
-    def _tangent(self, active: tuple[int, ...]) -> Written:
+    def _tangent(self, active: tuple[int, ...]) -> ArrayProgram:
         def tangent(arguments: list[Any], tangents: list[Any]) -> list[Any]:
             return list(jax.jvp(self._of(active, arguments), [arguments[k] for k in active], tangents)[1])
 
         return self._derivative(tangent, [self.program.jaxpr.invars[k].aval for k in active])
 
-    def _cotangent(self, active: tuple[int, ...]) -> Written:
+    def _cotangent(self, active: tuple[int, ...]) -> ArrayProgram:
         def cotangent(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
             return list(jax.vjp(self._of(active, arguments), *(arguments[k] for k in active))[1](cotangents))
 
         return self._derivative(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
 
-    def transposed(self, linear: tuple[int, ...]) -> Written:
+    def transposed(self, linear: tuple[int, ...]) -> ArrayProgram:
         def back(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
             shapes = [jax.ShapeDtypeStruct(arguments[k].shape, arguments[k].dtype) for k in linear]
             return list(jax.linear_transpose(self._of(linear, arguments), *shapes)(cotangents))
@@ -84,7 +84,7 @@ class Written(Differentiable):
 
         return function
 
-    def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Written:
+    def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> ArrayProgram:
         avals: list[Any] = [v.aval for v in self.program.jaxpr.invars]
         count = len(avals)
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*avals, *more]]
@@ -123,5 +123,5 @@ def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
         closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
     if closed.effects:
         return function(*arguments)
-    result: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
+    result: Result = jax.tree.unflatten(shapes[0], call_program(ArrayProgram(closed), *leaves))
     return result

@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
-from .graph import Call, ScalarGraph
+from .graph import OpaqueCall, ScalarGraph
 from .primitives.cotangents import Cotangent, Cotangents
 from .primitives.interface import Nodes, flat, nodes
 from .program import ScalarProgram
@@ -192,7 +192,7 @@ def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[in
 
 
 def _carry_call(
-    g: ScalarGraph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
+    g: ScalarGraph, call: OpaqueCall, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
 ) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = flat(*call.arguments)
@@ -240,7 +240,7 @@ def _pull(g: ScalarGraph, live: Sequence[int], cotangents: Cotangents, depending
 
 
 def _pulled_call(
-    g: ScalarGraph, call: Call, known_cotangents: Mapping[int, int], depending: Collection[int]
+    g: ScalarGraph, call: OpaqueCall, known_cotangents: Mapping[int, int], depending: Collection[int]
 ) -> list[tuple[int, Cotangent]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
@@ -280,7 +280,7 @@ class _Called:
     jaxpr: ClosedJaxpr = dataclasses.field(compare=False)
 
 
-def _function(g: ScalarGraph, call: Call) -> _Called:
+def _function(g: ScalarGraph, call: OpaqueCall) -> _Called:
     arguments, results = (tuple(_shape(g, a) for a in arrays) for arrays in (call.arguments, call.results))
     return _Called(call.key, arguments, results, call.jaxpr)
 

@@ -36,7 +36,7 @@ class TooLarge(ModelError):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Call:
+class OpaqueCall:
     """A function that the graph treats as opaque, with its arguments.
 
     Attributes:
@@ -96,11 +96,11 @@ class ScalarGraph:
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
-        self.calls: list[Call] = []
+        self.calls: list[OpaqueCall] = []
         #: The nodes that an operation reads; none for numbers, inputs and results of calls.
         self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
-        self._called: dict[Any, Call] = {}
+        self._called: dict[Any, OpaqueCall] = {}
         #: Whether an operation is a power: products with one may take other factors.
         self._has_powers = False
         self.zero: int = self.constant(0.0)
@@ -126,7 +126,7 @@ class ScalarGraph:
         dtype = values.dtype
         return nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
 
-    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Call:
+    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> OpaqueCall:
         """A call of a function, once for each set of arguments."""
         arguments = tuple(arguments)
         called = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
@@ -136,7 +136,7 @@ class ScalarGraph:
                 dtype = np.dtype(aval.dtype)
                 entries = [self._intern((_RESULT, number, k, place), dtype) for place in range(aval.size)]
                 results.append(nodes(entries, aval.shape))
-            self._called[called] = Call(jaxpr, key, arguments, tuple(results), inline)
+            self._called[called] = OpaqueCall(jaxpr, key, arguments, tuple(results), inline)
             self.calls.append(self._called[called])
         return self._called[called]
 
@@ -299,7 +299,7 @@ class ScalarGraph:
         call = self.call_of(node)
         return self._arguments[node] if call is None else call.sources
 
-    def call_of(self, node: int) -> Call | None:
+    def call_of(self, node: int) -> OpaqueCall | None:
         """The call whose result a node is."""
         entry = self.nodes[node]
         return self.calls[entry[1]] if entry[0] is _RESULT else None

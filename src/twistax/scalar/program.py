@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from .graph import Call, ScalarGraph
+from .graph import OpaqueCall, ScalarGraph
 from .primitives.interface import Nodes, flat
 from .primitives.table_load import Table
 from .primitives.table_loads import Load
@@ -45,7 +45,7 @@ class ScalarProgram:
         return self.graph.live(self.flat)
 
     @functools.cached_property
-    def calls(self) -> list[Call]:
+    def calls(self) -> list[OpaqueCall]:
         """The calls that are needed."""
         return list({id(c): c for i in self.live if (c := self.graph.call_of(i)) is not None}.values())
 
@@ -106,6 +106,6 @@ class ScalarProgram:
         return ScalarProgram(self.graph, self.inputs, tuple(outputs), tuple(map(self.graph.dtype_of, outputs)))
 
 
-def called_names(calls: Iterable[Call]) -> str:
+def called_names(calls: Iterable[OpaqueCall]) -> str:
     """The operations of JAX that are called, for messages."""
     return ", ".join(sorted({eqn.primitive.name for call in calls for eqn in call.jaxpr.jaxpr.eqns}))

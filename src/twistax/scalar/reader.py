@@ -25,7 +25,7 @@ from ..jax_inside import (
     on_key_data,
     source_of,
 )
-from .graph import LIMITS, Call, ScalarGraph
+from .graph import LIMITS, OpaqueCall, ScalarGraph
 from .primitives.interface import Limits, Nodes, flat, nodes
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
@@ -160,7 +160,7 @@ class JaxprReader:
                 else:
                     known[i] = operation.on(new)(*arguments)
 
-    def _copy_call(self, call: Call, known: dict[int, int]) -> None:
+    def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> None:
         arguments = [renamed(known, array) for array in call.arguments]
         # What was a call for its size may fit a graph that unrolls more.
         if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):

@@ -26,7 +26,7 @@ from ..jax_inside import (
     scan_parts,
     weakly_kept,
 )
-from .array_primitive import Written, is_written
+from .array_primitive import ArrayProgram, is_written
 from .backends import Backend, array_operations
 from .batch import Batch
 from .loops import Looped, Ring, loop
@@ -59,7 +59,7 @@ class Part:
 
 
 @weakly_kept
-class Whole(Written):
+class Whole(ArrayProgram):
     """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:

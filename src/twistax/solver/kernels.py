@@ -63,7 +63,7 @@ class SmoothStructure(ctypes.Structure):
     _fields_ = [*((name, KernelStructure) for name in ("value", "slopes", "bends")), ("rows", ctypes.c_int32)]
 
 
-class Written(NamedTuple):
+class ScalarForm(NamedTuple):
     """A kernel as a program of scalars, for writers of other languages."""
 
     program: ScalarProgram
@@ -89,7 +89,7 @@ class BatchKernel:
         reads: list[Argument],
         owner: Any,
         numbers: Array | None = None,
-        written: Callable[[], Written] | None = None,
+        written: Callable[[], ScalarForm] | None = None,
     ) -> None:
         self.owner, self._numbers, self.written = owner, numbers, written
         self._reads, self._address = reads, address
@@ -164,7 +164,7 @@ class _Unbound:
         callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
-    def bound(self, numbers: Array, written: Callable[[], Written] | None = None) -> BatchKernel:
+    def bound(self, numbers: Array, written: Callable[[], ScalarForm] | None = None) -> BatchKernel:
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]
@@ -307,14 +307,14 @@ class _Pending:
             self._function = None
             return self._kernel
 
-    def written(self, numbers: Array) -> Written:
+    def written(self, numbers: Array) -> ScalarForm:
         """The function as a program of scalars, made anew.
 
         Raises:
             ModelError, NotNative: it has no form in scalars.
         """
         with in_double():
-            return Written(native_form(self._maker(self._closed)), self._arguments, numbers)
+            return ScalarForm(native_form(self._maker(self._closed)), self._arguments, numbers)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

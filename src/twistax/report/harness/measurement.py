@@ -16,7 +16,7 @@ Column = tuple[Expected | Callable[[T], Expected], Callable[[T], Any]]
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 
 
-class Measurement:
+class MeasuredCase:
     """One case of a section.
 
     Args:
@@ -58,14 +58,14 @@ class Measurement:
 
 
 #: A measurement of every run, and one that the quick run leaves out.
-quick, slow = Measurement, functools.partial(Measurement, slow=True)
+quick, slow = MeasuredCase, functools.partial(MeasuredCase, slow=True)
 
 #: The measurements of a section, those that need it after a plain sentence that explains what comes of them. Its title,
 #: and what its page says of it, stand in `templates/sections.toml`.
-Section = list[str | Measurement]
+Section = list[str | MeasuredCase]
 
 
-def explained(section: Section) -> Iterator[tuple[str, Measurement]]:
+def explained(section: Section) -> Iterator[tuple[str, MeasuredCase]]:
     """Each measurement with the sentence before it."""
     why = ""
     for item in section:
@@ -75,7 +75,7 @@ def explained(section: Section) -> Iterator[tuple[str, Measurement]]:
             yield why, item
 
 
-def table(rows: Mapping[str, T], columns: Mapping[str, Column[T]], kind: Callable[..., Measurement] = slow) -> Section:
+def table(rows: Mapping[str, T], columns: Mapping[str, Column[T]], kind: Callable[..., MeasuredCase] = slow) -> Section:
     """A measurement for each row and column, each of which has a name; they are `quick` or `slow`."""
     return [
         kind(what, by, expected if isinstance(expected, Expected) else expected(row), measure, row)

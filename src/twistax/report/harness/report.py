@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from .measurement import Measurement, Section, explained
+from .measurement import MeasuredCase, Section, explained
 from .page import as_svg, panels, table_of, texts
 from .rows import ReportRow
 from .store import Store
@@ -81,7 +81,7 @@ class SectionReport(Report):
                 progress(f"{it.what}, {it.by}", i / len(measurements))
                 self.store.add([it.run(part)])
 
-    def _measured(self, part: str) -> list[tuple[ReportRow, str, Measurement]]:
+    def _measured(self, part: str) -> list[tuple[ReportRow, str, MeasuredCase]]:
         """The rows there are, each with its sentence and its measurement."""
         rows = [(self.store.get(part, it.what, it.by), why, it) for why, it in self._sections[part]]
         return [(row, why, it) for row, why, it in rows if row]

@@ -13,7 +13,7 @@ import numpy as np
 from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
-from ..graph import Call, ScalarGraph
+from ..graph import OpaqueCall, ScalarGraph
 from ..primitives.interface import flat
 from ..primitives.operations import OPERATIONS
 from ..program import ScalarProgram, called_names
@@ -140,10 +140,10 @@ def without_barriers(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
     return function
 
 
-def _steps(form: ScalarProgram) -> list[_Piece | Call]:
+def _steps(form: ScalarProgram) -> list[_Piece | OpaqueCall]:
     """The program in order: pieces, and what it calls."""
     g = form.graph
-    steps: list[_Piece | Call] = []
+    steps: list[_Piece | OpaqueCall] = []
     called: set[int] = set()
     for i in form.live:
         call = g.call_of(i)

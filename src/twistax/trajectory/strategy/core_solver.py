@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from ..hessians.options import by_updates
 from ..hessians.quasi_newton import StageUpdates
 from ..start_units import StartUnits
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given, Point, Step
+from ..transcription.iterate import Instance, Iterate, Step
 from ..transcription.staged import Staged
 from .budget import Budget
 from .integration import CloseIntegration
@@ -42,8 +43,8 @@ _AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "boun
 class _Start(NamedTuple):
     """The start of a run, the data of its problem, and its units."""
 
-    point: Point
-    instance: Given
+    point: Iterate
+    instance: Instance
     units: StartUnits
 
 
@@ -63,7 +64,7 @@ class CoreSolver:
         made: IPOPT's and Fatrop's form of the problem, by solver.
     """
 
-    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Instance, tolerance: float) -> None:
         self.staged, self.tolerance, self._problems = staged, tolerance, problems
         self.transcribed = staged.transcribed
         self.busy, self.made = False, dict[Any, Any]()
@@ -79,27 +80,29 @@ class CoreSolver:
         self._exactly |= {"bound_relaxation": min(1e-8, _LEAST * tolerance)}
         self._exactly |= {"excess": _CLOSER * tolerance, "excess_acceptable": tolerance, "acceptable": tolerance / COST}
 
-    def alone(self, instance: Given) -> CoreSolver:
+    def alone(self, instance: Instance) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
-    def units(self, point: Point, instance: Given, *, is_guess: bool = False, with_rows: bool = True) -> StartUnits:
+    def units(
+        self, point: Iterate, instance: Instance, *, is_guess: bool = False, with_rows: bool = True
+    ) -> StartUnits:
         """Units at a start; the durations of a guess may be far too long."""
-        self.staged.set_given(instance)
+        self.staged.set_instance(instance)
         return StartUnits(self.staged, point, instance.limits if is_guess else None, with_rows=with_rows)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
         return {**self._exactly, "iterations": max_iterations}
 
-    def moved(self, point: Point, step: Step) -> Point:
+    def moved(self, point: Iterate, step: Step) -> Iterate:
         """A point after a step."""
         return self.staged.point(moved(self.staged.transcription, self.staged.flat(point), self.staged.step(*step)))
 
     def run_once(
         self,
-        start: Point | WarmStart,
-        instance: Given,
+        start: Iterate | WarmStart,
+        instance: Instance,
         max_iterations: int,
         budget: Budget | None = None,
         *,
@@ -119,7 +122,7 @@ class CoreSolver:
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         known = start.units if isinstance(start, WarmStart) and not as_stated else None
         if known is not None and known.fit(self.staged, point):
-            self.staged.set_given(instance)
+            self.staged.set_instance(instance)
             units = copy.copy(known)
         else:
             units = self.units(point, instance, is_guess=is_guess and not isinstance(start, WarmStart))
@@ -141,7 +144,7 @@ class CoreSolver:
                 return outcome
         return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
 
-    def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
+    def measured(self, point: Iterate, dynamics: Array, rows: Array, instance: Instance) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""
         start = _Start(point, instance, self.units(point, instance))
         return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
@@ -167,9 +170,9 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                limits = used.instance.limits
-                if StartUnits(self.staged, point, limits, with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, StartUnits(self.staged, point, limits))
+                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
+                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, measured())
                 return fresh is not None
 
             check.extra = is_misfit
@@ -250,8 +253,8 @@ class _IterationCheck:
 
 
 def _arrays(tree: Any) -> Any:
-    if isinstance(tree, Point):
-        return Point(*(_arrays(a) for a in tree))
+    if isinstance(tree, Iterate):
+        return Iterate(*(_arrays(a) for a in tree))
     if isinstance(tree, tuple):
         return tuple(map(_arrays, tree))
     return {name: np.asarray(a) for name, a in tree.items()} if isinstance(tree, dict) else np.asarray(tree)

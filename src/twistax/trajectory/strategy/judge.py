@@ -22,7 +22,7 @@ import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..transcription.points import Given
+from ..transcription.iterate import Instance
 from ..transcription.staged import Staged
 from .accuracy import Accuracy, Exceeded, FlatRow
 from .integration import CloseIntegration, Closely
@@ -50,7 +50,7 @@ class Judge:
         #: Rows |a|^2 <= b^2 in place of |a| <= b: their multipliers grow like 1 / b as b goes to zero.
         self._cones = np.isin(np.asarray(shooting.names, str), cones)
 
-    def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
+    def judged(self, outcome: Outcome, instance: Instance, mesh_tolerance: float, tolerance: float) -> Outcome:
         """The outcome with its accuracy, and with the status that follows from it.
 
         Args:
