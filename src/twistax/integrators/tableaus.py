@@ -284,7 +284,9 @@ class CollocationTableau(Coefficients):
             ModelError: the method does not estimate its error.
         """
         if not self.stiffly_accurate:
-            raise self._error("the last stage is not the end of the step, so it cannot choose its own steps")
+            raise self._error(
+                "the last stage is not the end of the step, so the method has no error estimate for adaptive steps"
+            )
         return self.stages + 1
 
 

@@ -197,7 +197,7 @@ def sorted_links(links: Iterable[Any], base: str) -> tuple[Link, ...]:
     if len(order) < len(links):
         left = sorted(set(known) - {link.name for link in order})
         raise ModelError(
-            f"the links {listed(left)} do not hang on the base.\n"
+            f"the links {listed(left)} are not connected to the base.\n"
             "  fix: a mechanism is a tree: follow parent= from each of them, one has to end in None"
         )
     return tuple(order)
