@@ -136,7 +136,7 @@ class Call(Expr, init=False):
             return jax.eval_shape(self._applied, *structs)
         except _NEEDS_NUMBERS as error:
             raise ModelError(
-                f"Function {self.name!r} needs concrete values of its arguments, which are not available while JAX traces it: "
+                f"Function {self.name!r} needs concrete values of its arguments, which tracing by JAX does not have: "
                 f"{_first_line(error)}\n"
                 "  fix: write it in jax.numpy and jax.lax; what cannot be is called by jax.pure_callback, with "
                 "derivatives by jax.custom_jvp"
