@@ -78,6 +78,11 @@ class SizeMeter:
             self._slack[part] = name in shooting.slacks
             if leaf_u.scale is not None:
                 self._u_declared[part] = np.ravel(leaf_u.scale)
+        #: Rows |a|^2 / (c s) <= c s have the unit of c s: where s is close to zero their derivatives say nothing of it.
+        first = {name: part.start for name, part in group.slices.items()}
+        first |= {name: n + part.start for name, part in self._controls.items()}
+        bounds = enumerate(shooting.path.norm_bounds)
+        self._norm_bounds = [(row, first[bound[0]], bound[1]) for row, bound in bounds if bound is not None]
         self._half_limits = 0.5 * np.subtract(*np.reshape(shooting.border.limits, (-1, 2)).T[::-1])
         self._fixed = np.isin(np.arange(n), shooting.layout.fixed) & ~shooting.free.d[0]
 
@@ -143,6 +148,10 @@ class SizeMeter:
         b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
         d, u, b = (usable(a) for a in (d, u, b))
         return Sizes(d, u, b, steers.any(axis=0), reserve)
+
+    def of_norm_bounds(self, sizes: Sizes) -> list[tuple[int, float]]:
+        """Path rows that bound norms, and their units."""
+        return [(row, factor * np.append(sizes.d, sizes.u)[at]) for row, at, factor in self._norm_bounds]
 
     def largest(self, point: Iterate) -> Array:
         """The largest value of each flat state, zero of others."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
+from ..solver.transcription import INEQUALITY
 from .sizes import Sizes
 from .transcription.evaluation import Evaluated, moved
 from .transcription.iterate import Iterate
@@ -56,6 +57,10 @@ class StartUnits:
         self.equalities: Array = np.zeros(0)
         if with_rows:
             self.rows, self.equalities = self._of_rows(staged, at, of_stages)
+            for part, places, sizes in zip(staged.parts, staged.transcription.path_places, self.parts):
+                for row, unit in part.meter.of_norm_bounds(sizes):
+                    at_row = places[..., row][part.phase.path[..., row] == INEQUALITY]
+                    self.rows[at_row] = np.minimum(self.rows[at_row], unit)
         steps = self._followed(at)
         change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes

@@ -142,7 +142,7 @@ void twx_least_squares_multipliers(twx_work *w) {
 
 static void set_barrier(twx_work *w) {
   const twx_options *o = w->options;
-  w->closer = 1, w->nearly = 0, w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
+  w->exactness = 1, w->acceptable_age = 0, w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
   w->identity = w->last_identity = w->softness = 0, w->weight = 0, w->filter_rows = 0;
 }
 

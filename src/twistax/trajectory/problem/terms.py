@@ -92,6 +92,18 @@ def bound_row(size: Expr, s: Expr) -> Expr:
     return (_square(size) / s - s if is_norm(size) else size - s).canonicalize()
 
 
+def norm_bound(row: Expr) -> tuple[str, float] | None:
+    """The name of the s in a row |a|^2 / (c s) - c s, as `bound_row` makes it, and c; None of any other row."""
+    terms = linear_terms(row)
+    if len(terms) != 2 or not isinstance(terms[0][1], Div) or not isinstance(terms[1][1], (State, Control)):
+        return None
+    (factor, quotient), (negative, s) = terms
+    below = linear_terms(quotient.children()[1])
+    if factor <= 0.0 or len(below) != 1 or below[0][0] != -negative or below[0][1].key() != s.key() or s.shape != ():
+        return None
+    return s.name, -negative
+
+
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:
     """(rows, ...) values of expressions of controls and parameters, for each row of the controls."""
     rows = max((len(values) for values in us.values()), default=1)
