@@ -37,7 +37,7 @@ class Subspaces:
     constraint_basis: Expr
 
     def actuation(self, F: ExprLike) -> Expr:
-        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a translation, N m for a rotation.
 
         Raises: ShapeError if F is not of shape (6,).
         """
@@ -77,11 +77,12 @@ class Screws(Subspaces):
     constraint_basis: Expr
 
     def in_frame(self, T: ExprLike) -> Screws:
-        """The same joint seen in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from frame b of these to a.
+        """The same joint expressed in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from this frame b to
+        a.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
-            ModelError: T is made of numbers and no pose.
+            ModelError: T is a numeric array and not a pose.
         """
         T_ab = pose("a change of frame of a joint", "the pose T", T)
         moved = SE3AdjointDual(T_ab)

@@ -131,25 +131,25 @@ def fast(
 ) -> Any:
     """A JAX function of pytrees of small arrays, compiled as scalars: `jax.jit` for small dense mathematics on the CPU.
 
-    XLA runs a function as a chain of operations on arrays, some 50 ns each, far more than the arithmetic of a 3x3
-    matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
-    llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices.
-    `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
-    iterations. Batches of `jax.vmap` run side by side in the processor's vectors, or in the threads of a CUDA device.
-    What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
-    other devices. `fast(f).explain(*arguments)` says what became of it.
+    XLA runs a function as a chain of operations on arrays, some 50 ns each, much longer than the arithmetic of a 3x3
+    matrix takes. `fast` compiles the function to one scalar program without structural zeros and ones, and where
+    llvmlite is installed (`pip install "twistax[native]"`) to a kernel for this processor, or for CUDA devices.
+    `lax.scan`, `fori_loop` and `while_loop` with a scalar body become one kernel each, with all of their
+    iterations. Batches of `jax.vmap` run in vector lanes, or in the threads of a CUDA device.
+    Operations without a scalar form (libraries, large arrays, effects, random keys) are executed by JAX, as is
+    everything on other devices. `fast(f).explain(*arguments)` reports how each part runs.
 
-    Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
-    unless the backend is `tx.Native(tx.XLA(checked=True))`.
+    Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
+    x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
-    In single precision intermediate derivatives may leave the range of numbers. `jax.jacfwd(fast(f))` and
-    `jax.grad(fast(f))` differentiate the program in a form that keeps them in range. `fast(jax.jacfwd(f))` and
-    `fast(jax.grad(f))` compile the formulas of JAX, of which only those of quotients and powers are put into that form.
+    In single precision intermediate derivatives may overflow or underflow. `jax.jacfwd(fast(f))` and
+    `jax.grad(fast(f))` differentiate the program in a form that avoids this. `fast(jax.jacfwd(f))` and
+    `fast(jax.grad(f))` compile the formulas of JAX, and change only those of quotients and powers to that form.
 
     Args:
-        function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.
-        static_argnums, static_argnames: arguments that are no arrays, as in `jax.jit`; another value compiles anew.
-        backend: what runs the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
+        function: a pure function of pytrees of arrays. If omitted, `fast` is a decorator with options.
+        static_argnums, static_argnames: arguments that are not arrays, as in `jax.jit`; another value recompiles.
+        backend: the backend of the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
     Raises:
         ModelError: the function cannot be called; another backend.
     """
