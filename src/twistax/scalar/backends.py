@@ -51,6 +51,7 @@ class Emission:
     function: Callable[..., list[jax.Array]]  # pure and traceable
     program: ScalarProgram | None  # that it runs; None where it runs as arrays
     reason: str  # one sentence
+    few: bool = False  # whether it runs as arrays because it has few operations
 
 
 class StepCompiler:
@@ -162,7 +163,7 @@ class XLA(Backend):
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         arrays = as_arrays(closed)
         if array_operations(closed.jaxpr).total() < self.least:
-            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations")
+            return Emission(arrays, None, f"arrays: fewer than {self.least} scalar operations", few=True)
         try:
             program = self.scalarised(closed)
         except TooLarge as error:
@@ -172,7 +173,8 @@ class XLA(Backend):
         if count < self.least:
             # What parameters alone determine XLA computes once, before a loop, as long as it is in arrays.
             kind = "change with time and state, " if fixed else ""
-            return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
+            reason = f"arrays: {count} scalar operations {kind}fewer than {self.least}"
+            return Emission(arrays, None, reason, few=True)
         calls = emitted_form(program).calls if program.calls else []
         foreign = [c for c in calls if not known_inside(c.jaxpr.jaxpr)]
         if foreign:
@@ -243,10 +245,15 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
     closes over take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
+    return closed if is_pure(closed) else None
+
+
+def is_pure(closed: ClosedJaxpr) -> bool:
+    """Whether a jaxpr has a good program: see `pure`."""
     keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
-        return None
-    return closed if sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS else None
+        return False
+    return sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS
 
 
 def _steady(jaxpr: Jaxpr) -> bool:
@@ -270,6 +277,27 @@ def array_operations(jaxpr: Any) -> Counter[str]:
         elif not inner:
             counts[eqn.primitive.name] += sum(v.aval.size for v in eqn.outvars)
     return +counts
+
+
+#: Operations of one instruction.
+_SHORT = {"add", "add_any", "sub", "mul", "square", "neg", "abs", "max", "min", "select", "and", "or", "not"}
+_SHORT |= {"eq", "ne", "lt", "le", "gt", "ge"}
+#: Operations of one instruction that take as long as another: a division, a root, a function.
+_SHORT_PER_LONG = 10
+#: In a batch a kernel gains where it computes at least so many short operations for each number that it moves.
+_LEAST_PER_NUMBER = 2
+
+
+def outweighs_memory(jaxpr: Jaxpr) -> bool:
+    """Whether a function takes longer to compute than its arguments and results to read and write.
+
+    Only then batches of it gain by a kernel: it reads rows of members, XLA's loops whole columns.
+    """
+    counts = array_operations(jaxpr).items()
+    short = sum(count if name in _SHORT else _SHORT_PER_LONG * count for name, count in counts)
+    read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)}
+    moved = [*(v for v in jaxpr.invars if v in read), *jaxpr.outvars]
+    return short >= _LEAST_PER_NUMBER * sum(v.aval.size for v in moved)
 
 
 def _variables(jaxpr: Jaxpr) -> list[Any]:

@@ -26,7 +26,7 @@ from ..jax_inside import (
     scan_parts,
     weakly_kept,
 )
-from .array_primitive import Written, is_written
+from .array_primitive import Written, is_written, written_out
 from .backends import Backend, array_operations
 from .batch import Batch
 from .loops import Looped, Ring, loop
@@ -127,9 +127,8 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if is_written(eqn) and not eqn.params["batch"].depth:
-            inside: ClosedJaxpr | None = eqn.params["program"].program
-        else:
+        inside = written_out(eqn)
+        if inside is None:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
         if inside is None:
             variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))

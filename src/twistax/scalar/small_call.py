@@ -45,6 +45,11 @@ def inside_small_call() -> bool:
     return _INSIDE.get()
 
 
+def joins_program() -> bool:
+    """Whether the present trace becomes part of a small function or of a kernel."""
+    return _INSIDE.get() or _IN_KERNEL.get()
+
+
 @contextlib.contextmanager
 def whole_kernel() -> Iterator[None]:
     """Functions that are traced within this context are compiled as kernels, which include small calls."""

@@ -106,11 +106,20 @@ def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
     return None if eqn.params["batch"].depth else reader.inlined(eqn.params["program"].program, arrays)
 
 
+def _members(eqn: Any) -> int:
+    """How many members the batch has."""
+    return math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
+
+
 def _operations(eqn: Any) -> dict[str, int]:
     """Operations of all members of the batch."""
-    members = math.prod(eqn.outvars[0].aval.shape[: eqn.params["batch"].depth])
     counts: dict[str, int] = eqn.params["program"].program.counts()
-    return {name: members * count for name, count in counts.items()}
+    return {name: _members(eqn) * count for name, count in counts.items()}
+
+
+def _function(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+    """A function of arrays of this package, for one batch member."""
+    return None if eqn.params["batch"].depth else reader.read(eqn.params["program"].program, arrays)
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------
@@ -146,6 +155,13 @@ _CONTROL = [
     NORM,
     moving("scalar_program", _program, "program batch inside", moves=False, work=_operations),
     Entry("native_program", _program, "program batch inside", any_type=True, work=_operations),
+    moving(
+        "batched_function",
+        _function,
+        "program batch inside",
+        inside=lambda eqn: not eqn.params["batch"].depth,
+        repeats=_members,
+    ),
 ]
 
 #: By the name of the primitive.

@@ -18,12 +18,14 @@ from ....checks import instance, whole
 from ....errors import ModelError
 from ....jax_inside import ClosedJaxpr
 from ....progress import say_once
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
+from ...array_primitive import BatchedByKernel
+from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, is_pure, outweighs_memory, pure
 from ...batch import Rows
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import ScalarProgram
+from ...small_call import joins_program
 from ...walk import uncollected
 from .code import NotNative
 from .iterations import Iterations
@@ -217,9 +219,30 @@ class Auto(Native):
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         emission = self.scalars.emit(closed, fixed)
-        if emission.program is None or not installed():
+        if not installed():
             return emission
+        if emission.program is None:
+            return self._in_batches(closed, emission) if emission.few and is_pure(closed) else emission
         return self._native(emission.program, lambda: emission)
+
+    def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
+        """A function that runs as it is written alone, and as a kernel in batches."""
+
+        def scalars(closed: ClosedJaxpr) -> Derived | None:
+            if not outweighs_memory(closed.jaxpr):
+                return None
+            try:
+                return self._kernels(self.scalars.scalarised(closed))[0]
+            except TooLarge:
+                return None
+
+        program = BatchedByKernel(closed, scalars)
+
+        def function(*leaves: jax.Array) -> list[jax.Array]:
+            return emission.function(*leaves) if joins_program() else call_program(program, *leaves)
+
+        reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
+        return dataclasses.replace(emission, function=function, reason=reason)
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""
