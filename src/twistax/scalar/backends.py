@@ -90,6 +90,8 @@ class Backend(ABC):
 
     #: Operations on scalars from which on a call runs as a kernel; None: never.
     least: int | None = None
+    #: Entries beyond which arrays stay arrays, which may be batches; None: all stay arrays.
+    widest: int | None = None
 
     def __str__(self) -> str:
         """Its name, and the options that differ from the defaults."""
@@ -197,7 +199,7 @@ class XLA(Backend):
         if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
             raise TooLarge("one of the results is complex")
         ends = max((v.aval.size for v in [*closed.jaxpr.invars, *closed.jaxpr.outvars]), default=0)
-        widest = max((v.aval.size for v in _variables(closed.jaxpr)), default=0)
+        widest = max((v.aval.size for v in variables(closed.jaxpr)), default=0)
         work = array_operations(closed.jaxpr).total() if ends <= self.widest < widest else 0
         if widest <= self.widest or 0 < work <= _MOST_WORK * self.largest:
             program = self.scalars(closed, self.largest, limits)
@@ -250,7 +252,7 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
 
 def is_pure(closed: ClosedJaxpr) -> bool:
     """Whether a jaxpr has a good program: see `pure`."""
-    keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
+    keys = any(map(is_key, [*closed.jaxpr.constvars, *variables(closed.jaxpr)]))
     if closed.effects or is_traced(closed.consts) or keys:
         return False
     return sum(jnp.size(c) for c in closed.consts) <= _MOST_CONSTANTS
@@ -265,8 +267,13 @@ def array_operations(jaxpr: Any) -> Counter[str]:
     """Operations by name, with all entries of arrays and all iterations of loops; factorisations count by the cube of
     their size.
     """
+    return operations_of(jaxpr.eqns)
+
+
+def operations_of(eqns: Sequence[Any]) -> Counter[str]:
+    """The same for some equations."""
     counts: Counter[str] = Counter()
-    for eqn in jaxpr.eqns:
+    for eqn in eqns:
         entry = entry_of(eqn)
         inner = inner_jaxprs(eqn) if entry is None else entry.runs(eqn)
         for body in inner:
@@ -300,7 +307,7 @@ def outweighs_memory(jaxpr: Jaxpr) -> bool:
     return short >= _LEAST_PER_NUMBER * sum(v.aval.size for v in moved)
 
 
-def _variables(jaxpr: Jaxpr) -> list[Any]:
+def variables(jaxpr: Jaxpr) -> list[Any]:
     """All inputs and computed variables, also inside calls and loops."""
     return [*jaxpr.invars, *(v for eqn in all_equations(jaxpr) for v in eqn.outvars)]
 

@@ -17,7 +17,7 @@ from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as
 from .array_primitive import on_any_mesh
 from .backends import XLA, Backend, chosen
 from .jax_primitive import call_program
-from .segments import Whole, has_loops
+from .parts.segments import Whole, has_parts
 from .targets.llvm.backend import Native, installed
 
 P = ParamSpec("P")
@@ -117,7 +117,7 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if closed.effects or any(map(is_key, variables)):
         run = functools.partial(on_any_mesh, jaxpr_as_fun(closed))
         return run, ["arrays, as written: it has effects or random keys"]
-    if not has_loops(closed):
+    if not has_parts(closed, backend):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]
     program = Whole(closed, backend)
@@ -137,7 +137,8 @@ def fast(
     matrix takes. Here the function becomes one program of scalars without structural zeros and ones, and where
     llvmlite is installed (`pip install "twistax[native]"`) a kernel for this processor, or for CUDA devices.
     `lax.scan`, `fori_loop` and `while_loop` with a body of scalars become one kernel each, with all of their
-    iterations. Batches of `jax.vmap` run side by side in the processor's vectors, or in the threads of a CUDA device.
+    iterations. Batches of `jax.vmap`, around the function or inside of it, and of `lax.map` run side by side in the
+    processor's vectors, or in the threads of a CUDA device.
     What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
     other devices. `fast(f).explain(*arguments)` says what became of it.
 

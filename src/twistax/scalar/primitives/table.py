@@ -7,6 +7,7 @@ the entries of calls, loops and branches, and of functions with a derivative of 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from ...jax_inside import Unread, all_equations, closed, expansion, scan_parts
 from ...progress import say_once
 from .arithmetic import CONTRACTION, ELEMENTWISE, LINEAR_ALGEBRA
-from .entry import Entry, moving
+from .entry import Entry, Read, moving
 from .interface import Nodes, Reader, each, flat, nodes
 from .movement import INDEXING, MOVEMENT
 from .norms import NORM
@@ -101,9 +102,22 @@ def _equations(jaxpr: Any) -> int:
     return sum(1 for _ in all_equations(jaxpr))
 
 
-def _program(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """The scalars of a program of this package, for one batch member."""
-    return None if eqn.params["batch"].depth else reader.inlined(eqn.params["program"].program, arrays)
+def _of_one(read: Callable[[Reader, Any, Sequence[Nodes]], list[Nodes]]) -> Read:
+    """The scalars of a program of this package, for one batch member: a batch of one is one too."""
+
+    def scalars(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
+        depth, shared = eqn.params["batch"].depth, eqn.params["batch"].shared
+        if _members(eqn) != 1:
+            return None
+        alone = [a if k in shared else a.reshape(a.shape[depth:]) for k, a in enumerate(arrays)]
+        results = read(reader, eqn.params["program"].program, alone)
+        return [a.reshape((*[1] * depth, *a.shape)) for a in results]
+
+    return scalars
+
+
+_program = _of_one(lambda reader, program, arrays: reader.inlined(program, arrays))
+_function = _of_one(lambda reader, program, arrays: reader.read(program, arrays))
 
 
 def _members(eqn: Any) -> int:
@@ -115,11 +129,6 @@ def _operations(eqn: Any) -> dict[str, int]:
     """Operations of all members of the batch."""
     counts: dict[str, int] = eqn.params["program"].program.counts()
     return {name: _members(eqn) * count for name, count in counts.items()}
-
-
-def _function(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """A function of arrays of this package, for one batch member."""
-    return None if eqn.params["batch"].depth else reader.read(eqn.params["program"].program, arrays)
 
 
 # ---- the entries -----------------------------------------------------------------------------------------------------

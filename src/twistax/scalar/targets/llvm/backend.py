@@ -156,6 +156,10 @@ class Native(Backend):
         return _KernelSteps(self.scalars, self.runner)
 
     @property
+    def widest(self) -> int:  # type: ignore[override]
+        return self.scalars.widest
+
+    @property
     def runner(self) -> KernelRunner:
         """What runs its programs."""
         return KernelRunner(self.least, self.threads)

@@ -1,9 +1,10 @@
-"""A function of arrays with loops, in parts: straight parts as scalars, loops as kernels."""
+"""A function of arrays with loops and batches, in parts: straight parts as scalars, loops and batches as kernels."""
 
 from __future__ import annotations
 
 import dataclasses
 import functools
+from collections import Counter
 from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
@@ -11,51 +12,32 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ..jax_inside import (
+from ...jax_inside import (
     ClosedJaxpr,
     Literal,
     Unread,
-    all_equations,
-    alone,
     closed,
-    expansion,
-    inner_jaxprs,
     jaxpr_as_fun,
     parameters,
-    part,
     scan_parts,
     weakly_kept,
 )
-from .array_primitive import Written, is_written, written_out
-from .backends import Backend, array_operations
-from .batch import Batch
-from .loops import Looped, Ring, loop
-from .primitives.table import say_unread
-from .small_call import small_call
+from ..array_primitive import Written
+from ..backends import Backend, array_operations, operations_of, outweighs_memory, variables
+from ..batch import Batch
+from ..loops import Looped, Ring, loop
+from ..primitives.table import say_unread
+from ..small_call import small_call
+from .inlining import inlined
+from .members import BatchEquations
+from .part import Constants, Part, is_loop, read_by
 
-#: Loops of fewer operations on scalars, all iterations together, are unrolled.
-_UNROLLED = 2000
-_LOOPS = ("scan", "while")
-#: Constants of more entries are arguments of the parts.
-_LARGEST = 1000
-#: Calls of which nothing but the function matters, once derivatives are taken.
-_CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
-
-
-@dataclasses.dataclass(frozen=True)
-class Part:
-    """Some equations of a function, with the function that runs them.
-
-    Attributes:
-        inputs, outputs: variables of the jaxpr.
-        function: from the values of these to the values of those.
-        reason: a sentence for each thing that is said of it.
-    """
-
-    inputs: Sequence[Any]
-    outputs: Sequence[Any]
-    function: Callable[..., Sequence[Any]]
-    reasons: list[str]
+#: Maps with more entries of arrays, all members together, stay loops if their arrays would be in memory at once.
+_MOST_AT_ONCE = 10**8
+#: Batches of fewer members are unrolled, or stay arrays.
+_FEWEST = 4
+#: Of the lengths of axes that arrays have, how many are tried as the length of a batch.
+_TRIED = 4
 
 
 @weakly_kept
@@ -86,19 +68,20 @@ class Whole(Written):
 # ---- parting ---------------------------------------------------------------------------------------------------------
 
 
-def has_loops(program: ClosedJaxpr) -> bool:
-    """Whether a function has loops that are not unrolled."""
-    return any(map(_loops, _opened(program).jaxpr.eqns))
+def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
+    """Whether a function has loops that are not unrolled, or batches."""
+    program = inlined(program)
+    return any(map(is_loop, program.jaxpr.eqns)) or _batch(program, backend) is not None
 
 
 def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
     """The function that runs a jaxpr, and a sentence for each of its parts."""
-    program = _opened(program)
-    jaxpr = program.jaxpr
-    if not any(map(_loops, jaxpr.eqns)):
+    program = inlined(program)
+    jaxpr, batch = program.jaxpr, _batch(program, backend)
+    if batch is None and not any(map(is_loop, jaxpr.eqns)):
         emission = backend.emit(program)
         return emission.function, [emission.reason]
-    parts = _parts(program, backend)
+    parts = _parts(program, backend, batch)
 
     def run(*arguments: jax.Array) -> list[jax.Array]:
         values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
@@ -110,116 +93,104 @@ def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., li
     return run, [reason for step in parts for reason in step.reasons]
 
 
-def _opened(program: ClosedJaxpr) -> ClosedJaxpr:
-    """The same function with called functions inlined."""
-    avals: list[Any] = [v.aval for v in program.jaxpr.invars]
-    shapes = (jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals)
-    return jax.make_jaxpr(functools.partial(_evaluate, program))(*shapes)
+#: The kinds of parts, in the order in which those run that wait for the same loops and batches.
+_STRAIGHT, _BATCHED, _LOOPED = range(3)
 
 
-def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
-    jaxpr = program.jaxpr
-    values = dict(zip([*jaxpr.constvars, *jaxpr.invars], [*program.consts, *arguments], strict=True))
-
-    def value(v: Any) -> Any:
-        aval: Any = v.aval
-        return jnp.asarray(v.val, aval.dtype) if isinstance(v, Literal) else values[v]
-
-    for eqn in jaxpr.eqns:
-        name = eqn.primitive.name
-        inside = written_out(eqn)
-        if inside is None:
-            inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
-        if inside is None:
-            variables = list(dict.fromkeys(v for v in eqn.invars if not isinstance(v, Literal)))
-            outputs = jaxpr_as_fun(alone(jaxpr, eqn, variables))(*map(value, variables))
-        else:
-            outputs = _evaluate(inside, *map(value, eqn.invars))
-        values.update(zip(eqn.outvars, outputs, strict=True))
-    results: list[Any] = jaxpr.outvars
-    return [value(v) for v in results]
-
-
-def _loops(eqn: Any) -> bool:
-    """Whether an equation is a loop that is not unrolled, or has one in its branches."""
-    inside = [equation for inner in inner_jaxprs(eqn) for equation in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or any(is_written(e) or e.primitive.name == "while" for e in inside):
-        return eqn.primitive.name in (*_LOOPS, "cond")
-    if eqn.primitive.name == "cond":
-        return any(_loops(equation) for inner in inner_jaxprs(eqn) for equation in inner.jaxpr.eqns)
-    return eqn.primitive.name == "scan" and _operations(eqn) > _UNROLLED
-
-
-def _operations(eqn: Any) -> int:
-    return eqn.params["length"] * array_operations(closed(eqn.params["jaxpr"]).jaxpr).total()
-
-
-class _Constants:
-    """The values that depend on constants only, as small arrays: each part computes those that it reads.
-
-    Attributes:
-        made: the equations that do.
-        known: all the variables.
+def _parts(program: ClosedJaxpr, backend: Backend, batch: BatchEquations | None) -> list[Part]:
+    """The parts in order: equations that wait for no loop or batch, loops and batches, what waits for these, and so
+    on.
     """
-
-    def __init__(self, program: ClosedJaxpr) -> None:
-        self._jaxpr = program.jaxpr
-        consts = zip(program.jaxpr.constvars, program.consts, strict=True)
-        self._values = {v: c for v, c in consts if np.size(c) <= _LARGEST}
-        self.known, self.made = dict.fromkeys(self._values), []
-        for eqn in program.jaxpr.eqns:
-            small = all(v.aval.size <= _LARGEST for v in eqn.outvars)
-            if small and not _loops(eqn) and all(v in self.known for v in _read([eqn])):
-                self.made.append(eqn)
-                self.known.update(dict.fromkeys(eqn.outvars))
-
-    def close(self, eqns: Sequence[Any], outputs: Sequence[Any]) -> ClosedJaxpr:
-        """The jaxpr of equations, with those of the constants that they read; its inputs are what else they read."""
-        wanted = _read(eqns) | dict.fromkeys(v for v in outputs if not isinstance(v, Literal))
-        before: list[Any] = []
-        for eqn in reversed(self.made):
-            if any(v in wanted for v in eqn.outvars):
-                before.insert(0, eqn)
-                wanted |= _read([eqn])
-        written = {v for eqn in (*before, *eqns) for v in eqn.outvars}
-        inputs = [v for v in wanted if v not in self._values and v not in written]
-        constants = {v: c for v, c in self._values.items() if v in wanted}
-        return part(self._jaxpr, [*before, *eqns], inputs, outputs, constants)
-
-
-def _read(eqns: Iterable[Any]) -> dict[Any, None]:
-    """The variables that equations read, in order, including those that they compute."""
-    return dict.fromkeys(v for eqn in eqns for v in eqn.invars if not isinstance(v, Literal))
-
-
-def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
-    """The parts in order: equations that wait for no loop, loops, equations that wait for these, and so on."""
-    jaxpr, constants = program.jaxpr, _Constants(program)
-    made = set(map(id, constants.made))
+    jaxpr, constants = program.jaxpr, Constants(program)
+    made, members = set(map(id, constants.made)), {} if batch is None else batch.members
     after: dict[Any, int] = {}
-    groups: dict[tuple[int, bool], list[Any]] = {}
+    within: dict[Any, int] = {}  # for other equations of the batch
+    groups: dict[tuple[int, int], list[Any]] = {}
     for eqn in jaxpr.eqns:
         if id(eqn) not in made:
-            rank, loops = max((after.get(v, 0) for v in _read([eqn])), default=0), _loops(eqn)
-            groups.setdefault((rank, loops), []).append(eqn)
-            after.update(dict.fromkeys(eqn.outvars, rank + loops))
+            kind = _BATCHED if id(eqn) in members else _LOOPED if is_loop(eqn) else _STRAIGHT
+            ranks = {**after, **within} if kind == _BATCHED else after
+            rank = max((ranks.get(v, 0) for v in read_by([eqn])), default=0)
+            groups.setdefault((rank, kind), []).append(eqn)
+            after.update(dict.fromkeys(eqn.outvars, rank + (kind != _STRAIGHT)))
+            within.update(dict.fromkeys(eqn.outvars if kind == _BATCHED else (), rank))
     results = [v for v in jaxpr.outvars if not isinstance(v, Literal)]
     wanted = dict.fromkeys(results)
     parts = [_straight(constants, [], [v for v in wanted if v in constants.known], backend)]
-    for (_, loops), eqns in sorted(groups.items(), key=lambda group: group[0], reverse=True):
-        for chosen in [[eqn] for eqn in reversed(eqns)] if loops else [eqns]:
+    for (_, kind), eqns in sorted(groups.items(), key=lambda group: group[0], reverse=True):
+        for chosen in [[eqn] for eqn in reversed(eqns)] if kind == _LOOPED else [eqns]:
             outputs = [v for eqn in chosen for v in eqn.outvars if v in wanted]
-            if outputs:
-                new = _loop(constants, chosen[0], backend) if loops else _straight(constants, chosen, outputs, backend)
-                parts.append(new)
-                wanted.update(dict.fromkeys(new.inputs))
+            if not outputs:
+                continue
+            if kind == _LOOPED:
+                new = _loop(constants, chosen[0], backend)
+            elif kind == _BATCHED and batch is not None:
+                new = _batched(constants, chosen, outputs, backend, batch)
+            else:
+                new = _straight(constants, chosen, outputs, backend)
+            parts.append(new)
+            wanted.update(dict.fromkeys(new.inputs))
     return parts[::-1]
 
 
-def _straight(constants: _Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
+def _straight(constants: Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
     program = constants.close(eqns, outputs)
     emission, computes = backend.emit(program), array_operations(program.jaxpr).total() > 0
     return Part(program.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
+
+
+# ---- batches ---------------------------------------------------------------------------------------------------------
+
+
+def _batch(program: ClosedJaxpr, backend: Backend) -> BatchEquations | None:
+    """The equations of the batch on which a function computes most; None where scalars or arrays suit it better."""
+    sizes = Counter[int]()
+    for v in variables(program.jaxpr):
+        if backend.widest is not None and v.aval.size > backend.widest:
+            sizes.update({length: v.aval.size for length in v.aval.shape if length >= _FEWEST})
+    best, most = None, 0
+    for size, _ in sizes.most_common(_TRIED):
+        batch = BatchEquations(program.jaxpr, size)
+        work = operations_of([eqn for eqn in program.jaxpr.eqns if id(eqn) in batch.members]).total()
+        if work > most:
+            best, most = batch, work
+    return best if backend.least is not None and most >= backend.least else None
+
+
+def _suits_batches(member: ClosedJaxpr, size: int, backend: Backend) -> bool:
+    """Whether a map over members is to be a batch, which has what is computed of all of them in memory."""
+    entries = size * sum(v.aval.size for v in variables(member.jaxpr))
+    return size >= _FEWEST and backend.least is not None and outweighs_memory(member.jaxpr) and entries <= _MOST_AT_ONCE
+
+
+def _batched(
+    constants: Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend, batch: BatchEquations
+) -> Part:
+    """The part of a batch: its members side by side."""
+    member = batch.on_one(eqns, outputs)
+    is_known = [axis is None and v in constants.known for v, axis in member.inputs]
+    known = [v for (v, _), inside in zip(member.inputs, is_known, strict=True) if inside]
+    inputs = [name for name, inside in zip(member.inputs, is_known, strict=True) if not inside]
+    numbers, types = jaxpr_as_fun(constants.close([], known)), [v.aval.dtype for v in known]
+
+    def one(*values: Any) -> list[Any]:
+        constant, changing = iter(map(jnp.asarray, numbers(), types)), iter(values)
+        return member.run(*(next(constant if inside else changing) for inside in is_known))
+
+    shapes = []
+    for v, axis in inputs:
+        shape = [length for k, length in enumerate(v.aval.shape) if k != axis]
+        shapes.append(jax.ShapeDtypeStruct(tuple(shape), v.aval.dtype))
+    closed_member = jax.make_jaxpr(one)(*shapes)
+    if not outweighs_memory(closed_member.jaxpr):
+        return _straight(constants, eqns, outputs, backend)
+    run, reasons = emit_whole(closed_member, backend)
+    every = jax.vmap(run, [axis for _, axis in inputs], [0 if axis is None else axis for axis in member.results])
+
+    def function(*values: Any) -> list[Any]:
+        return [r if a is not None else r[0] for r, a in zip(every(*values), member.results, strict=True)]
+
+    return Part([v for v, _ in inputs], outputs, function, [f"batch of {batch.size:,}: {reason}" for reason in reasons])
 
 
 # ---- loops -----------------------------------------------------------------------------------------------------------
@@ -228,7 +199,7 @@ def _straight(constants: _Constants, eqns: Sequence[Any], outputs: Sequence[Any]
 class _Operands:
     """The arguments of an equation: those that constants determine, and the others, its inputs."""
 
-    def __init__(self, constants: _Constants, eqn: Any) -> None:
+    def __init__(self, constants: Constants, eqn: Any) -> None:
         self.is_known = [isinstance(v, Literal) or v in constants.known for v in eqn.invars]
         known = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if is_known]
         self.inputs = [v for v, is_known in zip(eqn.invars, self.is_known, strict=True) if not is_known]
@@ -254,7 +225,7 @@ def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
     )
 
 
-def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
+def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
     """A loop, or a branch with loops in it."""
     name, operands = eqn.primitive.name, _Operands(constants, eqn)
     if name == "cond":
@@ -285,8 +256,13 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     shapes += [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in avals[ring.fixed : ring.fixed + ring.state]]
     shapes += [jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in avals[ring.fixed + ring.state :]]
     inside = jax.make_jaxpr(step)(*shapes)
+    if ring.length is not None and not ring.state and _suits_batches(inside, ring.length, backend):
+        run, reasons = emit_whole(inside, backend)
+        every = jax.vmap(run, [*[None] * inner.fixed, *[0] * (len(shapes) - inner.fixed)], axis_size=ring.length)
+        reasons = [f"batch of {ring.length:,}: {reason}" for reason in reasons]
+        return Part(inputs, eqn.outvars, lambda *values: every(*arguments(values)), reasons)
     # Loops inside of it that are not unrolled are kernels of their own.
-    around = has_loops(inside)
+    around = has_parts(inside, backend)
     kernel = None if around else backend.steps().looped(step, shapes, inner)
     if kernel is not None:
         results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
@@ -295,7 +271,9 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
         reason = f"{name}: all iterations in one kernel"
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
     if ring.length is None:
-        run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
+        ends_together = closed(eqn.params["cond_jaxpr"]).jaxpr.outvars[0].aval.size == 1
+        opens = around and ends_together
+        run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [f"{name}, as JAX has it"])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
     body, reasons = emit_whole(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)
@@ -324,7 +302,7 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
 
     def run(*values: Any) -> list[jax.Array]:
         return jax.lax.while_loop(
-            lambda state: going(*values[:asking], *state)[0],
+            lambda state: going(*values[:asking], *state)[0].reshape(()),
             lambda state: body(*values[asking:fixed], *state),
             list(values[fixed:]),
         )
