@@ -98,6 +98,20 @@ def test_members_meet_between_batches() -> None:
     assert own.explain(x, plan, noise).startswith(f"batch of {ROWS}: native: 8")
 
 
+def test_long_programs_entry_by_entry_are_batches_of_entries() -> None:
+    """As scalars they would take LLVM twelve times as long."""
+
+    def long(x: jax.Array) -> jax.Array:
+        y = x
+        for k in range(150):
+            y = y + 0.01 * jnp.sin((1.0 + k) * y) * x if k % 3 else jnp.tanh(y) + x * jnp.exp(-(y**2))
+        return y
+
+    x = jnp.linspace(0.1, 1.0, 12)
+    assert tx.fast(long).explain(x).startswith("batch of 12: native")
+    np.testing.assert_allclose(tx.fast(long)(x), jax.jit(long)(x), rtol=1e-12)
+
+
 def test_a_batch_of_batches() -> None:
     a, xs = around(A, 30), around(X, 20)
     twice = jax.vmap(jax.vmap(recursion, (0, None)), (None, 0), out_axes=1)
@@ -165,6 +179,7 @@ MIXING: dict[str, Callable[[jax.Array], Any]] = {
     "set": lambda x: jnp.sin(x).at[2].set(0.5).at[:, 1].multiply(2.0).at[jnp.arange(3), 0].add(jnp.cos(x[:3, 1])),
     "sliced": lambda x: jax.lax.dynamic_slice(jnp.sin(x), (5, 0), (100, 3)) * jnp.cos(x[50:]),
     "padded": lambda x: jnp.pad(jnp.sin(x), ((1, 0), (0, 2)))[:-1, :3] * jnp.tanh(x),
+    "shifted": lambda x: jax.lax.pad(jnp.sin(x), 0.0, ((1, -1, 0), (0, 0, 0))) * jnp.cos(x),
     "sorted": lambda x: jnp.sort(jnp.sin(x), 0) * jnp.sort(jnp.cos(x), 1),
     "scan over members": lambda x: jax.lax.scan(lambda c, r: (jnp.sin(c + r), c * r), x[0], x),
     "carried with a shared one": lambda x: jax.lax.scan(lambda c, r: (jnp.sin(c) * r, r + c.sum()), x, jnp.arange(7.0)),

@@ -89,14 +89,9 @@ def _without(name: str, removes: bool = True) -> Rule:
 
 
 def _slice(eqn: Any, size: int, axes: Axes) -> tuple[Axes, Axes, Mapping[str, Any]]:
-    axis, p = _only(axes), eqn.params
-    if (
-        p["start_indices"][axis] != 0
-        or p["limit_indices"][axis] != size
-        or (p["strides"] or [1] * (axis + 1))[axis] != 1
-    ):
-        raise Mixed
-    return axes, [axis], {"limit_indices": of_length_one(p["limit_indices"], axis)}
+    """Of all members: the result is as long."""
+    axis = _only(axes)
+    return axes, [axis], {"limit_indices": of_length_one(eqn.params["limit_indices"], axis)}
 
 
 def _split(eqn: Any, size: int, axes: Axes) -> tuple[Axes, Axes, Mapping[str, Any]]:

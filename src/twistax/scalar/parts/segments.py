@@ -36,6 +36,9 @@ from .part import Constants, Part, is_loop, read_by
 _MOST_AT_ONCE = 10**8
 #: Batches of fewer members are unrolled, or stay arrays.
 _FEWEST = 4
+#: Programs of more operations take long to compile as scalars. They are batches of at least so many entries of arrays
+#: where nearly all operations are entry by entry.
+_LONG, _FEWEST_OF_LONG, _MOST_OF_LONG = 5000, 8, 0.95
 #: Of the lengths of axes that arrays have, how many are tried as the length of a batch.
 _TRIED = 4
 
@@ -144,11 +147,15 @@ def _straight(constants: Constants, eqns: Sequence[Any], outputs: Sequence[Any],
 
 def _batch(program: ClosedJaxpr, backend: Backend) -> BatchEquations | None:
     """The equations of the batch on which a function computes most; None where scalars or arrays suit it better."""
-    sizes = Counter[int]()
-    for v in variables(program.jaxpr):
-        if backend.widest is not None and v.aval.size > backend.widest:
-            sizes.update({length: v.aval.size for length in v.aval.shape if length >= _FEWEST})
-    best, most = None, 0
+    if backend.widest is None:
+        return None
+    sizes, total, shortest = Counter[int](), operations_of(program.jaxpr.eqns).total(), _FEWEST
+    arrays = [v.aval for v in variables(program.jaxpr) if v.aval.size > backend.widest]
+    if not arrays and total > _LONG:
+        arrays, shortest = [v.aval for v in variables(program.jaxpr)], _FEWEST_OF_LONG
+    for aval in arrays:
+        sizes.update({length: aval.size for length in aval.shape if length >= shortest})
+    best, most = None, 0 if shortest == _FEWEST else _MOST_OF_LONG * total
     for size, _ in sizes.most_common(_TRIED):
         batch = BatchEquations(program.jaxpr, size)
         work = operations_of([eqn for eqn in program.jaxpr.eqns if id(eqn) in batch.members]).total()
