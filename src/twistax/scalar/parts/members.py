@@ -16,6 +16,9 @@ from ...jax_inside import ClosedJaxpr, Literal, Unread, alone, closed, jaxpr_as_
 from .inlining import inlined, value_of
 from .member_rules import RULES, Axes, Mixed, Rule, length_of, of_length_one
 
+#: Operations of all members with an array of more entries, as a product with a large matrix, are left to XLA.
+_MOST_SHARED = 400
+
 
 class OneMember(NamedTuple):
     """An equation on one member, along an axis of length one.
@@ -37,12 +40,15 @@ def one_member(eqn: Any, size: int, axes: Axes) -> OneMember:
         size: the length of the batch.
         axes: the axes of the operands that are known, at least one.
     Raises:
-        Mixed: it mixes members.
+        Mixed: it mixes members, or suits arrays better.
     """
     rule = _LOOPS.get(eqn.primitive.name) or RULES.get(eqn.primitive.name)
     if rule is None:
         raise Mixed
     operands, results, changed = rule(eqn, size, axes)
+    shared = [v.aval.size for v, axis in zip(eqn.invars, operands, strict=True) if axis is None]
+    if eqn.primitive.name not in _LOOPS and max(shared, default=0) > _MOST_SHARED:
+        raise Mixed
     if any(known is not None and known != axis for known, axis in zip(axes, operands, strict=True)):
         raise Mixed
     for v, axis in zip((*eqn.invars, *eqn.outvars), (*operands, *results), strict=True):

@@ -4,19 +4,39 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Iterable, Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from ...jax_inside import ClosedJaxpr, Literal, all_equations, closed, inner_jaxprs, part
 from ..array_primitive import is_written
-from ..backends import array_operations
+from ..backends import Emission, array_operations
 
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.
 _UNROLLED = 2000
 _LOOPS = ("scan", "while")
 #: Constants of more entries are arguments of the parts.
 _LARGEST = 1000
+
+
+class Reason(NamedTuple):
+    """Why something runs as it does.
+
+    Attributes:
+        text: one sentence.
+        gains: whether that is faster than what JAX makes of it.
+    """
+
+    text: str
+    gains: bool
+
+    def within(self, what: str) -> Reason:
+        """The same of what stands within a loop, a branch or a batch."""
+        return Reason(f"{what}: {self.text}", self.gains)
+
+
+def reason_of(emission: Emission) -> Reason:
+    return Reason(emission.reason, emission.program is not None)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -26,13 +46,13 @@ class Part:
     Attributes:
         inputs, outputs: variables of the jaxpr.
         function: from the values of these to the values of those.
-        reason: a sentence for each thing that is said of it.
+        reasons: why it runs as it does.
     """
 
     inputs: Sequence[Any]
     outputs: Sequence[Any]
     function: Callable[..., Sequence[Any]]
-    reasons: list[str]
+    reasons: list[Reason]
 
 
 def is_loop(eqn: Any) -> bool:

@@ -27,10 +27,10 @@ from ..backends import Backend, array_operations, operations_of, outweighs_memor
 from ..batch import Batch
 from ..loops import Looped, Ring, loop
 from ..primitives.table import say_unread
-from ..small_call import small_call
+from ..small_call import known_inside, small_call
 from .inlining import inlined
 from .members import BatchEquations
-from .part import Constants, Part, is_loop, read_by
+from .part import Constants, Part, Reason, is_loop, read_by, reason_of
 
 #: Maps with more entries of arrays, all members together, stay loops if their arrays would be in memory at once.
 _MOST_AT_ONCE = 10**8
@@ -57,7 +57,7 @@ class Whole(Written):
         self.backend = backend
 
     @functools.cached_property
-    def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+    def parts(self) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
         """The function for platforms with kernels, and a reason for each part."""
         return emit_whole(self.program, self.backend)
 
@@ -77,13 +77,13 @@ def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
     return any(map(is_loop, program.jaxpr.eqns)) or _batch(program, backend) is not None
 
 
-def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
-    """The function that runs a jaxpr, and a sentence for each of its parts."""
+def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
+    """The function that runs a jaxpr, and a reason for each of its parts."""
     program = inlined(program)
     jaxpr, batch = program.jaxpr, _batch(program, backend)
     if batch is None and not any(map(is_loop, jaxpr.eqns)):
         emission = backend.emit(program)
-        return emission.function, [emission.reason]
+        return emission.function, [reason_of(emission)]
     parts = _parts(program, backend, batch)
 
     def run(*arguments: jax.Array) -> list[jax.Array]:
@@ -139,7 +139,7 @@ def _parts(program: ClosedJaxpr, backend: Backend, batch: BatchEquations | None)
 def _straight(constants: Constants, eqns: Sequence[Any], outputs: Sequence[Any], backend: Backend) -> Part:
     program = constants.close(eqns, outputs)
     emission, computes = backend.emit(program), array_operations(program.jaxpr).total() > 0
-    return Part(program.jaxpr.invars, outputs, emission.function, [emission.reason] if computes else [])
+    return Part(program.jaxpr.invars, outputs, emission.function, [reason_of(emission)] if computes else [])
 
 
 # ---- batches ---------------------------------------------------------------------------------------------------------
@@ -197,7 +197,8 @@ def _batched(
     def function(*values: Any) -> list[Any]:
         return [r if a is not None else r[0] for r, a in zip(every(*values), member.results, strict=True)]
 
-    return Part([v for v, _ in inputs], outputs, function, [f"batch of {batch.size:,}: {reason}" for reason in reasons])
+    reasons = [reason.within(f"batch of {batch.size:,}") for reason in reasons]
+    return Part([v for v, _ in inputs], outputs, function, reasons)
 
 
 # ---- loops -----------------------------------------------------------------------------------------------------------
@@ -227,9 +228,8 @@ def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
         index, *arguments = operands.joined(values)
         return jax.lax.switch(index, [run for run, _ in branches], *arguments)
 
-    return Part(
-        operands.inputs, eqn.outvars, switched, [f"branch: {why}" for _, reasons in branches for why in reasons]
-    )
+    said = [reason.within("branch") for _, reasons in branches for reason in reasons]
+    return Part(operands.inputs, eqn.outvars, switched, said)
 
 
 def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
@@ -246,7 +246,9 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         ring, iteration = _iteration(eqn)
     except Unread as error:
         say_unread(error)
-        return Part(inputs, eqn.outvars, lambda *values: as_it_is(*joined(values)), [f"{name}, as JAX has it"])
+        return Part(
+            inputs, eqn.outvars, lambda *values: as_it_is(*joined(values)), [Reason(f"{name}, as JAX has it", False)]
+        )
     is_inside = operands.is_known[: ring.fixed]
     inner = dataclasses.replace(ring, fixed=is_inside.count(False))
 
@@ -266,7 +268,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
     if ring.length is not None and not ring.state and _suits_batches(inside, ring.length, backend):
         run, reasons = emit_whole(inside, backend)
         every = jax.vmap(run, [*[None] * inner.fixed, *[0] * (len(shapes) - inner.fixed)], axis_size=ring.length)
-        reasons = [f"batch of {ring.length:,}: {reason}" for reason in reasons]
+        reasons = [reason.within(f"batch of {ring.length:,}") for reason in reasons]
         return Part(inputs, eqn.outvars, lambda *values: every(*arguments(values)), reasons)
     # Loops inside of it that are not unrolled are kernels of their own.
     around = has_parts(inside, backend)
@@ -275,16 +277,17 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         results = [(v.aval.shape, np.dtype(v.aval.dtype)) for v in eqn.outvars]
         by_jax = lambda _, *a: as_it_is(*joined(a[: inner.fixed], ring.fixed), *a[inner.fixed :])  # noqa: E731
         looped = Looped(by_jax, results, kernel)
-        reason = f"{name}: all iterations in one kernel"
+        reason = Reason(f"{name}: all iterations in one kernel", True)
         return Part(inputs, eqn.outvars, lambda *values: loop(looped, ring.length or -1, arguments(values)), [reason])
+    small = known_inside(inside.jaxpr)  # as one small function a loop gains in any case
     if ring.length is None:
         ends_together = closed(eqn.params["cond_jaxpr"]).jaxpr.outvars[0].aval.size == 1
         opens = around and ends_together
-        run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [f"{name}, as JAX has it"])
+        run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [Reason(f"{name}, as JAX has it", small)])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
     body, reasons = emit_whole(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)
-    reasons = [f"{name}: {reason}" for reason in reasons]
+    reasons = [Reason(f"{name}: {reason.text}", reason.gains or small) for reason in reasons]
     return Part(inputs, eqn.outvars, lambda *values: small_call(run, *arguments(values)), reasons)
 
 
@@ -314,7 +317,7 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
             list(values[fixed:]),
         )
 
-    return run, [f"while: {reason}" for reason in (*reasons_of_condition, *reasons_of_body)]
+    return run, [reason.within("while") for reason in (*reasons_of_condition, *reasons_of_body)]
 
 
 def _iteration(eqn: Any) -> tuple[Ring, Callable[..., list[Any]]]:
