@@ -19,13 +19,13 @@ from .array_primitive import on_any_mesh
 from .backends import JAX, XLA, Backend, chosen
 from .jax_primitive import call_program
 from .parts.part import Reason, reason_of
-from .parts.segments import Whole, has_parts
+from .parts.segments import Segmented, has_parts
 from .targets.llvm.backend import Native, installed
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Variables of functions are changed for a while.
+#: For one thread at a time: variables of functions are replaced temporarily.
 _LOCK = threading.RLock()
 
 
@@ -88,7 +88,7 @@ class Fast(Generic[P, R]):
             # Of these JAX decides operation by operation.
             reason = Reason("arrays, as written: 64-bit arrays where jax_enable_x64 is off", False)
             return self._function(*args, **kwargs), [reason]
-        # Elsewhere JAX itself makes inputs of what a function closes over.
+        # Else JAX makes closed-over values inputs.
         over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []
 
@@ -116,8 +116,6 @@ class Fast(Generic[P, R]):
 
 
 class _Bound(functools.partial[Any]):
-    """A bound method."""
-
     def explain(self, *args: Any, **kwargs: Any) -> str:
         text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
         return text
@@ -132,7 +130,7 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if not has_parts(closed, backend):
         emission = backend.emit(closed)
         return emission.function, [reason_of(emission)]
-    program = Whole(closed, backend)
+    program = Segmented(closed, backend)
     return functools.partial(call_program, program), program.parts[1]
 
 

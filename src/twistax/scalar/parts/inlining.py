@@ -11,7 +11,7 @@ import jax.numpy as jnp
 from ...jax_inside import ClosedJaxpr, Literal, alone, closed, expansion, jaxpr_as_fun
 from ..array_primitive import written_out
 
-#: Calls of which nothing but the function matters, once derivatives are taken.
+#: Calls that are inlined once derivatives are taken.
 _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 
 

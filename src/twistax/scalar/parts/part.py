@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ...jax_inside import ClosedJaxpr, Literal, all_equations, closed, inner_jaxprs, part
-from ..array_primitive import is_written
+from ..array_primitive import is_array_program
 from ..backends import Emission, array_operations
 
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.
@@ -58,7 +58,7 @@ class Part:
 def is_loop(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
     inside = [equation for inner in inner_jaxprs(eqn) for equation in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or any(is_written(e) or e.primitive.name == "while" for e in inside):
+    if eqn.primitive.name == "while" or any(is_array_program(e) or e.primitive.name == "while" for e in inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
         return any(is_loop(equation) for inner in inner_jaxprs(eqn) for equation in inner.jaxpr.eqns)
@@ -89,7 +89,7 @@ class Constants:
                 self.known.update(dict.fromkeys(eqn.outvars))
 
     def close(self, eqns: Sequence[Any], outputs: Sequence[Any]) -> ClosedJaxpr:
-        """The jaxpr of equations, with those of the constants that they read; its inputs are what else they read."""
+        """The jaxpr of equations, with the constants that they read; its inputs are the other variables they read."""
         wanted = read_by(eqns) | dict.fromkeys(v for v in outputs if not isinstance(v, Literal))
         before: list[Any] = []
         for eqn in reversed(self.made):

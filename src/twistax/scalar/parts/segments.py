@@ -22,11 +22,11 @@ from ...jax_inside import (
     scan_parts,
     weakly_kept,
 )
-from ..array_primitive import Written
+from ..array_primitive import ArrayProgram
 from ..backends import Backend, array_operations, operations_of, outweighs_memory, variables
-from ..batch import Batch
 from ..loops import Looped, Ring, loop
 from ..primitives.table import say_unread
+from ..program import Batch
 from ..small_call import known_inside, small_call
 from .inlining import inlined
 from .members import BatchEquations
@@ -44,7 +44,7 @@ _TRIED = 4
 
 
 @weakly_kept
-class Whole(Written):
+class Segmented(ArrayProgram):
     """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:
@@ -59,16 +59,16 @@ class Whole(Written):
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
         """The function for platforms with kernels, and a reason for each part."""
-        return emit_whole(self.program, self.backend)
+        return emit_segments(self.program, self.backend)
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         return batch.each(self.parts[0], arguments)
 
-    def made(self, program: ClosedJaxpr) -> Whole:
-        return Whole(program, self.backend)
+    def made(self, program: ClosedJaxpr) -> Segmented:
+        return Segmented(program, self.backend)
 
 
-# ---- parting ---------------------------------------------------------------------------------------------------------
+# ---- segments --------------------------------------------------------------------------------------------------------
 
 
 def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
@@ -77,7 +77,7 @@ def has_parts(program: ClosedJaxpr, backend: Backend) -> bool:
     return any(map(is_loop, program.jaxpr.eqns)) or _batch(program, backend) is not None
 
 
-def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
+def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
     """The function that runs a jaxpr, and a reason for each of its parts."""
     program = inlined(program)
     jaxpr, batch = program.jaxpr, _batch(program, backend)
@@ -191,7 +191,7 @@ def _batched(
     closed_member = jax.make_jaxpr(one)(*shapes)
     if not outweighs_memory(closed_member.jaxpr):
         return _straight(constants, eqns, outputs, backend)
-    run, reasons = emit_whole(closed_member, backend)
+    run, reasons = emit_segments(closed_member, backend)
     every = jax.vmap(run, [axis for _, axis in inputs], [0 if axis is None else axis for axis in member.results])
 
     def function(*values: Any) -> list[Any]:
@@ -222,14 +222,14 @@ class _Operands:
 
 def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
     """A branch with loops in it."""
-    branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
+    branches = [emit_segments(closed(branch), backend) for branch in eqn.params["branches"]]
 
     def switched(*values: Any) -> Any:
         index, *arguments = operands.joined(values)
         return jax.lax.switch(index, [run for run, _ in branches], *arguments)
 
-    said = [reason.within("branch") for _, reasons in branches for reason in reasons]
-    return Part(operands.inputs, eqn.outvars, switched, said)
+    all_reasons = [reason.within("branch") for _, reasons in branches for reason in reasons]
+    return Part(operands.inputs, eqn.outvars, switched, all_reasons)
 
 
 def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
@@ -266,7 +266,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
     shapes += [jax.ShapeDtypeStruct(a.shape[1:], a.dtype) for a in avals[ring.fixed + ring.state :]]
     inside = jax.make_jaxpr(step)(*shapes)
     if ring.length is not None and not ring.state and _suits_batches(inside, ring.length, backend):
-        run, reasons = emit_whole(inside, backend)
+        run, reasons = emit_segments(inside, backend)
         every = jax.vmap(run, [*[None] * inner.fixed, *[0] * (len(shapes) - inner.fixed)], axis_size=ring.length)
         reasons = [reason.within(f"batch of {ring.length:,}") for reason in reasons]
         return Part(inputs, eqn.outvars, lambda *values: every(*arguments(values)), reasons)
@@ -285,7 +285,7 @@ def _loop(constants: Constants, eqn: Any, backend: Backend) -> Part:
         opens = around and ends_together
         run, reasons = _while_around(eqn, backend) if opens else (as_it_is, [Reason(f"{name}, as JAX has it", small)])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
-    body, reasons = emit_whole(inside, backend if around else backend.in_loops())
+    body, reasons = emit_segments(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)
     reasons = [Reason(f"{name}: {reason.text}", reason.gains or small) for reason in reasons]
     return Part(inputs, eqn.outvars, lambda *values: small_call(run, *arguments(values)), reasons)
@@ -307,8 +307,8 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
     """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
-    going, reasons_of_condition = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
-    body, reasons_of_body = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+    going, reasons_of_condition = emit_segments(closed(eqn.params["cond_jaxpr"]), backend)
+    body, reasons_of_body = emit_segments(closed(eqn.params["body_jaxpr"]), backend)
 
     def run(*values: Any) -> list[jax.Array]:
         return jax.lax.while_loop(
