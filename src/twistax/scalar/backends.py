@@ -302,7 +302,7 @@ def outweighs_memory(jaxpr: Jaxpr) -> bool:
     counts = array_operations(jaxpr).items()
     short = sum(count if name in _SHORT else _SHORT_PER_LONG * count for name, count in counts)
     read = {v for eqn in jaxpr.eqns for v in eqn.invars if not isinstance(v, Literal)}
-    moved = [*(v for v in jaxpr.invars if v in read), *jaxpr.outvars]
+    moved: list[Any] = [*(v for v in jaxpr.invars if v in read), *jaxpr.outvars]
     return short >= _LEAST_PER_NUMBER * sum(v.aval.size for v in moved)
 
 

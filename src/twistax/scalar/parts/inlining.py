@@ -52,4 +52,5 @@ def _called(eqn: Any) -> tuple[ClosedJaxpr | None, list[Any]]:
 
 def value_of(v: Any, values: dict[Any, Any]) -> Any:
     """The value of an operand, a variable or a number, with its type."""
-    return jnp.asarray(v.val, v.aval.dtype) if isinstance(v, Literal) else values[v]
+    aval: Any = getattr(v, "aval", None)
+    return jnp.asarray(v.val, aval.dtype) if isinstance(v, Literal) else values[v]

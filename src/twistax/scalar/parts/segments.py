@@ -303,7 +303,7 @@ def _scanned(body: Callable[..., list[jax.Array]], ring: Ring, *values: Any) -> 
     return [*carried, *stacked]
 
 
-def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[Reason]]:
     """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
