@@ -74,3 +74,21 @@ box = SpatialInertia(mass=2.0, center_of_mass=[0.0, 0.0, 0.0], inertia=np.diag([
 hopper = Mechanism([Link(joints.Prismatic("leg", [0.0, 0.0, 1.0]), box, np.eye(4))])
 given = mechanics.given_forces(hopper, ["leg"], friction=0.6)
 list(given.controls), list(given.cones)
+
+# tx.mechanics.inverse_dynamics_regressor tx.mechanics.Regressor tx.mechanics.base_parameters tx.mechanics.BaseParameters
+from twistax import mechanics
+
+arm = mechanics.chain_models.equal_links(2)
+regressor = mechanics.inverse_dynamics_regressor(arm)
+regressor.matrix.shape, mechanics.base_parameters(arm).names[0]
+
+# tx.mechanics.identifiable_combinations
+W = np.array([[1.0, 2.0, 0.0], [2.0, 4.0, 0.0]])
+combinations = tx.mechanics.identifiable_combinations(W, ["a", "b", "c"])
+combinations.names, combinations.without_effect
+
+# tx.mechanics.physical_inertia tx.mechanics.log_cholesky
+from twistax.mechanics import SpatialInertia
+
+ten = tx.mechanics.log_cholesky(SpatialInertia(mass=2.0, inertia=np.eye(3)))
+tx.mechanics.physical_inertia(ten)
