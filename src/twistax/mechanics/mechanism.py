@@ -192,7 +192,7 @@ class Mechanism(KinematicTree):
         """The mechanism as the text of a URDF file. `load` reads the same mechanism back.
 
         Numbers are written to the last bit, those of Parameters with their default values. What URDF has no words for
-        is an error: closures, springs, armatures, gears, gravity other than (0, 0, -9.81), motors that some joints lack,
+        is an error: closures, springs, armatures, gears, gravity other than (0, 0, -9.81), motors that joints lack,
         meshes without a file, and joints that are `Helical` or `Cylindrical`.
 
         Args:
