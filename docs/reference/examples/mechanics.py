@@ -103,3 +103,10 @@ tx.mechanics.physical_inertia(ten)
 arm = tx.mechanics.chain_models.equal_links(3)
 result = tx.mechanics.reach(arm, {"joint2": np.array([0.3, 0.1, 0.05])}, seeds=2)
 tx.mechanics.Reached(int(result.status)), result.x["q"], result.distance
+
+# tx.mechanics.signed_distance tx.mechanics.HalfSpace
+from twistax.mechanics import HalfSpace, chain_models, signed_distance
+
+arm = chain_models.panda()
+height = signed_distance(tx.view.Sphere(0.1), HalfSpace(), arm.pose("joint7"))
+tx.lower(height)(0.0, {"q": np.zeros(7)})  # m
