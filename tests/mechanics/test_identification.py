@@ -15,7 +15,7 @@ from twistax import mechanics
 from twistax.errors import ModelError, ShapeError
 from twistax.mechanics import Drive, Link, Mechanism, SpatialInertia, joints
 
-EXAMPLES, OWN = Path(__file__).parents[2] / "examples", Path(__file__).parent / "models"
+EXAMPLES = Path(__file__).parents[2] / "examples"
 
 
 def both_sides(mechanism: Mechanism) -> dict[str, tx.Expr]:
@@ -25,7 +25,7 @@ def both_sides(mechanism: Mechanism) -> dict[str, tx.Expr]:
     return {"tau": tau, "Y": regressor.matrix, "theta": regressor.parameters}
 
 
-@pytest.mark.parametrize("path", [EXAMPLES / "panda.urdf", OWN / "hand.urdf"], ids=lambda path: path.stem)
+@pytest.mark.parametrize("path", [EXAMPLES / "panda.urdf", EXAMPLES / "arm.urdf"], ids=lambda path: path.stem)
 def test_as_pinocchio_has_it(path: Path) -> None:
     pin = pytest.importorskip("pinocchio", reason="pinocchio is not installed (extra twistax[peers])")
     from test_models_pinocchio import Pair

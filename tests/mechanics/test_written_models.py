@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from joints_of_every_kind import evaluated
 from mechanics_oracles import Cloud, body_of, pose
+from scipy.spatial.transform import Rotation
 from test_editing import four_bar, inputs, near, panda, random_state
 
 import twistax as tx
@@ -88,6 +89,20 @@ def test_a_tree_with_every_kind_of_joint_of_both_formats(how: str, tmp_path: Pat
         for mine, theirs in zip(link.shapes, shapes, strict=True):
             assert (theirs.color, theirs.opacity) == (mine.color, mine.opacity)
             near(theirs.corners(), mine.corners())
+
+
+@pytest.mark.parametrize("how", ["urdf", "mjcf"])
+def test_mounts_at_all_angles(how: str, tmp_path: Path) -> None:
+    rng, quarter = np.random.default_rng(0), np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
+    body = body_of(Cloud.random(rng, 5))
+    mounts = [pose(rng) for _ in range(8)]
+    for T, pitch in zip(mounts, (quarter, quarter.T), strict=False):  # where roll and yaw are one angle
+        T[:3, :3] = Rotation.from_euler("z", 0.7).as_matrix() @ pitch
+    links = [Link(joints.Revolute(f"hinge{i}", AXIS), body, T) for i, T in enumerate(mounts)]
+    after = read_back(Mechanism(links), tmp_path, how)
+    for link in links:
+        near(after.link(link.name).mount.value, link.mount.value, 1e-14)
+        near(after.link(link.name).body.inertia.value, body.inertia.value, 1e-14)
 
 
 def test_urdf_read_by_pinocchio(tmp_path: Path) -> None:

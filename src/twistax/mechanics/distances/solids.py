@@ -17,7 +17,7 @@ from ..arguments import pose
 
 @dataclasses.dataclass(frozen=True)
 class HalfSpace:
-    """All points below a plane, such as the ground: z < 0 in the frame of the plane.
+    """All points below a plane, such as the ground: $z < 0$, in m, in the frame of the plane.
 
     Attributes:
         at: T (4, 4) of the plane in the frame that it belongs to; the identity by default.

@@ -28,7 +28,7 @@ class BaseParameters:
 
     Attributes:
         names: of the combinations, such as "link1.Izz + link2.Iyy".
-        combinations: C (r, p); r is the rank. The columns `columns` of C are the identity.
+        combinations: C (r, p), in units of the parameters; r is the rank. Its columns `columns` are the identity.
         columns: the numbers of r independent columns of the regressor: $Y theta = Y[:, columns] beta$.
         without_effect: names of parameters that no force depends on.
     """
@@ -48,7 +48,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
     """The combinations of parameters that measurements with the stacked regressor W (N, p) determine.
 
     The columns are taken in order. One whose distance from the span of those before it is below `tolerance` times its
-    length depends on them: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$.
+    length depends on them: $W_d = W_b K$, and with it $beta = theta_b + K theta_d$, in the units of the parameters.
 
     Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
 
@@ -99,7 +99,8 @@ def base_parameters(
 ) -> BaseParameters:
     """The combinations of inertial parameters that joint forces determine, if the mechanism may move in every way.
 
-    They are those of `identifiable_combinations` for the regressor at random positions, velocities and accelerations.
+    They are those of `identifiable_combinations`, $beta = C theta$, for the regressor at random positions, velocities
+    and accelerations. Units are those of `Regressor`.
 
     Source: M. Gautier, Numerical Calculation of the Base Inertial Parameters of Robots, J. of Robotic Systems 8 (1991).
 

@@ -53,6 +53,12 @@ def physical_inertia(parameters: ExprLike) -> SpatialInertia:
 def log_cholesky(body: SpatialInertia) -> NDArray[np.float64]:
     """The ten numbers (10,) of a body, the inverse of `physical_inertia`.
 
+    S is the upper triangular Cholesky factor of the second moment about the centre of mass, per kg:
+
+        $S S^T = (tr(I_c) 1 / 2 - I_c) / m, a = log(m) / 2, d = log(diag S)$.
+
+    Source: C. Rucker, P. Wensing, Smooth Parameterization of Rigid-Body Inertia (2022), equations 8 to 10.
+
     Args:
         body: with numbers for mass, centre of mass and inertia, or Parameters with values.
     Raises: ModelError for something else; a body that is flat, a line or a point, or that is not physical.
