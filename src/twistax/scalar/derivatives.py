@@ -1,4 +1,4 @@
-"""Derivatives on the graph: what is structurally zero in them is never computed."""
+"""Derivatives on the graph, without entries that are structurally zero."""
 
 from __future__ import annotations
 
@@ -136,7 +136,7 @@ def columns_of(
 
 
 def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
-    """node -> the tangents on which it may depend, as bits of a number."""
+    """node -> the tangents on which it may depend, as a bit mask."""
     tangents_of = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
     for i in program.live:
         if i not in tangents_of:
@@ -184,7 +184,7 @@ def _carried(
 
 
 def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
-    """The columns that some of the nodes may carry."""
+    """The bit mask of the columns of some nodes."""
     if wanted is None:
         return sorted(columns)
     mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in reached_nodes), 0)

@@ -1,4 +1,4 @@
-"""Scalars as the nodes of a graph in which equal nodes are one, and zeros and ones disappear.
+"""A graph of scalars, in which equal nodes are one node, and operations with zeros and ones are removed.
 
 A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
 results, so that the list is in an order in which nodes can be computed.
@@ -88,9 +88,9 @@ class ScalarGraph:
         self.largest = largest
         self.limits = limits
         self.signed_zeros = signed_zeros
-        #: Whether derivatives are being added, in which the sign of a zero means nothing.
+        #: Whether derivatives are being added, in which the sign of a zero has no effect.
         self.differentiating = False
-        #: Held while derivatives are added, which several threads may ask for.
+        #: The lock of threads that add derivatives.
         self.lock = threading.RLock()
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
@@ -145,7 +145,7 @@ class ScalarGraph:
         numbers = [self.numbers[a] for a in arguments]
         dtype = operation.result or self.dtypes[arguments[-1]]
         if None not in numbers:
-            # The same few numbers meet again and again.
+            # The same few numbers are combined many times.
             known = self._known.get((operation, *arguments))
             if known is None:
                 # As the emitter would: in the types of the arguments.
@@ -305,7 +305,7 @@ class ScalarGraph:
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
     def known(self, operation: Operation, *arguments: int) -> int | None:
-        """The node of an operation on other nodes, if there is one."""
+        """The node of an operation on nodes if the graph has it, else None."""
         return self._known.get((operation, *arguments))
 
     def input_of(self, node: int) -> tuple[int, int] | None:
@@ -314,7 +314,7 @@ class ScalarGraph:
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
 
     def reciprocal_of(self, node: int) -> int | None:
-        """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
+        """b of a node 1 / b; x^n of a node x^-n if the graph has it; else None."""
         entry = self.nodes[node]
         if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
             return self.known(_POW, entry[1], self.constant(-n))
@@ -325,7 +325,7 @@ class ScalarGraph:
         return entry[0] if isinstance(entry[0], Operation) else None
 
     def values(self, array: Nodes) -> NDArray[Any] | None:
-        """The numbers of an array of nodes where all are numbers."""
+        """The numbers of an array of nodes; None unless all are numbers."""
         numbers = [self.numbers[i] for i in flat(array)]
         if any(n is None for n in numbers):
             return None

@@ -54,7 +54,6 @@ def _mechanism(robot: str) -> Mechanism:
 
 @functools.cache
 def _points(robot: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Random states and controls of a batch."""
     system, rng = _mechanism(robot).system(), np.random.default_rng(20240611)
     x = {state.name: jnp.asarray(rng.normal(size=(_BATCH, *state.shape))) for state in system.states}
     if "root_position" in x:

@@ -18,8 +18,7 @@ from ...scalar.backends import Backend
 from ...scalar.derivatives import cotangent_program, jacobian
 from ...scalar.jax_primitive import Derived, call_program
 from ...scalar.program import ScalarProgram
-from ...scalar.reader import scalarize
-from ...scalar.rewriting import one_by_one
+from ...scalar.reader import one_by_one, scalarize
 from ...scalar.targets.llvm.backend import installed
 from ..harness.expected import Absent, at_most, between, needed
 from ..harness.measurement import MeasuredCase, Section, quick

@@ -60,7 +60,6 @@ def _tilted() -> float:
 
 @functools.cache
 def _ball() -> tx.Dynamics:
-    """A ball that is thrown."""
     h, v = tx.State("h"), tx.State("v")
     return tx.compile(tx.System(rates={h: v, v: -tx.Parameter("pull", value=10.0) + 0.0 * v}))
 

@@ -96,7 +96,6 @@ def top(moments: tuple[float, ...] = heavy_top.INERTIA) -> MovingBody:
 
 @functools.cache
 def _spin() -> MovingBody:
-    """A torque-free body on SO(3)."""
     return _of_rotation(SCENES["euler-top"].system, "euler-top", np.array([1.0, 2.0, 3.0]))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -35,8 +36,9 @@ _TURN, _CHANGE = 1.5, 0.2
 _FITTED_AT, _MISFIT = (7, 30, 80), 10.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
-#: Options that change nothing of a start: it is only measured.
-_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+#: Options that change nothing of a start: it is only measured, however large its error is.
+_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-20, "bound_push": 0.0, "warm_range": 1e300}
+_AS_IT_IS |= {"acceptable": 1e300}
 
 
 class _Start(NamedTuple):
@@ -136,12 +138,14 @@ class CoreSolver:
         check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
-        warm, violated = self._warm(begin, start.dynamics, start.rows)
-        if violated <= self.tolerance:
-            outcome = self._as_it_is(warm, begin)
-            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
-                return outcome
-        return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
+        warm, distance = self._warm(begin, start.dynamics, start.rows)
+        if distance <= self.tolerance:
+            for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
+                outcome = self._as_it_is(warm, begin._replace(units=units_of))
+                if outcome.status is Status.SOLVED:
+                    return outcome
+                distance = max(distance, outcome.errors.stationarity / COST)
+        return self.measure.outcome(self._call(begin, {**options, **_near(distance)}, warm, check), units, instance)
 
     def measured(self, point: Iterate, dynamics: Array, rows: Array, instance: Instance) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""
@@ -150,7 +154,7 @@ class CoreSolver:
 
     def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
         """The optimality errors of a warm start."""
-        result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        result = self._call(start, {**self._exactly, **_AS_IT_IS}, warm)
         return self.measure.outcome(result, start.units, start.instance, warm=True)
 
     def _from_point(
@@ -169,9 +173,9 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                limits = used.instance.limits
-                if StartUnits(self.staged, point, limits, with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, StartUnits(self.staged, point, limits))
+                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
+                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, measured())
                 return fresh is not None
 
             check.extra = is_misfit
@@ -227,9 +231,11 @@ class CoreSolver:
         return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
 
 
-def _near(violated: float) -> dict[str, float]:
-    """Options that keep the iterates near a warm start: the larger its violation, the larger the initial barrier."""
-    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+def _near(distance: float) -> dict[str, float]:
+    """Options that keep the iterates near a warm start: the larger its violation, and where there is none the gradient
+    of its Lagrangian, the larger the initial barrier.
+    """
+    barrier = float(np.clip(_WARM_SHARE * distance, _WARM_LEAST, _WARM_MOST))
     push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
     return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
 

@@ -110,6 +110,7 @@ class Measure:
             float(gap / units.cost),
             float(numbers["excess"] / numbers["worth"]) if numbers["worth"] > 0.0 else np.nan,
         )
+        ended = status or self._status(result, float(violated.max(initial=0.0)), errors)
         return Outcome(
             point=point,
             values=Values(at.cost[0], defects, rows),
@@ -120,9 +121,9 @@ class Measure:
             slack=slack,
             violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
-            status=status or self._status(result, float(violated.max(initial=0.0)), errors),
+            status=ended,
             iterations=max(int(numbers["iterations"]), int(not warm)),
-            saddle=result.status in (CoreStatus.SOLVED, CoreStatus.ACCEPTABLE) and not numbers["minimum"],
+            saddle=ended in (Status.SOLVED, Status.ACCEPTABLE) and not numbers["minimum"],
             units=units,
         )
 

@@ -7,6 +7,7 @@ points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -81,6 +82,9 @@ class Staged:
                     in_v.append(at_v[:, part.shooting.dynamics.group.slices[name]].ravel())
                     in_z.append(at_z[:, part.point.places(name)].ravel())
         self.plain = np.concatenate(in_z), np.concatenate(in_v)
+        flat = np.full(stages.variables, -1, np.int32)
+        flat[self.plain[1]] = self.plain[0]
+        self.transcription.functions = dataclasses.replace(self.transcription.functions, flat=flat)
         self.curved = np.ones(stages.points, bool)
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
