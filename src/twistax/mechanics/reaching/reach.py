@@ -7,7 +7,7 @@ import enum
 import functools
 import math
 from collections.abc import Mapping
-from typing import Any
+from typing import Any, SupportsIndex
 
 import jax
 import jax.numpy as jnp
@@ -76,7 +76,7 @@ class Reach:
     frames: tuple[str, ...]
     joints: tuple[str, ...]
 
-    def stopped_by(self, *index: int) -> tuple[str, ...]:
+    def stopped_by(self, *index: SupportsIndex) -> tuple[str, ...]:
         """The joints whose limits stop the best seed of one target."""
         return tuple(dict.fromkeys(self.joints[i] for i in np.flatnonzero(np.asarray(self.at_limit[index]))))
 
@@ -246,7 +246,7 @@ class _Reacher:
         wanted = jnp.concatenate([self._feature(name, targets[name]) for name in self._frames], axis=1)
         features = jnp.asarray(self._features, dtype=wanted.dtype)
         far = jnp.sum(features**2, axis=1)[None] - 2.0 * wanted @ features.T  # but for what all candidates share
-        best = jnp.argmin(far.reshape(len(wanted), self._seeds, -1), axis=2)
+        best = jnp.argmin(far.reshape(len(wanted), self._seeds, features.shape[0] // self._seeds), axis=2)
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
