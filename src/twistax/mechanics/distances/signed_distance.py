@@ -130,7 +130,7 @@ def _separation(a: Rounded, b: Rounded, R: Expr, p: Expr) -> Expr:
 
     def along(n: Expr) -> Expr:
         """The gap along an axis n in the frame of a."""
-        size = Abs(Dot(n, p))
+        size: Expr = Abs(Dot(n, p))
         for i in a.directions:
             size = size - float(a.half[i]) * Abs(n[i])
         for j in b.directions:

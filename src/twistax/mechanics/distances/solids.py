@@ -61,7 +61,7 @@ class Rounded:
         return np.unique(np.where(np.arange(3) == i, 0.0, corners), axis=0)
 
 
-def rounded(owner: str, shape: Shape) -> Rounded:
+def rounded(owner: str, shape: Shape | HalfSpace) -> Rounded:
     """A shape as a core and a radius. Raises ModelError for other shapes."""
     if isinstance(shape, Sphere):
         return Rounded(shape.at, np.zeros(3), float(shape.radius))

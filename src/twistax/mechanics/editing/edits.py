@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Callable, Collection, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -162,15 +162,16 @@ def attached(mechanism: KinematicTree, other: KinematicTree, frame: str | None, 
 
 def _need_other_names(owner: str, mechanism: KinematicTree, other: KinematicTree) -> None:
     """Raise ModelError for names that both have."""
-    for kind, ours, theirs in (
-        ("frames", set(mechanism.frames), set(other.frames)),
-        ("joints", *({link.joint.name for link in tree.links} for tree in (mechanism, other))),
-        ("closures", *({loop.name for loop in tree.loops} for tree in (mechanism, other))),
-    ):
-        if ours & theirs:
+    kinds: dict[str, Callable[[KinematicTree], set[str]]] = {
+        "frames": lambda tree: set(tree.frames),
+        "joints": lambda tree: {link.joint.name for link in tree.links},
+        "closures": lambda tree: {loop.name for loop in tree.loops},
+    }
+    for kind, names in kinds.items():
+        both = names(mechanism) & names(other)
+        if both:
             raise ModelError(
-                f"{owner}: both have {kind} named {listed(sorted(ours & theirs))}.\n"
-                "  fix: attach(other.renamed('left_'), ...)"
+                f"{owner}: both have {kind} named {listed(sorted(both))}.\n  fix: attach(other.renamed('left_'), ...)"
             )
 
 

@@ -76,18 +76,18 @@ def _turned(child: Link, parent: Link, names: set[str], joints: set[str]) -> Ite
         )
     carried: dict[str, Any] = {"body": parent.body, "name": parent.name, "shapes": parent.shapes}
     (mount,) = canonicalize_all([Inverse(child.mount)])
-    moves = {"drive": child.drive, "mimic": child.mimic, "parent": child.name}
+    arguments: dict[str, Any] = {"drive": child.drive, "mimic": child.mimic, "parent": child.name}
     joint = child.joint.reversed()
     if isinstance(joint, Fixed):
         yield Link(joint, mount=mount, parent=child.name, **carried)
     elif _is_unit(mount):
-        yield Link(joint, mount=_UNIT, **moves, **carried)
+        yield Link(joint, mount=_UNIT, **arguments, **carried)
     else:
         between = free_name(f"{parent.name} at {joint.name}", names)
         names.add(between)
         fixed = Fixed(free_name(f"{parent.name} fixed", joints))
         joints.add(fixed.name)
-        yield Link(joint, None, _UNIT, name=between, **moves)
+        yield Link(joint, None, _UNIT, name=between, **arguments)
         yield Link(fixed, mount=mount, parent=between, **carried)
 
 

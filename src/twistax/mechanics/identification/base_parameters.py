@@ -56,7 +56,7 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
         W: regressors of all samples, one under the other, of real motions or random ones.
         names: of the p parameters.
         tolerance: (), between 0 and 1; that of measured motions is as large as their noise.
-    Raises: ModelError for something else; InputError for a W that is no matrix of finite numbers.
+    Raises: ModelError for something else, or entries that are not finite.
     """
     owner = "identifiable_combinations"
     matrix = reals(f"{owner}: W", W, ModelError).astype(np.float64)
@@ -75,17 +75,19 @@ def identifiable_combinations(W: Any, names: Sequence[str], tolerance: float = 1
         if np.linalg.norm(rest) > tolerance * lengths[j]:
             basis = np.column_stack([basis, rest / np.linalg.norm(rest)])
             columns.append(int(j))
-    C = np.linalg.lstsq(matrix[:, columns], matrix, rcond=None)[0] if columns else np.zeros((0, len(names)))
+    C = np.zeros((0, len(names)))
+    if columns:
+        C = np.asarray(np.linalg.lstsq(matrix[:, columns], matrix, rcond=None)[0], dtype=np.float64)
     C[:, lengths <= floor] = 0.0
     C[:, columns] = np.eye(len(columns))
     C[np.abs(C) < _ZERO] = 0.0
-    without = tuple(str(names[j]) for j in np.flatnonzero(lengths <= floor))
+    without = tuple(names[int(j)] for j in np.flatnonzero(lengths <= floor))
     return BaseParameters(tuple(_sum_of(row, names) for row in C), C, tuple(columns), without)
 
 
 def _sum_of(row: NDArray[np.float64], names: Sequence[str]) -> str:
     """A combination as text."""
-    words = []
+    words = list[str]()
     for coefficient, name in zip(row, names, strict=True):
         if coefficient:
             size = "" if abs(abs(coefficient) - 1.0) < _ZERO else f"{abs(coefficient):.4g} "

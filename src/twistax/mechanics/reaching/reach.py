@@ -15,13 +15,12 @@ import numpy as np
 
 from ...checks import listed, number, short, whole
 from ...errors import InputError
-from ...expr import Solve, State
 from ...jax_inside import is_traced
 from ...scalar.fast import fast
 from ...system.lower import lower
 from ..algorithms.dynamics import checked
 from ..kinematic_tree import KinematicTree
-from .solver import Options, Solution, solver
+from .solver import SearchEnd, SearchOptions, SeededSearch
 from .tasks import Arrays, Tasks
 
 #: How far a target may be from a pose.
@@ -48,7 +47,7 @@ class Reached(enum.IntEnum):
     meta_fields=["frames", "joints"],
 )
 @dataclasses.dataclass(frozen=True)
-class Reach:
+class ReachResult:
     """The result of `reach`, with the leading axes of the targets.
 
     Attributes:
@@ -92,7 +91,7 @@ def reach(
     position_tolerance: float = 1e-5,
     angle_tolerance: float = 1e-5,
     iterations: int = 80,
-) -> Reach:
+) -> ReachResult:
     """Inverse kinematics within the limits of joints: positions at which frames are at poses, or at positions.
 
     It minimises $|e|^2$ with $e = [p_d - p; l Log(R^T R_d)]$ of all frames, by damped least squares on the groups,
@@ -118,7 +117,8 @@ def reach(
         position_tolerance, angle_tolerance: m and rad, at which a frame counts as at its target.
         iterations: of one seed, at most.
     Raises:
-        ModelError: a frame that is not known; closures; a mechanism in which nothing moves.
+        ModelError: a frame that is not known; closures; joints on other groups than SO(3) and SE(3); a mechanism in
+            which nothing moves.
         InputError: targets or start of other shapes, or not finite; numbers out of their range.
 
     Example:
@@ -135,7 +135,7 @@ def reach(
     ):
         number(f"reach: {name}", size, "a positive number", lambda x: 0.0 < x < np.inf)
     shapes = tuple((name, value.shape[1:]) for name, value in arrays.items())
-    options = Options(float(position_tolerance), float(angle_tolerance), iterations)
+    options = SearchOptions(float(position_tolerance), float(angle_tolerance), iterations)
     search = _Reacher.of(mechanism, shapes, float(length), options, seeds, candidates)
     first = None if start is None else _start(search.tasks, start, leading)
     return jax.tree.map(lambda a: a.reshape(*leading, *a.shape[1:]), search(arrays, first))
@@ -200,7 +200,7 @@ class _Reacher:
         mechanism: KinematicTree,
         shapes: tuple[tuple[str, tuple[int, ...]], ...],
         length: float,
-        options: Options,
+        options: SearchOptions,
         seeds: int,
         candidates: int,
     ) -> None:
@@ -214,9 +214,8 @@ class _Reacher:
             poses = jax.jit(jax.vmap(lambda x: forward(0.0, x)))(pool)
         self._pool = {name: value.reshape(seeds, candidates, *value.shape[1:]) for name, value in pool.items()}
         self._features = np.concatenate([self._feature(name, np.asarray(poses[name])) for name in self._frames], axis=1)
-        rows = len(self.tasks.ends)
-        self._solve = lower(Solve(State("G", (rows, rows)), State("e", (rows,))))
-        self._search = fast(solver(self.tasks, options))
+        search = SeededSearch(self.tasks, options)
+        self._solve, self._search = search.solve, fast(search.one)
         self._call = jax.jit(self._all)
 
     @staticmethod
@@ -225,8 +224,8 @@ class _Reacher:
         """One search is compiled once."""
         return _Reacher(*arguments)
 
-    def __call__(self, targets: Arrays, start: Arrays | None) -> Reach:
-        result: Reach = self._call(targets, start)
+    def __call__(self, targets: Arrays, start: Arrays | None) -> ReachResult:
+        result: ReachResult = self._call(targets, start)
         return result
 
     def _feature(self, frame: str, T: Any) -> Any:
@@ -250,17 +249,17 @@ class _Reacher:
         rows = jnp.arange(self._seeds)[None]
         return {name: jnp.asarray(value, dtype=wanted.dtype)[rows, best] for name, value in self._pool.items()}
 
-    def _all(self, targets: Arrays, start: Arrays | None) -> Reach:
+    def _all(self, targets: Arrays, start: Arrays | None) -> ReachResult:
         # Derivatives go through the last step alone.
         still = jax.tree.map(jax.lax.stop_gradient, targets)
         seeds = self._chosen(still)
         if start is not None:
             seeds = {n: s.at[:, 0].set(jax.lax.stop_gradient(start[n]).astype(s.dtype)) for n, s in seeds.items()}
-        solution: Solution = jax.vmap(self._search)(still, seeds)
+        solution: SearchEnd = jax.vmap(self._search)(still, seeds)
         solution = jax.tree.map(jax.lax.stop_gradient, solution)
         return jax.vmap(self._polished)(targets, solution)
 
-    def _polished(self, targets: Arrays, solution: Solution) -> Reach:
+    def _polished(self, targets: Arrays, solution: SearchEnd) -> ReachResult:
         """One target: a last step of Gauss and Newton where it is reached, and what there is to say."""
         distance, angle = self._measures(solution.error)
         reached = self._within(distance, angle)
@@ -268,7 +267,7 @@ class _Reacher:
         open_J = jax.lax.stop_gradient(jnp.where(solution.free[None], J, 0.0))
         G = open_J @ open_J.T
         G = G + np.finfo(e.dtype).eps * jnp.trace(G) * np.eye(len(self.tasks.ends), dtype=e.dtype)
-        step = open_J.T @ self._solve(0.0, {"G": G, "e": e})
+        step = open_J.T @ self._solve(G, e)
         step = jnp.where(reached, step, 0.0)
         # Near a singular position the step may lead away: then its derivatives are kept, and it is not taken.
         after, _ = self.tasks.errors(jax.lax.stop_gradient(self.tasks.moved(solution.x, step)), targets)
@@ -279,7 +278,7 @@ class _Reacher:
         missed = jnp.where(jnp.any(at_limit), int(Reached.LIMIT), int(Reached.UNREACHABLE))
         status = jnp.where(reached, int(Reached.REACHED), missed)
         measures = (solution.slope, solution.minima, solution.seeds)
-        return Reach(x, status, distance, angle, at_limit, *measures, self._frames, self._joints)
+        return ReachResult(x, status, distance, angle, at_limit, *measures, self._frames, self._joints)
 
     def _measures(self, error: jax.Array) -> tuple[jax.Array, jax.Array]:
         """Distances in m and angles in rad, (frames,)."""

@@ -15,7 +15,7 @@ steps that are projected.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import jax
 import jax.numpy as jnp
@@ -27,7 +27,7 @@ from .tasks import Arrays, Tasks
 
 
 @dataclasses.dataclass(frozen=True)
-class Options:
+class SearchOptions:
     """Numbers of the loop.
 
     Attributes:
@@ -50,7 +50,7 @@ class Options:
     most: float = 1e6
 
 
-class Solution(NamedTuple):
+class SearchEnd(NamedTuple):
     """The best positions of all seeds for one target."""
 
     x: Arrays
@@ -62,7 +62,7 @@ class Solution(NamedTuple):
     steps: jax.Array  # ()
 
 
-class _Search(NamedTuple):
+class SearchState(NamedTuple):
     x: Arrays
     e: jax.Array
     J: jax.Array
@@ -75,74 +75,79 @@ class _Search(NamedTuple):
     least: jax.Array
 
 
-def solver(tasks: Tasks, options: Options) -> Any:
-    """The function (targets, seeds) -> Solution, of arrays of one target."""
-    rows = len(tasks.ends)
-    solve = lower(Solve(State("G", (rows, rows)), State("e", (rows,))))
-    ends = tasks.ends
+class SeededSearch:
+    """The search for one target, of the errors of its frames.
 
-    def reached(e: jax.Array) -> jax.Array:
-        groups = [slice(i, i + 3) for i in range(0, rows, 3)]
+    Attributes:
+        solve: (G, e) -> G^-1 e.
+    """
+
+    def __init__(self, tasks: Tasks, options: SearchOptions) -> None:
+        self._tasks, self._options = tasks, options
+        rows = len(tasks.ends)
+        solved = lower(Solve(State("G", (rows, rows)), State("e", (rows,))))
+        self.solve = lambda G, e: solved(0.0, {"G": G, "e": e})
+
+    def one(self, targets: Arrays, seeds: Arrays) -> SearchEnd:
+        """The best positions for targets, from seeds (count, ...)."""
+        count = next(iter(seeds.values())).shape[0]
+        start = {name: value[0] for name, value in seeds.items()}
+        e, J = self._tasks.errors(start, targets)
+        zero, damping = jnp.zeros((), dtype=jnp.int32), jnp.asarray(self._options.damping, e.dtype)
+        last = jax.lax.while_loop(
+            lambda s: (s.seed < count) & ~self._reached(s.e),
+            lambda s: self._next(s, targets, seeds, count),
+            SearchState(start, e, J, damping, zero, zero, zero, zero, start, jnp.sum(e * e)),
+        )
+        e, J = self._tasks.errors(last.best, targets)
+        free, share = self._steepness(last.best, e, J)
+        return SearchEnd(last.best, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
+
+    def _next(self, s: SearchState, targets: Arrays, seeds: Arrays, count: int) -> SearchState:
+        """One step, or the next seed."""
+        options = self._options
+        free, share = self._steepness(s.x, s.e, s.J)
+        minimum = (share <= options.flat) | (s.damping > options.most)
+        ended = minimum | (s.step >= options.iterations)
+        seed = s.seed + ended.astype(jnp.int32)
+        fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
+        trial = {name: jnp.where(ended, fresh[name], value) for name, value in self._stepped(s, free).items()}
+        e, J = self._tasks.errors(trial, targets)
+        before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
+        kept = ended | (after < before)
+        damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
+        better = after < s.least
+        return SearchState(
+            x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
+            e=jnp.where(kept, e, s.e),
+            J=jnp.where(kept, J, s.J),
+            damping=jnp.where(ended, options.damping, damping).astype(e.dtype),
+            step=jnp.where(ended, 0, s.step + 1),
+            seed=seed,
+            steps=s.steps + 1,
+            minima=s.minima + minimum.astype(jnp.int32),
+            best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
+            least=jnp.where(better, after, s.least),
+        )
+
+    def _stepped(self, s: SearchState, free: jax.Array) -> Arrays:
+        open_J = jnp.where(free[None], s.J, 0.0)
+        mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
+        G = open_J @ open_J.T + mu * np.eye(len(s.e), dtype=s.e.dtype)
+        return self._tasks.moved(s.x, open_J.T @ self.solve(G, s.e))
+
+    def _reached(self, e: jax.Array) -> jax.Array:
+        """Whether every position and every turn is within its tolerance."""
+        turn = self._options.angle_tolerance * self._tasks.length
         within = [
-            jnp.sum(e[at] ** 2)
-            <= (options.position_tolerance if ends[at.start] else options.angle_tolerance * tasks.length) ** 2
-            for at in groups
+            jnp.sum(e[i : i + 3] ** 2) <= (self._options.position_tolerance if self._tasks.ends[i] else turn) ** 2
+            for i in range(0, len(self._tasks.ends), 3)
         ]
         return jnp.all(jnp.stack(within))
 
-    def steepness(x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
-        """The freedoms that may follow the slope, and its length as a share of |J| |e|."""
+    def _steepness(self, x: Arrays, e: jax.Array, J: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """The freedoms that may follow the slope of |e|^2, and its length as a share of |J| |e|."""
         slope = J.T @ e
-        free = tasks.free(x, slope)
-        size = jnp.sum(J * J) * jnp.sum(e * e)
-        return free, jnp.sqrt(jnp.sum(jnp.where(free, slope, 0.0) ** 2) / jnp.maximum(size, np.finfo(e.dtype).tiny))
-
-    def stepped(s: _Search, free: jax.Array) -> Arrays:
-        open_J = jnp.where(free[None], s.J, 0.0)
-        mu = s.damping * jnp.sum(s.e * s.e) + np.finfo(s.e.dtype).eps * jnp.sum(s.J * s.J)
-        G = open_J @ open_J.T + mu * np.eye(rows, dtype=s.e.dtype)
-        return tasks.moved(s.x, open_J.T @ solve(0.0, {"G": G, "e": s.e}))
-
-    def one(targets: Arrays, seeds: Arrays) -> Solution:
-        count = next(iter(seeds.values())).shape[0]
-        start = {name: value[0] for name, value in seeds.items()}
-        e, J = tasks.errors(start, targets)
-        zero = jnp.zeros((), dtype=jnp.int32)
-
-        def going(s: _Search) -> jax.Array:
-            return (s.seed < count) & ~reached(s.e)
-
-        def body(s: _Search) -> _Search:
-            free, share = steepness(s.x, s.e, s.J)
-            minimum = (share <= options.flat) | (s.damping > options.most)
-            ended = minimum | (s.step >= options.iterations)
-            seed = s.seed + ended.astype(jnp.int32)
-            fresh = {name: value[jnp.minimum(seed, count - 1)] for name, value in seeds.items()}
-            trial = {name: jnp.where(ended, fresh[name], value) for name, value in stepped(s, free).items()}
-            e, J = tasks.errors(trial, targets)
-            before, after = jnp.sum(s.e * s.e), jnp.sum(e * e)
-            kept = ended | (after < before)
-            damping = jnp.where(kept, jnp.maximum(s.damping * options.shrink, options.least), s.damping * options.grow)
-            better = after < s.least
-            return _Search(
-                x={name: jnp.where(kept, value, s.x[name]) for name, value in trial.items()},
-                e=jnp.where(kept, e, s.e),
-                J=jnp.where(kept, J, s.J),
-                damping=jnp.where(ended, options.damping, damping).astype(e.dtype),
-                step=jnp.where(ended, 0, s.step + 1),
-                seed=seed,
-                steps=s.steps + 1,
-                minima=s.minima + minimum.astype(jnp.int32),
-                best={name: jnp.where(better, value, s.best[name]) for name, value in trial.items()},
-                least=jnp.where(better, after, s.least),
-            )
-
-        first = _Search(
-            start, e, J, jnp.asarray(options.damping, e.dtype), zero, zero, zero, zero, start, jnp.sum(e * e)
-        )
-        last = jax.lax.while_loop(going, body, first)
-        e, J = tasks.errors(last.best, targets)
-        free, share = steepness(last.best, e, J)
-        return Solution(last.best, e, free, share, last.minima, jnp.minimum(last.seed + 1, count), last.steps)
-
-    return one
+        free = self._tasks.free(x, slope)
+        size = jnp.maximum(jnp.sum(J * J) * jnp.sum(e * e), np.finfo(e.dtype).tiny)
+        return free, jnp.sqrt(jnp.sum(jnp.where(free, slope, 0.0) ** 2) / size)

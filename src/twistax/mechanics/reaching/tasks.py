@@ -34,14 +34,14 @@ Arrays = dict[str, Any]
 
 
 @dataclasses.dataclass(frozen=True)
-class Limits:
+class CoordinateLimits:
     """Bounds of the coordinates of the position vector (w,): infinite where there are none."""
 
     lower: NDArray[np.float64]
     upper: NDArray[np.float64]
 
     @classmethod
-    def of(cls, mechanism: KinematicTree, width: int) -> Limits:
+    def of(cls, mechanism: KinematicTree, width: int) -> CoordinateLimits:
         """Those of the joints; a follower's are those of its leader, through the ratio."""
         lower, upper = np.full(width, -np.inf), np.full(width, np.inf)
         for segment in mechanism.segments:
@@ -73,7 +73,7 @@ class Tasks:
         coordinates: for each freedom the coordinate that it moves, -1 on groups.
         limits: of the coordinates.
         ends: for each row of the error whether it is of a position.
-    Raises: ModelError for frames that are not known; a mechanism with closures.
+    Raises: ModelError for frames that are not known; a mechanism with closures, or joints on other groups.
     """
 
     def __init__(self, mechanism: KinematicTree, shapes: Mapping[str, tuple[int, ...]], length: float) -> None:
@@ -82,6 +82,9 @@ class Tasks:
                 f"reach does not keep closures: {listed(loop.name for loop in mechanism.loops)}.\n"
                 "  fix: replace(loops=()) where they may open"
             )
+        unsupported = [s.link.joint for s in mechanism.segments if s.link.joint.group not in (None, SO3, SE3)]
+        if unsupported:
+            raise ModelError(f"reach moves joints on SO(3) and SE(3), got {listed(unsupported)} on other groups")
         self.mechanism, self.shapes, self.length = mechanism, dict(shapes), length
         q = mechanism.q
         self.states: list[State] = [q] if isinstance(q, State) else list(q.values())
@@ -91,7 +94,7 @@ class Tasks:
         for segment in mechanism.segments:
             if segment.coordinates is not None:
                 self.coordinates[list(segment.freedoms)] = np.arange(self.width)[segment.coordinates]
-        self.limits = Limits.of(mechanism, self.width)
+        self.limits = CoordinateLimits.of(mechanism, self.width)
         self.ends = np.concatenate([[True] * 3 + [False] * (3 * (shape == (4, 4))) for shape in shapes.values()])
         self._errors, self._steps = self._lowered()
 
@@ -118,7 +121,7 @@ class Tasks:
                 assert segment.coordinates is not None
                 vector[segment.coordinates.start] = place + joint.rate(place, d)
             else:
-                exp = {SO3: SO3Exp, SE3: SE3Exp}[joint.group]
+                exp = SO3Exp if joint.group == SO3 else SE3Exp
                 moved[f"{joint.name}_position"] = Compose(place, exp(d))
         if vector:
             moved["q"] = Concat(*(vector[i] for i in sorted(vector)))
