@@ -7,7 +7,7 @@ import numpy as np
 from matplotlib import pyplot as plt
 
 import twistax as tx
-from twistax.mechanics import Link, Mechanism, Reached, SpatialInertia, joints, load, reach, signed_distance
+from twistax.mechanics import Link, Mechanism, ReachStatus, SpatialInertia, joints, load, reach, signed_distance
 from twistax.view import Box, Capsule
 
 jax.config.update("jax_enable_x64", True)
@@ -37,7 +37,7 @@ hand, table = Capsule(0.05, 0.05), Box((0.8, 0.8, 0.05), at=(0.5, 0.0, 0.0))
 clear = tx.lower(signed_distance(hand, table, arm.pose("hand")))
 distance = jax.jit(jax.vmap(lambda q: clear(0.0, {"q": q})))(result.x["q"])
 
-reached = np.mean(np.asarray(result.status) == Reached.REACHED)
+reached = np.mean(np.asarray(result.status) == ReachStatus.REACHED)
 print(f"{reached:.0%} of {len(angle)} poses reached, to {1e6 * float(np.max(result.distance)):.2f} um")
 print(f"the hand stays {100.0 * float(np.min(distance)):.1f} cm from the table")
 if reached < 1.0 or np.min(distance) < 0.05:

@@ -13,7 +13,7 @@ from mechanics_oracles import pose
 import twistax as tx
 from twistax import mechanics
 from twistax.errors import InputError, ModelError
-from twistax.mechanics import Drive, Link, Mechanism, Mimic, Reached, joints, reach
+from twistax.mechanics import Drive, Link, Mechanism, Mimic, ReachStatus, joints, reach
 from twistax.mechanics.chain_models import equal_links
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
@@ -49,17 +49,17 @@ def most_are_reached(count: int, share: float) -> None:
     arm, _, T = panda_poses(count)
     result = reach(arm, {"flange": T})
     status = np.asarray(result.status)
-    assert np.mean(status == Reached.REACHED) >= share
+    assert np.mean(status == ReachStatus.REACHED) >= share
     model = pin.buildModelFromUrdf(str(EXAMPLES / "panda.urdf"))
     data, frame = model.createData(), model.getFrameId("flange", pin.FrameType.BODY)
-    for i in np.flatnonzero(status == Reached.REACHED)[:200]:
+    for i in np.flatnonzero(status == ReachStatus.REACHED)[:200]:
         q = np.asarray(result.x["q"][i])
         pin.framesForwardKinematics(model, data, q)
         assert np.abs(data.oMf[frame].homogeneous - T[i]).max() < 2e-5
         assert np.all((q >= model.lowerPositionLimit) & (q <= model.upperPositionLimit))
-    missed = np.flatnonzero(status != Reached.REACHED)
+    missed = np.flatnonzero(status != ReachStatus.REACHED)
     assert all(max(result.distance[i, 0], result.angle[i, 0]) > 1e-5 for i in missed)
-    assert all((status[i] == Reached.LIMIT) == bool(result.stopped_by(i)) for i in missed)
+    assert all((status[i] == ReachStatus.LIMIT) == bool(result.stopped_by(i)) for i in missed)
 
 
 def test_poses_of_a_panda() -> None:
@@ -74,12 +74,12 @@ def test_a_limit_stops_the_nearest_position() -> None:
     arm = planar_arm((0.0, 1.0))
     target = np.array([np.cos(2.0), np.sin(2.0), 0.0])
     result = reach(arm, {"tip": target})
-    assert result.status == Reached.LIMIT
+    assert result.status == ReachStatus.LIMIT
     assert result.stopped_by() == ("joint0",)
     assert np.allclose(result.x["q"], [1.0])
     assert np.allclose(result.distance, 2.0 * np.sin(0.5))  # a chord
     inside = reach(arm, {"tip": np.array([np.cos(0.7), np.sin(0.7), 0.0])})
-    assert inside.status == Reached.REACHED
+    assert inside.status == ReachStatus.REACHED
     assert inside.stopped_by() == ()
     assert np.allclose(inside.x["q"], [0.7])
 
@@ -88,7 +88,7 @@ def test_what_is_too_far_is_a_minimum_of_all_seeds() -> None:
     arm = planar_arm((-3.0, 3.0), (-3.0, 3.0))
     targets = np.array([[2.0, 1.0, 0.0], [0.0, 2.5, 0.0], [1.0, 1.0, 0.5], [1.2, 0.3, 0.0]])
     result = reach(arm, {"tip": targets})
-    assert np.asarray(result.status).tolist() == [Reached.UNREACHABLE] * 3 + [Reached.REACHED]
+    assert np.asarray(result.status).tolist() == [ReachStatus.UNREACHABLE] * 3 + [ReachStatus.REACHED]
     assert np.allclose(result.distance[:3, 0], [np.sqrt(5.0) - 2.0, 0.5, 0.5], atol=1e-7)
     assert np.all(np.asarray(result.slope)[:3] < 1e-3)
     assert np.all(np.asarray(result.minima)[:3] >= 4)
@@ -108,7 +108,7 @@ def test_joints_on_groups_and_several_frames() -> None:
     frames = tx.lower({"tool": tree.pose("tool"), "hinge": tree.pose("hinge")})
     T = {name: np.asarray(value) for name, value in frames(0.0, x).items()}
     result = reach(tree, {"tool": T["tool"], "hinge": T["hinge"][:3, 3]}, seeds=4, candidates=8)
-    assert result.status == Reached.REACHED
+    assert result.status == ReachStatus.REACHED
     assert result.x.keys() == x.keys()
     there = frames(0.0, result.x)
     assert np.allclose(there["tool"], T["tool"], atol=1e-6)
@@ -128,7 +128,7 @@ def test_the_limits_of_a_follower_are_those_of_its_leader() -> None:
     )
     result = reach(Mechanism([slide, follower]), {"slide": np.array([[0.0, 0.0, z] for z in (0.9, -0.9, 0.3)])})
     assert np.allclose(result.x["q"][:, 0], [0.5, -0.25, 0.3], atol=1e-6)
-    assert np.asarray(result.status).tolist() == [Reached.LIMIT, Reached.LIMIT, Reached.REACHED]
+    assert np.asarray(result.status).tolist() == [ReachStatus.LIMIT, ReachStatus.LIMIT, ReachStatus.REACHED]
 
 
 def test_derivatives_are_those_of_the_solution() -> None:
@@ -157,7 +157,7 @@ def test_the_first_seed_is_the_start() -> None:
 def test_precision_is_that_of_the_target() -> None:
     result = reach(planar_arm((-3.0, 3.0), (-3.0, 3.0)), {"tip": np.array([1.2, 0.3, 0.0], dtype=np.float32)})
     assert result.x["q"].dtype == np.float32
-    assert result.status == Reached.REACHED
+    assert result.status == ReachStatus.REACHED
 
 
 def test_what_cannot_be_asked_for(unchecked: None) -> None:

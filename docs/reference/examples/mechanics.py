@@ -99,10 +99,10 @@ from twistax.mechanics import SpatialInertia
 ten = tx.mechanics.log_cholesky(SpatialInertia(mass=2.0, inertia=np.eye(3)))
 tx.mechanics.physical_inertia(ten)
 
-# tx.mechanics.reach tx.mechanics.ReachResult tx.mechanics.Reached
+# tx.mechanics.reach tx.mechanics.ReachResult tx.mechanics.ReachStatus
 arm = tx.mechanics.chain_models.equal_links(3)
 result = tx.mechanics.reach(arm, {"joint2": np.array([0.3, 0.1, 0.05])}, seeds=2)
-tx.mechanics.Reached(int(result.status)), result.x["q"], result.distance
+tx.mechanics.ReachStatus(int(result.status)), result.x["q"], result.distance
 
 # tx.mechanics.signed_distance tx.mechanics.HalfSpace
 from twistax.mechanics import HalfSpace, chain_models, signed_distance

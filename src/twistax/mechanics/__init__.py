@@ -33,13 +33,13 @@ from .identification.physical_inertia import log_cholesky, physical_inertia
 from .identification.regressor import Regressor, inverse_dynamics_regressor
 from .mechanism import Chain, Mechanism
 from .models import DaveModel, load, load_daveml
-from .reaching.reach import Reached, ReachResult, reach
+from .reaching.reach import ReachResult, ReachStatus, reach
 from .tree import Link, Mimic
 
 # fmt: off
 __all__ = [
     "ALIGNED", "BODY", "WORLD", "BaseParameters", "Chain", "DaveModel", "Drive", "GivenForces", "Ground", "HalfSpace",
-    "Link", "Mechanism", "Mimic", "ReachResult", "Reached", "Regressor", "SpatialInertia", "aba", "base_parameters",
+    "Link", "Mechanism", "Mimic", "ReachResult", "ReachStatus", "Regressor", "SpatialInertia", "aba", "base_parameters",
     "bias_forces", "center_of_mass", "centroidal_matrix", "centroidal_momentum", "chain_models", "closed_dynamics",
     "coriolis_forces", "environment", "flight", "forward_dynamics", "forward_dynamics_derivatives", "frame_jacobian",
     "frame_jacobian_rate", "frame_twist", "given_forces", "gravity_forces", "identifiable_combinations",

@@ -27,7 +27,7 @@ from .tasks import Arrays, Tasks
 _NEARLY = 1e-4
 
 
-class Reached(enum.IntEnum):
+class ReachStatus(enum.IntEnum):
     """What became of a target.
 
     - `REACHED`: all frames are at their targets, to the tolerances.
@@ -52,7 +52,7 @@ class ReachResult:
 
     Attributes:
         x: positions by state, "q" (..., w) and "<joint>_position" on groups, as `tx.integrate` and calls take them.
-        status: (...,), numbers of `Reached`.
+        status: (...,), numbers of `ReachStatus`.
         distance: (..., frames), m: from the origin of each frame to its target.
         angle: (..., frames), rad: from the axes of each frame to its target; zero for positions.
         at_limit: (..., n): the freedoms that a limit stops from getting nearer.
@@ -275,8 +275,8 @@ class _Reacher:
         x = self.tasks.moved(solution.x, step - jax.lax.stop_gradient(jnp.where(worse, step, 0.0)))
         distance, angle = self._measures(self.tasks.errors(x, targets)[0])
         at_limit = ~solution.free & ~reached
-        missed = jnp.where(jnp.any(at_limit), int(Reached.LIMIT), int(Reached.UNREACHABLE))
-        status = jnp.where(reached, int(Reached.REACHED), missed)
+        missed = jnp.where(jnp.any(at_limit), int(ReachStatus.LIMIT), int(ReachStatus.UNREACHABLE))
+        status = jnp.where(reached, int(ReachStatus.REACHED), missed)
         measures = (solution.slope, solution.minima, solution.seeds)
         return ReachResult(x, status, distance, angle, at_limit, *measures, self._frames, self._joints)
 
