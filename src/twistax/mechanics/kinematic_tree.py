@@ -63,9 +63,9 @@ class KinematicTree:
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
-        #: What `replace` gives the constructor again, beside the links.
-        self._arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
-        self._arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        #: The arguments of the constructor beside the links, which `replace` gives it again.
+        self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
+        self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)
@@ -236,6 +236,15 @@ class KinematicTree:
             if link.joint.name == name:
                 return link.name
         raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
+
+    def link(self, name: str) -> Link:
+        """A link as it stands in the tree, by its name or that of its joint. Raises ModelError."""
+        for of in (lambda link: link.name, lambda link: link.joint.name):
+            for link in self.links:
+                if of(link) == name:
+                    return link
+        names = [link.name for link in self.links]
+        raise ModelError(f"there is no link {short(name)}; known are {listed(names, name)}")
 
     def transforms(self, q: Positions | None = None) -> list[Expr]:
         """T (4, 4) of each segment in its parent segment, or in the base. Raises ShapeError."""
