@@ -226,9 +226,17 @@ class Inference:
         ]
         return KindError("\n".join([*lines, f"  fix: {remedy_of_units([unit for _, unit in clash.values], wanted)}"]))
 
+    def unit(self, value: Expr) -> Unit | None:
+        """The unit of a value, of a six-vector that of its angular part; None where it is open."""
+        return self._units.get(_token(value))
+
+    def spaces(self, value: Expr) -> list[Space | None]:
+        """The space of each axis of a value, None where it is open or not of length six."""
+        return [self._space(value, value, axis) for axis in range(-value.ndim, 0)]
+
     def description(self, value: Expr) -> str:
         """What is known of a value: its kind, frames and unit, or open."""
-        spaces = [self._space(value, value, axis) for axis in range(-value.ndim, 0)]
+        spaces = self.spaces(value)
         axes = (-2, -1) if value.ndim == 2 or value.shape == (4,) else (-1,) if value.ndim == 1 else ()
         frames = [self._frames.known(self._slot(value, value, axis)) for axis in axes]
         names = ["open" if frame is None else repr(frame.fact) for frame in frames]
@@ -239,7 +247,7 @@ class Inference:
             parts.append(f"from {names[-1]} to {names[0]}")
         elif any(frames):
             parts.append("in " + " by ".join(dict.fromkeys(names)))
-        unit = self._units.get(_token(value))
+        unit = self.unit(value)
         parts.append("unit open" if unit is None else f"unit {unit}")
         return ", ".join(parts)
 
