@@ -42,7 +42,7 @@ class AmbientNumbers(NamedTuple):
 
 
 def ambient_numbers(group: Group, quaternion: bool = True) -> AmbientNumbers:
-    """Rotations as quaternions (w, x, y, z), poses as [quaternion, position], or both as matrices; others by entries."""
+    """Rotations as quaternions (w, x, y, z) and poses as [quaternion, position], or as matrices; others as they are."""
     if not (quaternion and group.rigid):
         return AmbientNumbers(_same, _same, group.entry_rate, (), group.shape)
     if group.dimension == 3:

@@ -387,7 +387,7 @@ def steps_of(dynamics: Dynamics, method: Any) -> Callable[..., Arrays]:
     method.check(dynamics)
     if dynamics.system.corrections:
         raise ModelError(
-            "steps: C has no form of the corrections that tx.integrate adds to systems with loops.\n  fix: leave steps out"
+            "steps: C has no form of the corrections that systems with loops need.\n  fix: leave steps out"
         )
     return functools.partial(step, dynamics)
 

@@ -114,11 +114,11 @@ def _start(kind: str, leaf: Any, passed: Any) -> Array:
         if group is not None and not group.flat and not group.known_defect(value) < _OFF:
             raise InputError(f"to_fmu: {kind}[{leaf.name!r}] is no element of {group.name}\n  fix: {group.remedy}")
         return value
-    said = [a for a in (getattr(leaf, "initial", None), leaf.guess) if a is not None and np.shape(a) == leaf.shape]
-    whole = [np.asarray(a, float) for a in said if np.isfinite(a).all()]
+    values = [a for a in (getattr(leaf, "initial", None), leaf.guess) if a is not None and np.shape(a) == leaf.shape]
+    finite = [np.asarray(a, float) for a in values if np.isfinite(a).all()]
     group = getattr(leaf, "group", None)
     at_rest = np.zeros(leaf.shape) if group is None or group.flat else np.asarray(group.identity(np.dtype(float)))
-    return whole[0] if whole else at_rest
+    return finite[0] if finite else at_rest
 
 
 def _source(
@@ -153,8 +153,8 @@ def _compiled(name: str, source: str, compiler: str) -> dict[str, bytes]:
     Raises:
         ModelError: the compiler is not there, or refuses the source.
     """
-    found = shutil.which(compiler)
-    if found is None:
+    program = shutil.which(compiler)
+    if program is None:
         raise ModelError(
             f"to_fmu: there is no C compiler {compiler!r}.\n"
             "  fix: install one, name another, or compiler=None for a unit of sources alone"
@@ -164,18 +164,7 @@ def _compiled(name: str, source: str, compiler: str) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         file, library = Path(folder) / f"{name}.c", Path(folder) / f"{name}.{suffix}"
         file.write_text(source, encoding="ascii")
-        command = [
-            found,
-            "-std=c99",
-            "-O1",
-            "-shared",
-            "-fPIC",
-            "-fvisibility=hidden",
-            str(file),
-            "-o",
-            str(library),
-            "-lm",
-        ]
+        command = [program, "-std=c99", "-O1", "-shared", "-fPIC", "-fvisibility=hidden", file, "-o", library, "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise ModelError(f"to_fmu: {compiler} did not compile the unit:\n{done.stderr[:2000]}")
@@ -189,6 +178,4 @@ def _write(target: Path, files: Mapping[str, bytes]) -> None:
             for name, content in files.items():
                 archive.writestr(zipfile.ZipInfo(name, _DATE), content, zipfile.ZIP_DEFLATED)
     except OSError as error:
-        raise InputError(
-            f"cannot write the unit to {str(target)!r}: {error}.\n  fix: give a folder to write to"
-        ) from None
+        raise InputError(f"cannot write {str(target)!r}: {error}.\n  fix: give a folder to write to") from None

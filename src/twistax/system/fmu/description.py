@@ -1,4 +1,4 @@
-"""The XML files of a functional mock-up unit: what it exchanges, and how it is compiled. FMI 3.0.1, chapters 2.4, 2.5."""
+"""The XML files of a functional mock-up unit: what it exchanges, how it is compiled. FMI 3.0.1, chapters 2.4, 2.5."""
 
 from __future__ import annotations
 

@@ -127,8 +127,8 @@ class VariableList:
 
 def _linear_places(states: Iterable[State], roots: Iterable[Expr]) -> range | None:
     """Which entries of six-vectors are linear; None where nothing says in which order they are."""
-    said = [state.order for state in states] + [getattr(node, "order", None) for node in postorder(*roots)]
-    for order in said:
+    orders = [state.order for state in states] + [getattr(node, "order", None) for node in postorder(*roots)]
+    for order in orders:
         if isinstance(order, Order):
             return range(3) if order.linear_leads else range(3, 6)
     return None
