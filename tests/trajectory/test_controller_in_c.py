@@ -76,6 +76,10 @@ def test_parameters_and_time_limits_count(tmp_path: Path) -> None:
     expected = controller.feedback({"p": 1.2, "v": 0.3})["u"]
     assert status == 0
     assert u[0] == pytest.approx(float(expected), abs=1e-10)
+    plan, nothing = memory.copy(), pointer(np.array([np.nan]))
+    assert library.loop_feedback(pointer(memory), state[0], nothing, pointer(u), None, None, None) == 4
+    assert u[0] == pytest.approx(float(expected), abs=1e-10)
+    np.testing.assert_array_equal(memory, plan)
     calls = []
 
     def is_late(clock: Any) -> int:
