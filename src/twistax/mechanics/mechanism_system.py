@@ -35,18 +35,13 @@ def system_of(
     further = rates_by_name(rates or {})
     controls = mechanism.driven if controls is None else controls
     driven = mechanism.freedoms(controls)
-    tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
     command = mechanism.motors(controls) if driven else None
     places = mechanism.positions("system", None)
-    for segment, place in zip(mechanism.segments, places, strict=True):
-        drive, mimic, deflection = segment.link.drive, segment.link.mimic, segment.link.joint.deflection(place)
-        for k, i in enumerate(segment.freedoms):
-            rate = segment.scaled(mechanism.qd[i])
-            passive = drive.passive(None if deflection is None else deflection[k], rate)
-            if passive is not None:
-                tau[i] = tau[i] + segment.scaled(passive)
-            if command is not None and mimic is None and i in driven:
-                tau[i] = tau[i] + drive.gear * command[driven.index(i)]
+    tau = passive_forces(mechanism, places)
+    for segment in mechanism.segments:
+        for i in segment.freedoms:
+            if command is not None and segment.link.mimic is None and i in driven:
+                tau[i] = tau[i] + segment.link.drive.gear * command[driven.index(i)]
     total: Expr = Concat(*tau)
     if forces is not None:
         total = total + mechanism.coordinates("system", "forces", forces)
@@ -58,8 +53,8 @@ def system_of(
     slopes = None if mechanism.loops else slopes_of_accelerations(mechanism, total, wrenches)
     if mechanism.loops:
         moved, sped = ClosedLoops(mechanism).corrections
-        corrections = {**_kinematics(mechanism, places, moved), mechanism.qd: sped}
-    motion: dict[Any, ExprLike] = {**_kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations}
+        corrections = {**kinematics(mechanism, places, moved), mechanism.qd: sped}
+    motion: dict[Any, ExprLike] = {**kinematics(mechanism, places, mechanism.qd), mechanism.qd: accelerations}
     twice = [state.name for state in motion if state.name in further]
     if twice:
         raise ModelError(
@@ -76,7 +71,20 @@ def system_of(
     )
 
 
-def _kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
+def passive_forces(mechanism: KinematicTree, places: list[Expr]) -> list[Expr]:
+    """The force of springs, damping and friction on each freedom, N or N m."""
+    tau: list[Expr] = [Constant(0.0)] * mechanism.dofs
+    for segment, place in zip(mechanism.segments, places, strict=True):
+        drive, deflection = segment.link.drive, segment.link.joint.deflection(place)
+        for k, i in enumerate(segment.freedoms):
+            rate = segment.scaled(mechanism.qd[i])
+            passive = drive.passive(None if deflection is None else deflection[k], rate)
+            if passive is not None:
+                tau[i] = tau[i] + segment.scaled(passive)
+    return tau
+
+
+def kinematics(mechanism: KinematicTree, places: list[Expr], qd: Expr) -> dict[Any, Expr]:
     """The rates of all positions at velocities (n,)."""
     q = mechanism.q
     vector = q if isinstance(q, State) else q.get("q")
