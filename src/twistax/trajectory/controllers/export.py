@@ -185,7 +185,8 @@ class ControllerCode:
                 for name, (part, _) in self._controls.items()
             ),
             "write_corrected": "\n".join(
-                f"  corrected_control(c, {_c(f'k_{name}')}, step, {part.start}, {part.stop - part.start}, {_c(f'u_{name}')});"
+                f"  corrected_control(c, {_c(f'k_{name}')}, step, {part.start}, {part.stop - part.start}, "
+                f"{_c(f'u_{name}')});"
                 for name, (part, _) in self._controls.items()
             ),
             "read_state": "\n".join(
