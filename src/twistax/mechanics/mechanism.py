@@ -18,10 +18,9 @@ from ..system import System
 from .algorithms.closed_loops import redundant_rows
 from .algorithms.momentum import kinetic_energy, potential_energy, spring_energy
 from .drives import Drive
-from .inverse_system import inverse_system_of
 from .kinematic_tree import KinematicTree, Positions
 from .links_in_view import links_in_view
-from .mechanism_system import system_of
+from .mechanism_system import inverse_system_of, system_of
 from .tree import Link
 
 if TYPE_CHECKING:

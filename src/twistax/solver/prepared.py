@@ -44,8 +44,8 @@ class PreparedSolve:
         parts = np.split(self._memory, np.cumsum(list(sizes.values()))[:-1])
         self.z, self.v, self.s, self.lam, self.y, self.ye, self.zl, self.zu = parts
         self.lower, self.upper = (np.array(a, float) for a in bounds)
-        units = Units(*(None if a is None else np.array(a, float) for a in units[:3]), units.cost)
-        self._units = units
+        size, row_size, equality_size = (None if a is None else np.array(a, float) for a in units[:3])
+        self._units = units = Units(size, row_size, equality_size, units.cost)
         self._described = as_problem(stages, transcription.functions, self.lower, self.upper, units, largest_step)
         self._transcription, problem = transcription, self._described.structure
         self.options = options.as_structure()
@@ -94,7 +94,7 @@ class PreparedSolve:
     def set_units(self, units: Units) -> None:
         """Solve in other units from now on; the iterate is in those of the problem."""
         for memory, values in zip(self._units[:3], units[:3]):
-            if memory is not None:
+            if memory is not None and values is not None:
                 np.copyto(memory, values)
         self._described.structure.cost_size = units.cost
 

@@ -164,7 +164,8 @@ def _compiled(name: str, source: str, compiler: str) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         file, library = Path(folder) / f"{name}.c", Path(folder) / f"{name}.{suffix}"
         file.write_text(source, encoding="ascii")
-        command = [program, "-std=c99", "-O1", "-shared", "-fPIC", "-fvisibility=hidden", file, "-o", library, "-lm"]
+        flags = "-std=c99 -O1 -shared -fPIC -fvisibility=hidden".split()
+        command = [program, *flags, str(file), "-o", str(library), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
             raise ModelError(f"to_fmu: {compiler} did not compile the unit:\n{done.stderr[:2000]}")

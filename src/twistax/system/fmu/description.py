@@ -27,10 +27,10 @@ def model_description(name: str, token: str, variables: VariableList, step: floa
     )
     state = {"canGetAndSetFMUState": "true", "canSerializeFMUState": "true"}
     exchange = {**state, "providesDirectionalDerivatives": "true", "needsCompletedIntegratorStep": "false"}
-    ElementTree.SubElement(root, "ModelExchange", modelIdentifier=name, **exchange)
+    ElementTree.SubElement(root, "ModelExchange", {"modelIdentifier": name, **exchange})
     if step is not None:
         steps = {**state, "canHandleVariableCommunicationStepSize": "true", "fixedInternalStepSize": repr(step)}
-        ElementTree.SubElement(root, "CoSimulation", modelIdentifier=name, **steps)
+        ElementTree.SubElement(root, "CoSimulation", {"modelIdentifier": name, **steps})
     units = {str(v.unit): v.unit for v in variables.all if base_exponents(v.unit) is not None and v.unit is not None}
     _add_units(root, units)
     if step is not None:
