@@ -164,7 +164,7 @@ def _compiled(name: str, source: str, compiler: str) -> dict[str, bytes]:
     with tempfile.TemporaryDirectory() as folder:
         file, library = Path(folder) / f"{name}.c", Path(folder) / f"{name}.{suffix}"
         file.write_text(source, encoding="ascii")
-        flags = "-std=c99 -O1 -shared -fPIC -fvisibility=hidden".split()
+        flags = ["-std=c99", "-O1", "-shared", "-fPIC", "-fvisibility=hidden"]
         command = [program, *flags, str(file), "-o", str(library), "-lm"]
         done = subprocess.run(command, capture_output=True, text=True, check=False)
         if done.returncode:
