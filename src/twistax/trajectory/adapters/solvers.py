@@ -192,7 +192,7 @@ class _Run:
     def ended(self, outcome: Outcome, word: str) -> Status | None:
         """The status if a pass ends the search."""
         tolerance = self.core.tolerance
-        if outcome.status is Status.SOLVED and outcome.errors.gap <= tolerance:
+        if outcome.status is Status.SOLVED:
             return Status.SOLVED
         if word == "Invalid_Number_Detected":
             return Status.NON_FINITE
