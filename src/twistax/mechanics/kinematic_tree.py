@@ -63,9 +63,9 @@ class KinematicTree:
         self.dofs = 1 + max((max(s.freedoms, default=-1) for s in self.segments), default=-1)
         self.loops, self.loop_metric = tuple(loops), loop_metric
         driven = None if driven is None else tuple(driven)
-        #: What `replace` gives the constructor again, beside the links.
-        self._arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
-        self._arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
+        #: The arguments of the constructor beside the links, which `replace` gives it again.
+        self.arguments: dict[str, Any] = {"gravity": self.gravity, "base": base, "keep": keep, "notes": self._notes}
+        self.arguments |= {"driven": driven, "loops": self.loops, "loop_metric": loop_metric, "shapes": self.shapes}
         if driven is None:
             driven = [s.link.joint.name for s in self.segments if s.moves_by_motor]
         self.driven = tuple(driven)
@@ -89,14 +89,14 @@ class KinematicTree:
 
     @functools.cached_property
     def bodies(self) -> dict[int, SpatialInertia]:
-        """The body of every segment that has mass, with all that is fixed to it, by the index of the segment."""
+        """The body of every segment that has mass, merged with all fixed links, by the index of the segment."""
         return {i: segment.body for i, segment in enumerate(self.segments) if segment.body is not None}
 
     # ---- coordinates -------------------------------------------------------------------------------------------------
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The names of the joints that move, in the order of the velocities; followers have their leader's entries."""
+        """The names of the moving joints, in the order of the velocities; mimic joints share their leader's entries."""
         return tuple(segment.link.joint.name for segment in self.segments)
 
     @functools.cached_property
@@ -126,7 +126,7 @@ class KinematicTree:
         return known_as(State("qd", (self.dofs,), min=low, max=high), unit=None if unit is None else unit / SECOND)
 
     def motors(self, joints: Collection[str]) -> Control:
-        """The forces "tau" of the motors of some joints as a Control, with their limits; in the joints' order."""
+        """The forces "tau" of the motors of some joints as a Control, with their limits, in the order of the joints."""
         at = self.freedoms(joints)
         low, high = self._bounds(lambda drive: drive.efforts, by_freedom=True)
         unit = self._unit()
@@ -161,7 +161,7 @@ class KinematicTree:
         return (low if np.isfinite(low).any() else None), (high if np.isfinite(high).any() else None)
 
     def freedoms(self, joints: Collection[str]) -> list[int]:
-        """The entries of the velocities that belong to the joints named, each once. Raises ModelError."""
+        """The indices of the velocities of these joints, each index once. Raises ModelError."""
         entries: list[int] = []
         for name in [joints] if isinstance(joints, str) else joints:
             entries += [i for i in self.segment_of(name).freedoms if i not in entries]
@@ -178,7 +178,7 @@ class KinematicTree:
         )
 
     def coordinates(self, owner: str, name: str, value: ExprLike | None) -> Expr:
-        """The argument `name` of `owner`, one entry a freedom (n,); qd itself where None. Raises ShapeError."""
+        """The argument `name` of `owner`, one entry for each freedom (n,); qd itself for None. Raises ShapeError."""
         hint = "one entry for each freedom; of a chain one entry for each link, from base to tip"
         return self.qd if value is None else of_shape(owner, name, value, (self.dofs,), hint)
 
@@ -187,7 +187,7 @@ class KinematicTree:
 
         Raises:
             ShapeError: a vector of another length, an element of another shape.
-            ModelError: elements of joints on groups that are missing, or others that are not known.
+            ModelError: missing or unknown elements of joints on groups.
         """
         places: Any = self.q if q is None else q
         if not isinstance(places, Mapping):
@@ -237,8 +237,17 @@ class KinematicTree:
                 return link.name
         raise ModelError(f"there is no frame {short(name)}; known are {listed(self.frames, name)}")
 
+    def link(self, name: str) -> Link:
+        """A link as it stands in the tree, by its name or that of its joint. Raises ModelError."""
+        for of in (lambda link: link.name, lambda link: link.joint.name):
+            for link in self.links:
+                if of(link) == name:
+                    return link
+        names = [link.name for link in self.links]
+        raise ModelError(f"there is no link {short(name)}; known are {listed(names, name)}")
+
     def transforms(self, q: Positions | None = None) -> list[Expr]:
-        """T (4, 4) of each segment in the segment before, or in the base. Raises ShapeError."""
+        """T (4, 4) of each segment in its parent segment, or in the base. Raises ShapeError."""
         places = self.positions(f"{type(self).__name__}.transforms", q)
         return [segment.link.transform(place) for segment, place in zip(self.segments, places, strict=True)]
 
@@ -267,7 +276,7 @@ class KinematicTree:
         return known_as(T, Pose(to, self.frame_name(frame)))
 
     def twist(self, frame: str, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
-        """The body twist (6,) of a frame: its velocity seen from the base, in its own axes. Raises ModelError."""
+        """The body twist (6,) of a frame: its velocity relative to the base, in its own axes. Raises ModelError."""
         at = self.frame(frame)
         if at.segment < 0:
             return Constant(np.zeros(6))

@@ -24,20 +24,21 @@ from .system import System
 
 
 def repeat(system: Any, count: Any, *, shared: Any = (), per_copy: Any = ()) -> System:
-    """A fleet: n copies of a system that do not act on each other, as arrays with a leading axis n.
+    """A fleet: n copies of a system without interaction, as arrays with a leading axis n.
 
-    $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s), states on a group G
-    elements of $G^n$, (n, *shape), whose rates are the body velocities one after the other, (n d,). Outputs and
-    constraints have the leading axis too. The rates are one batch of one function: the program has the length of that
-    of one copy. Names stay; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
+    $x_k' = f(t, x_k, u_k, p)$ for k = 0, ..., n - 1. States and controls of shape s become (n, *s). States on a group G
+    become elements of $G^n$, (n, *shape), whose rates are the concatenated body velocities, (n d,). Outputs and
+    constraints have the leading axis too. The rates are one batched function: the program has the length of that
+    of one copy. Names are unchanged; `tx.join` connects a fleet to others, with entries such as `fleet.p[2]`.
 
     Args:
-        system: of one copy.
-        count: how many copies, n.
+        system: the system of one copy.
+        count: the number of copies, n.
         shared: names of controls that all copies have in common.
-        per_copy: names of parameters of which each copy has one, (n, *s); others are common to all.
+        per_copy: names of parameters that are separate for each copy, (n, *s); others are common to all.
     Raises:
-        ModelError: a count below one; a name in `shared` that is no control, or in `per_copy` that is no parameter.
+        ModelError: a count below one; a name in `shared` that is not a control, or in `per_copy` that is not a
+            parameter.
 
     Units are those of the system. Source: R. Frostig, M. Johnson, C. Leary, Compiling machine learning programs via
     high-level tracing (2018), of functions mapped over a leading axis.

@@ -27,7 +27,7 @@ class Space(enum.Enum):
 
 @dataclasses.dataclass(frozen=True)
 class Kind:
-    """Base of all kinds. The unit of a six-vector is that of its angular part; its linear part has metres more or less.
+    """Base of all kinds. The unit of a six-vector is that of its angular part; the linear part differs by metres.
 
     Attributes:
         unit: what the kind says of units; None where it says nothing.
@@ -56,7 +56,7 @@ class Kind:
         return None
 
     def check(self, name: str, shape: Shape) -> None:
-        """Raise ModelError for a leaf of another shape, or a frame that is no name."""
+        """Raise ModelError if a leaf has another shape, or if a frame is not a name."""
         if shape not in self.shapes:
             wanted = " or ".join(map(str, self.shapes))
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
@@ -82,7 +82,7 @@ class Twist(_OfSix):
     """A twist (6,): m/s and rad/s. `unit="1/s2"` makes it the rate of one, `unit="rad"` a displacement.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
+        frame: the frame of its coordinates.
         of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
     Raises: ModelError where a leaf has another shape, or a frame is no name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
@@ -103,7 +103,7 @@ class Wrench(_OfSix):
     """A wrench (6,): force in N and torque in N m. Its pairing with a twist of the same frame is a power.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
+        frame: the frame of its coordinates.
         on: the body on which it acts; wrenches on two bodies are not added.
     Raises: ModelError where a leaf has another shape, or the frame is no name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
@@ -122,8 +122,8 @@ class Momentum(_OfSix):
     """A spatial momentum (6,): linear in N s and angular in N m s. Its rate is a wrench.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.State("h", (6,), kind=tx.Momentum("body"))`.
     """
 
@@ -133,13 +133,13 @@ class Momentum(_OfSix):
 
 @dataclasses.dataclass(frozen=True)
 class Inertia(_OfSix):
-    """An inertia, spatial (6, 6) or of rotation (3, 3): it makes a momentum of a twist or rate of the same frame.
+    """An inertia, spatial (6, 6) or rotational (3, 3): it maps a twist or rate to a momentum in the same frame.
 
     The unit is that of its angular block, kg m2.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.Parameter("M", (6, 6), kind=tx.kinds.Inertia("body"))`.
     """
 
@@ -153,11 +153,11 @@ class Inertia(_OfSix):
 
 @dataclasses.dataclass(frozen=True)
 class FreeVector(Kind):
-    """A vector (3,) with a direction and no place: a force, a velocity, an angular rate. `unit=` says which.
+    """A vector (3,) without a point of application: a force, a velocity, an angular rate. `unit=` distinguishes them.
 
     Attributes:
-        frame: whose axes its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the axes of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.Control("F", (3,), kind=tx.FreeVector("body"), unit="N")`.
     """
 
@@ -173,8 +173,8 @@ class Point(FreeVector):
     """The position (3,) of a point, in m.
 
     Attributes:
-        frame: whose axes and origin its numbers refer to.
-    Raises: ModelError where a leaf has another shape, or the frame is no name.
+        frame: the frame of its coordinates.
+    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
     Example: `tx.State("p", (3,), kind=tx.Point("world"))`.
     """
 
@@ -187,7 +187,7 @@ class Rotation(Kind):
 
     Attributes:
         to, source: the frames a and b.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
     Example: `tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))`.
     """
 
@@ -202,11 +202,11 @@ class Rotation(Kind):
 
 @dataclasses.dataclass(frozen=True)
 class Pose(Rotation):
-    """A pose (4, 4), T_ab: points in frame b become points in frame a, in m. A state has its twist in frame b.
+    """A pose (4, 4), T_ab: it maps points in frame b to frame a, in m. The rate of a state is its twist in frame b.
 
     Attributes:
         to, source: the frames a and b.
-    Raises: ModelError where a leaf has another shape, or a frame is no name.
+    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
     Example: `tx.State("g", group=tx.SE3, kind=tx.kinds.Pose("world", "body"))`.
     """
 

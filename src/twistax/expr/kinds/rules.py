@@ -49,11 +49,11 @@ class Clash(Exception):
 
 @dataclasses.dataclass(frozen=True)
 class Rule:
-    """A rule that says nothing: frames and units of operands and result stay open, whatever their shapes.
+    """A rule without constraints: frames and units of operands and result stay undetermined, whatever their shapes.
 
     Subclass it for a node of your own, as a frozen dataclass.
 
-    Raises: a system raises KindError where operands do not fit a rule; `unit` raises `Clash`, which becomes one.
+    Raises: a system raises KindError where operands violate a rule; `unit` raises `Clash`, which becomes one.
     """
 
     #: Whether the unit is open where those of all operands are.
@@ -64,11 +64,11 @@ class Rule:
     entrywise: ClassVar[bool] = False
 
     def links(self, node: Any) -> Iterable[Link]:
-        """The axes that have something in common."""
+        """The pairs of axes that correspond."""
         return ()
 
     def spaces(self, node: Any) -> Iterable[tuple[Any, int, Space]]:
-        """The axes whose space the node fixes."""
+        """The axes whose space the node determines."""
         return ()
 
     def unframed(self, node: Any) -> Iterable[tuple[Any, Any]]:
@@ -76,11 +76,11 @@ class Rule:
         return ()
 
     def unit(self, node: Any, units: Units, space: SpaceOf) -> Unit | None:
-        """The unit of the result from those of the operands, None for an open one. Raises Clash."""
+        """The unit of the result from those of the operands, None where unknown. Raises Clash."""
         return None
 
     def made(self, node: Any, units: Units) -> Space | None:
-        """The space of the result, where the units of the operands decide it."""
+        """The space of the result, where the units of the operands determine it."""
         return None
 
     def bodies(self, node: Any, known: Sequence[Bodies]) -> Bodies:
@@ -100,7 +100,7 @@ class FixedUnits(Rule):
 
     Attributes:
         takes: the unit of each operand, None for any.
-        gives: the unit of the result, None for an open one.
+        gives: the unit of the result, None if unknown.
         one_frame: whether operands and result are vectors in one frame.
     Raises: a system raises KindError where an operand is known to have another unit.
     Example: `kinds = tx.kinds.FixedUnits((tx.kinds.Unit.of("m"),), tx.kinds.Unit.of("Pa"))` in the class of a node.

@@ -241,8 +241,8 @@ class Neg(Entrywise):
 class Power(Entrywise):
     """Entrywise power base ** exponent with NumPy broadcasting.
 
-    A constant whole exponent is computed by multiplication, so that its derivative at zero is right; a negative one as
-    the power of 1 / base, which is in range where the result is.
+    A constant integer exponent is computed by multiplication, so that its derivative at zero is exact; a negative one
+    as the power of 1 / base, which is in range where the result is.
 
     Raises: ShapeError if the shapes do not broadcast.
     """

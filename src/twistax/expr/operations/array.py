@@ -273,8 +273,8 @@ class Index(Expr):
         index: whole numbers, slices, `...`, None, arrays of whole numbers or masks, or a tuple of these. It is fixed
             when the expression is built; a negative number counts from the end.
     Raises:
-        ShapeError: an index out of bounds, too many of them, or a part without entries.
-        OperationError: an index that is an expression or no index at all.
+        ShapeError: an index out of bounds, too many indices, or an empty slice.
+        OperationError: an index that is an expression, or is not an index.
     """
 
     base: Operand

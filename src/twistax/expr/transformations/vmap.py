@@ -77,11 +77,11 @@ class Vmap(Expr):
     Shapes: batches (n, *s), mapped over `axis`; fn takes an expression of shape s for each and returns one of shape r;
     the result is (n, *r). fn is called once, when the expression is built; it may use any other leaf or expression.
 
-    If fn returns a constraint the result is the constraint on all of them, to be used like any other:
+    If fn returns a constraint the result is the constraint on all elements:
     `Vmap(lambda p: Norm(x - p) >= 1, points)` is `Vmap(lambda p: 1 - Norm(x - p), points) <= 0`.
 
     Attributes:
-        batches: the expressions or arrays mapped over; a list stands for several, one argument of fn each.
+        batches: the expressions or arrays mapped over; a list means several, one argument of fn each.
         axis: the axis mapped over, counted from 0.
         body: what fn returned.
         placeholders: the arguments fn was called with.
@@ -135,7 +135,7 @@ class Vmap(Expr):
 
     @property
     def captured(self) -> list[Leaf]:
-        """The leaves the body reads besides its placeholders."""
+        """The leaves that the body depends on besides its placeholders."""
         return other_leaves(self.body, self.placeholders)
 
     def makes_boolean(self, *operands: bool) -> bool:
@@ -161,7 +161,7 @@ class Vmap(Expr):
         )
 
     def over(self, batches: Sequence[Expr], body: Expr) -> Vmap:
-        """The same with other batches and another body, of the same placeholders."""
+        """The same map with other batches and another body, of the same placeholders."""
         fields = {"batches": tuple(batches), "axis": self.axis, "body": body, "placeholders": self.placeholders}
         return Vmap.from_fields(fields | {"copies": self.copies})
 

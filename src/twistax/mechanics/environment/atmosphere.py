@@ -26,7 +26,7 @@ class LayeredAtmosphere:
     With $H = r z / (r + z)$ the geopotential altitude of geometric altitude z, $T = T_i + L_i (H - H_i)$ in layer i and
     $p = p_i exp(-g M / R_u integral dH / T)$, so that $dp/dz = -rho g (r / (r + z))^2$.
 
-    The first layer is continued below its base, the last one above it without end.
+    The first layer is extrapolated below its base, and the last one above it.
 
     Attributes:
         bases: geopotential altitude of the layers' bases, increasing, m.
@@ -39,8 +39,8 @@ class LayeredAtmosphere:
         gas_constant: universal, J/(kmol K).
         heat_ratio: c_p / c_v.
     Raises:
-        ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the last
-            layer without end would not be positive, another of the numbers is not positive.
+        ModelError: bases and lapses differ in number, the bases do not increase, a temperature at a base or in the
+            last layer is not positive, another number is not positive.
     """
 
     bases: tuple[float, ...]

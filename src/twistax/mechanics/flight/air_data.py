@@ -32,7 +32,7 @@ _DENSITY, _PRESSURE = KILOGRAM / METRE**3, NEWTON / METRE**2
 
 @dataclasses.dataclass(frozen=True, eq=False)
 class AirData:
-    """Air data of a body, as expressions; each is made when it is first read.
+    """Air data of a body, as expressions that are built at first access.
 
     Attributes:
         velocity: of the body relative to the air, (3,) in body axes, m/s.
@@ -156,7 +156,7 @@ class Aerodynamics:
         chord: c, m, the length of pitch coefficients.
         reference: moment reference point, (3,) from the body's origin, m.
         axes: axes of the coefficients: `body_axes`, `stability_axes` or `wind_axes`.
-    Raises: ShapeError, ModelError for values that are no such numbers or expressions, or are below 0.
+    Raises: ShapeError, ModelError for values that are not numbers or expressions, or are below 0.
     """
 
     area: ExprLike
@@ -185,7 +185,7 @@ class Aerodynamics:
 
     def wrench(self, air: AirData, force: ExprLike, moment: ExprLike = (0.0, 0.0, 0.0)) -> Expr:
         """The wrench [f; tau] (6,) at the body's origin, in its axes: $q S R C_f$, and $q S R (b C_l, c C_m, b C_n)$
-        moved there.
+        transformed to this origin.
         """
         of_kind("Aerodynamics.wrench", "air", air, AirData)
         R, load = self.axes(air), air.dynamic_pressure * self.area

@@ -38,7 +38,7 @@ _SPEED, _RATE = METRE / SECOND, ONE / SECOND
 class Vehicle:
     """A rigid body in flight over a planet. Its states are the pose g in inertial axes and the body twist V.
 
-    The properties are expressions, each made when it is first read, so what is not used costs nothing. Angles are in
+    The properties are expressions that are built at first access, so unused ones cost nothing. Angles are in
     rad. The longitude of `place` is the geographic one.
 
     On the axis of the planet there is no north direction: `attitude`, `euler`, `ned_velocity` and a wind are NaN there,
@@ -110,7 +110,7 @@ class Vehicle:
 
     @cached_property
     def euler(self) -> Expr:
-        """Roll, pitch and yaw (3,) of the attitude, rad. Pitched straight up or down, roll is 0."""
+        """Roll, pitch and yaw (3,) of the attitude, rad. At a pitch of +-90 degrees roll is 0."""
         return EulerAngles(self.attitude)
 
     @cached_property
@@ -131,7 +131,7 @@ class Vehicle:
 
     @cached_property
     def air(self) -> AirData:
-        """The air data. Rates relative to the air are relative to the turning planet and to gusts."""
+        """The air data. Rates relative to the air are relative to the rotating planet and to gusts."""
         turning = Concat(0.0, 0.0, self.planet.figure.rate)
         velocity, rate = self._steady_air_velocity, angular(self.twist) - self.pose[:3, :3].T @ turning
         if self._gust is not None:
@@ -157,11 +157,11 @@ class Vehicle:
         """V' (6,) of a body under gravity and a wrench.
 
         Args:
-            body: mass, centre of mass and inertia in body axes, of the mass there is. What masses that move in it do is
-                counted; what mass that leaves it does belongs to wrench, see `SpatialInertia`.
-            wrench: [f; tau] (6,) of everything but gravity, at the body's origin in its axes.
+            body: mass, centre of mass and inertia in body axes, instantaneous values. The effect of masses that move
+                in it is included; the effect of mass that leaves it belongs to wrench, see `SpatialInertia`.
+            wrench: [f; tau] (6,) of all forces but gravity, at the body's origin in its axes.
         Raises:
-            ModelError: body is no SpatialInertia.
+            ModelError: body is not a SpatialInertia.
             ShapeError: wrench is not of shape (6,).
         """
         of_kind("Vehicle", "body", body, SpatialInertia)
@@ -178,15 +178,15 @@ class Vehicle:
         outputs: Mapping[str, ExprLike] | None = None,
         **more: Any,
     ) -> System:
-        """The body's motion under gravity and a wrench, and the turbulence.
+        """The system of the body's motion under gravity and a wrench, and of the turbulence.
 
         Args:
             body, wrench: as of `acceleration`.
-            rates: of further states; where body depends on them its masses move by these.
-            outputs: beside those of `outputs()`.
-            more: what `System` takes.
+            rates: of further states; if the body depends on them, its masses move at these rates.
+            outputs: in addition to those of `outputs()`.
+            more: further arguments of `System`.
         Raises: ModelError, ShapeError, as `acceleration`; ModelError for a rate of the vehicle's own states, or an
-            output of a name that it has.
+            output whose name is in use.
         """
         of_kind("Vehicle", "body", body, SpatialInertia)
         motion: dict[State | str, ExprLike] = {
@@ -212,7 +212,7 @@ class Vehicle:
         return System({**motion, **(rates or {})}, {**ready, **(outputs or {})}, **more)
 
     def outputs(self) -> dict[str, Expr]:
-        """The outputs by which flights are usually compared.
+        """The standard outputs for comparisons of flights.
 
         position, velocity (inertial), fixed_position (3,); latitude, longitude, altitude (); ned_velocity (3,);
         attitude (3, 3), body to north-east-down; euler (3,), roll, pitch and yaw of it; rate (3,), inertial; airspeed,
