@@ -62,9 +62,8 @@ class VariableList:
         rates = {state: system.rates[state.name] for state in system.states}
         roots = {f"rates[{name!r}]": rate for name, rate in system.rates.items()}
         roots |= {f"outputs[{name!r}]": expr for name, expr in system.outputs.items()}
-        leaves = [*rates, *leaves_of(*roots.values())]
-        asked = any(map(declares, (*rates, *postorder(*roots.values()))))
-        self._known = infer_kinds(roots, rates, leaves) if asked else None
+        has_kinds = any(map(declares, postorder(*roots.values())))
+        self._known = infer_kinds(roots, rates, list(leaves_of(*roots.values()))) if has_kinds else None
         self._linear = _linear_places(system.states, roots.values())
         self.all = [UnitVariable("time", SECOND, 0, "independent", "continuous")]
         x, u, p = starts
