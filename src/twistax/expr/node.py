@@ -307,12 +307,13 @@ class Expr(Printed, Operators):
     @property
     def shape(self) -> Shape:
         """The shape of the value; same as `check_shape()`."""
-        return self.check_shape()
+        known: Shape | None = self.__dict__.get("_shape")
+        return self.check_shape() if known is None else known
 
     @property
     def ndim(self) -> int:
         """Number of axes of the value."""
-        return len(self.check_shape())
+        return len(self.shape)
 
     @property
     def is_group_element(self) -> bool:

@@ -19,10 +19,11 @@ from ..expr import (
     Noise,
     Parameter,
     State,
-    check_kinds,
     check_orders,
+    declares,
     find_path,
     leaves_of,
+    postorder,
     refuse_conditions,
     to_expr,
 )
@@ -97,7 +98,7 @@ class System(Composable):
             raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
-        named = _named_constraints(constraints)
+        named = constraints_by_name(constraints)
         self.soft = {name: constraint for name, constraint in named.items() if isinstance(constraint, Soft)}
         self.constraints: dict[str, Constraint] = {name: hard(constraint) for name, constraint in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
@@ -111,7 +112,8 @@ class System(Composable):
             **{f"outputs[{name!r}]": expr for name, expr in self.outputs.items()},
             **{f"constraints[{name!r}]": expr for name, expr in self.constraints.items()},
         }
-        no_elements(leaves := list(leaves_of(*self._roots.values())))
+        nodes = postorder(*self._roots.values())
+        no_elements(leaves := [node for node in nodes if isinstance(node, Leaf)])
         for leaf in leaves:
             leaf.check_in_system()
         used = [leaf for leaf in leaves if isinstance(leaf, (State, Control, Parameter, Noise))]
@@ -128,7 +130,10 @@ class System(Composable):
         self.labels = checked_labels(labels, (*self.states, *self.controls))
         rate_of = {state: self.rates[state.name] for state in self.states}
         check_orders(self._roots, rate_of)
-        check_kinds(self._roots, rate_of, leaves)
+        if any(map(declares, (*self.states, *nodes))):
+            from ..expr.kinds.inference import infer_kinds  # most systems do without
+
+            infer_kinds(self._roots, rate_of, [*self.states, *leaves], nodes)
 
     def __repr__(self) -> str:
         kinds = ("states", "controls", "parameters")
@@ -314,7 +319,8 @@ def free_name(text: str, taken: Container[str]) -> str:
     return next(name for name in numbered if name not in taken)
 
 
-def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+    """Constraints with names: their own, or their texts. Raises ModelError for what is no constraint."""
     if isinstance(constraints, Mapping):
         named = dict(constraints)
     elif not isinstance(constraints, (Iterable, Soft)):

@@ -258,7 +258,7 @@ def _raises(call: Callable[[], Any], error: type[Exception]) -> bool:
 
 def rule_of_kinds(case: Case) -> None:
     """The class says what it makes of kinds, frames and units."""
-    fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.Fixed(takes, gives) has units"
+    fix = "name one: kinds = tx.kinds.OPEN says nothing, tx.kinds.FixedUnits(takes, gives) has units"
     case.check.holds("a node states a rule of kinds", case.node.kinds is not None, "kinds is None", fix)
 
 

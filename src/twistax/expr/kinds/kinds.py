@@ -7,6 +7,7 @@ import enum
 from typing import Any, ClassVar
 
 from ...errors import ModelError
+from .bodies import Acts, Bodies, Moves
 from .unit import JOULE, KILOGRAM, METRE, ONE, SECOND, Unit, parsed
 
 Shape = tuple[int, ...]
@@ -29,8 +30,8 @@ class Kind:
     """Base of all kinds. The unit of a six-vector is that of its angular part; the linear part differs by metres.
 
     Attributes:
-        unit: the unit of the kind; None where the kind does not determine it.
-    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
+        unit: what the kind says of units; None where it says nothing.
+    Raises: ModelError where a leaf has another shape, or a frame is no name. A frame that is not named is open.
     """
 
     shapes: ClassVar[tuple[Shape, ...]] = ()
@@ -43,8 +44,16 @@ class Kind:
         return f"{type(self).__name__}({', '.join(names)})"
 
     def frames(self) -> dict[int, str]:
-        """The frame of each axis, counted from the last."""
+        """The frame of each axis, counted from the last, as far as they are named."""
+        return {axis: name for axis, name in self.axes().items() if name}
+
+    def axes(self) -> dict[int, str]:
+        """The frame of each axis, counted from the last; "" where it is open."""
         raise NotImplementedError
+
+    def bodies(self) -> Bodies:
+        """Which body moves against which, or is acted upon; None where nothing is said of that."""
+        return None
 
     def check(self, name: str, shape: Shape) -> None:
         """Raise ModelError if a leaf has another shape, or if a frame is not a name."""
@@ -53,7 +62,7 @@ class Kind:
             raise ModelError(f"{name!r}: {type(self).__name__} is for shape {wanted}, got {shape}")
         for field in dataclasses.fields(self):
             frame = getattr(self, field.name)
-            if not isinstance(frame, str) or (not frame and field.default is dataclasses.MISSING):
+            if not isinstance(frame, str):
                 raise ModelError(f"{name!r}: {type(self).__name__} expects the name of a frame, got {frame!r}")
 
 
@@ -61,10 +70,10 @@ class Kind:
 class _OfSix(Kind):
     """Base of six-vectors in one frame."""
 
-    frame: str
+    frame: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((6,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -74,8 +83,8 @@ class Twist(_OfSix):
 
     Attributes:
         frame: the frame of its coordinates.
-        of, relative_to: the moving frame and the reference frame; they appear in messages and are not checked.
-    Raises: ModelError if a leaf has another shape, or if a frame is not a name.
+        of, relative_to: which body moves, and against which one. Sums of twists and rates of poses are held to it.
+    Raises: ModelError where a leaf has another shape, or a frame is no name.
     Example: `tx.State("V", (6,), kind=tx.Twist("body", of="craft", relative_to="world"))`.
     """
 
@@ -84,6 +93,10 @@ class Twist(_OfSix):
     unit = ONE / SECOND
     space = Space.MOTION
 
+    def bodies(self) -> Bodies:
+        known = {self.of: 1, self.relative_to: -1}
+        return Moves({name: n for name, n in known.items() if name}) if self.of != self.relative_to else None
+
 
 @dataclasses.dataclass(frozen=True)
 class Wrench(_OfSix):
@@ -91,12 +104,17 @@ class Wrench(_OfSix):
 
     Attributes:
         frame: the frame of its coordinates.
-    Raises: ModelError if a leaf has another shape, or if the frame is not a name.
+        on: the body on which it acts; wrenches on two bodies are not added.
+    Raises: ModelError where a leaf has another shape, or the frame is no name.
     Example: `tx.Control("F", (6,), kind=tx.Wrench("body"))`.
     """
 
+    on: str = ""
     unit = JOULE
     space = Space.FORCE
+
+    def bodies(self) -> Bodies:
+        return Acts(self.on) if self.on else None
 
 
 @dataclasses.dataclass(frozen=True)
@@ -129,7 +147,7 @@ class Inertia(_OfSix):
     unit = KILOGRAM * METRE**2
     space = Space.FORCE  # of both axes: what it gives, and the dual of what it takes
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.frame, -1: self.frame}
 
 
@@ -143,10 +161,10 @@ class FreeVector(Kind):
     Example: `tx.Control("F", (3,), kind=tx.FreeVector("body"), unit="N")`.
     """
 
-    frame: str
+    frame: str = ""
     shapes = ((3,),)
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-1: self.frame}
 
 
@@ -173,12 +191,12 @@ class Rotation(Kind):
     Example: `tx.State("R", group=tx.SO3, kind=tx.kinds.Rotation("world", "body"))`.
     """
 
-    to: str
-    source: str
+    to: str = ""
+    source: str = ""
     shapes: ClassVar[tuple[Shape, ...]] = ((3, 3), (4,))
     unit: ClassVar[Unit | None] = ONE
 
-    def frames(self) -> dict[int, str]:
+    def axes(self) -> dict[int, str]:
         return {-2: self.to, -1: self.source}
 
 

@@ -12,7 +12,7 @@ from ...errors import ModelError, ShapeError
 from ...groups.arrays import cross, unpack, vector
 from ..bases import expect_square
 from ..fields import ExprLike, Operand
-from ..kinds import rules
+from ..kinds import array_rules, rules
 from ..node import Expr, Numbers, Shape, expect
 from ..operations.arithmetic import Div, Neg, is_constant, zeros_of
 from ..operations.elementwise import Abs, absolute
@@ -92,7 +92,7 @@ class Diag(Expr):
 class Sum(Expr):
     """Sum of all entries. Shapes: any -> ()."""
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.sum
@@ -113,7 +113,7 @@ class Trace(Expr):
     Raises: ShapeError if the operand is not a square matrix.
     """
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     function = jnp.trace
@@ -165,7 +165,7 @@ class Norm(Expr):
         ShapeError: the order is not defined for the operand's rank.
     """
 
-    kinds = rules.REDUCED
+    kinds = array_rules.REDUCED
     of_numbers = True
     operand: Operand
     ord: Any = "fro"

@@ -95,7 +95,7 @@ class Sub(Entrywise):
 
     left: Operand
     right: Operand
-    kinds = rules.SUM
+    kinds = rules.DIFFERENCE
     function = operator.sub
     infix = "-"
     formula = "<0> - <1:11>"
@@ -223,7 +223,7 @@ class Neg(Entrywise):
     """Negative -x, entry by entry."""
 
     operand: Operand
-    kinds = rules.SUM
+    kinds = rules.NEGATIVE
     function = operator.neg
     formula = "-<0:15>"
     cases = ({"operand": _VECTOR},)

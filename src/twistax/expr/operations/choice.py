@@ -27,7 +27,7 @@ class Extremum(Chained, init=False):
     """Base of Max, Min and their smooth relative."""
 
     operands: Operands
-    kinds: ClassVar[rules.Rule | None] = rules.SUM
+    kinds: ClassVar[rules.Rule | None] = rules.ALIKE
     abstract = True
     cases = (
         {"operands": [[1.0, -2.0, 0.5], 0.25]},

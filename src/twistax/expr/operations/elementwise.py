@@ -242,7 +242,7 @@ class PositivePart(Entrywise):
     """max(x, 0), entry by entry. The derivative at 0 is taken as 1/2."""
 
     x: Operand
-    kinds = rules.SUM
+    kinds = rules.ALIKE
     formula = r"\left(<0>\right)_+"
     cases = ({"x": [1.0, -2.0, 0.5]},)
     kinks = ({"x": [0.0]},)
@@ -287,7 +287,7 @@ class SmoothReLU(Entrywise):
 
     x: Operand
     c: float = 1e-8
-    kinds = rules.SUM
+    kinds = rules.ALIKE
     cases = ({"x": [0.3, -0.2, 2.0, 0.05], "c": 0.1},)
     kinks = ({"x": [0.0, 0.0]},)
 

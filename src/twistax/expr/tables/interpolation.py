@@ -13,7 +13,7 @@ from ...checks import short
 from ...errors import ModelError, ShapeError
 from ..bases import Variadic, broadcast
 from ..fields import ExprLike, Operand, Operands
-from ..kinds import rules
+from ..kinds import array_rules, rules
 from ..leaves import Constant
 from ..node import Expr, Shape
 from .kinds import BSpline, Clamped, Extrapolated, Linear, Lookup, MonotoneCubic, Refused, linear, pieces
@@ -136,7 +136,7 @@ def _once(node: Expr, make: Callable[[], Lookup]) -> Lookup:
 class _OnGrid(Expr):
     """Base of piecewise linear tables: its operands are the coordinates, the points of their axes, and the values."""
 
-    kinds = rules.OPEN
+    kinds = array_rules.TABLE
     abstract = True
 
     def validate(self) -> None:

@@ -13,7 +13,7 @@ from ...errors import ModelError
 from ...expr import Expr, Sqrt, to_expr
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import Fixed
+from ...expr.kinds.rules import FixedUnits
 from ...expr.kinds.unit import KELVIN, METRE, NEWTON
 
 __all__ = ["US1976", "LayeredAtmosphere", "Pressure", "Temperature"]
@@ -170,7 +170,7 @@ class Temperature(_OfAltitude):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    kinds = Fixed((METRE,), KELVIN)
+    kinds = FixedUnits((METRE,), KELVIN)
 
     def evaluate(self, *values: Array) -> Array:
         return profile(self.air, values[0])[0]
@@ -186,7 +186,7 @@ class Pressure(_OfAltitude):
         air: the atmosphere, by default the US Standard Atmosphere 1976.
     """
 
-    kinds = Fixed((METRE,), NEWTON / METRE**2)
+    kinds = FixedUnits((METRE,), NEWTON / METRE**2)
 
     def evaluate(self, *values: Array) -> Array:
         return self.air.pressure_at_base * jnp.exp(profile(self.air, values[0])[1])

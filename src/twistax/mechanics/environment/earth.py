@@ -25,8 +25,9 @@ from ...errors import ModelError
 from ...expr import Atan2, Block, Concat, Cos, Cross, Expr, Norm, Sin, Sqrt
 from ...expr.bases import Entrywise
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import OPEN, Fixed
-from ...expr.kinds.unit import METRE
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.rules import OPEN, FixedUnits
+from ...expr.kinds.unit import METRE, ONE
 from ...expr.lie import AxisRotation
 from ..arguments import of_shape
 
@@ -80,7 +81,7 @@ class Ellipsoid:
         """
         p = of_shape("geodetic", "position", position, (3,))
         meridian = Meridian(Norm(p[:2]), p[2], self)
-        return Geodetic(meridian[0], Atan2(p[1], p[0]), meridian[1])
+        return Geodetic(known_as(meridian[0], unit=ONE), Atan2(p[1], p[0]), known_as(meridian[1], unit=METRE))
 
     def position(self, latitude: ExprLike, longitude: ExprLike, altitude: ExprLike) -> Expr:
         """The Earth-fixed position (3,) of geodetic coordinates, (), rad and m. Raises ShapeError."""
@@ -186,7 +187,7 @@ class Meridian(Expr):
     z: Operand
     ellipsoid: Ellipsoid = WGS84
     takes, gives = ((), ()), (2,)
-    kinds = Fixed((METRE, METRE))
+    kinds = FixedUnits((METRE, METRE))
     # A planet of size one: the finite differences of the suite need values and steps of like size.
     cases = (
         {"rho": 0.8, "z": 0.9, "ellipsoid": Ellipsoid(radius=1.0, flattening=0.1, rate=0.0)},

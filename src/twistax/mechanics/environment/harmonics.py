@@ -15,7 +15,7 @@ from ...checks import listed, number, short, whole
 from ...errors import ModelError
 from ...expr import Expr
 from ...expr.fields import ExprLike, Operand, positive
-from ...expr.kinds.rules import Fixed
+from ...expr.kinds.rules import FixedUnits
 from ...expr.kinds.unit import METRE, SECOND
 from ..arguments import of_shape
 
@@ -106,7 +106,7 @@ class HarmonicPull(Expr):
     position: Operand
     model: Harmonics
     takes, gives = ((3,),), (3,)
-    kinds = Fixed((METRE,), METRE / SECOND**2, one_frame=True)
+    kinds = FixedUnits((METRE,), METRE / SECOND**2, one_frame=True)
     cases = (
         {
             "position": [0.9, -0.7, 0.6],

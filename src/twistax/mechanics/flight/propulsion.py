@@ -13,6 +13,8 @@ from ...checks import number, short
 from ...errors import ModelError
 from ...expr import Constant, Cross, Expr
 from ...expr.fields import ExprLike
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.kinds import Wrench
 from ...expr.lie import angular, wrench
 from ...units import kilograms, metres, newtons, same_unit, seconds
 from ..arguments import of_kind, of_shape
@@ -61,7 +63,7 @@ class Engine:
     def wrench(self) -> Expr:
         """$[f; p x f]$ (6,) of the thrust f."""
         force = self.thrust * of_shape("Engine", "direction", self.direction, (3,))
-        return wrench(force=force, torque=Cross(self.position, force))
+        return known_as(wrench(force=force, torque=Cross(self.position, force)), Wrench())
 
 
 def rocket(

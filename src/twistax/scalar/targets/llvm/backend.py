@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import functools
 import importlib.metadata
@@ -19,11 +20,13 @@ from ....checks import instance, whole
 from ....errors import ModelError
 from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
-from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
+from ...array_primitive import BatchedByKernel
+from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, is_pure, outweighs_memory, pure
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
 from ...program import Rows, ScalarProgram
+from ...small_call import joins_program
 from ...walk import uncollected
 from ..cuda.driver import driver
 from ..cuda.kernel import CudaKernel
@@ -242,6 +245,10 @@ class Native(Backend):
         return _KernelSteps(self.scalars, self.runner)
 
     @property
+    def widest(self) -> int:  # type: ignore[override]
+        return self.scalars.widest
+
+    @property
     def runner(self) -> KernelRunner:
         """Runs its programs."""
         return KernelRunner(self.least, self.threads)
@@ -305,9 +312,25 @@ class Auto(Native):
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         emission = self.scalars.emit(closed, fixed)
-        if emission.program is None or not installed():
+        if not installed():
             return emission
+        if emission.program is None:
+            return self._in_batches(closed, emission) if emission.few and is_pure(closed) else emission
         return self._native(emission.program, lambda: emission)
+
+    def _in_batches(self, closed: ClosedJaxpr, emission: Emission) -> Emission:
+        """A function that runs as it is written alone, and as a kernel in batches."""
+
+        def scalars(closed: ClosedJaxpr) -> Derived | None:
+            with contextlib.suppress(TooLarge):
+                return self._kernels(self.scalars.scalarised(closed))[0] if outweighs_memory(closed.jaxpr) else None
+            return None
+
+        program = BatchedByKernel(closed, scalars)
+
+        function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
+        reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
+        return dataclasses.replace(emission, function=function, reason=reason)
 
     def _say_missing(self) -> None:
         """No warning: the user did not ask for llvmlite."""
