@@ -304,7 +304,7 @@ class Dynamics:
         Returns:
             The path.
         Raises:
-            ModelError: a part has no form in scalars; `steps` is no method; a parameter has no value; no such compiler.
+            ModelError: a part has no scalar form; `steps` is no method; a parameter has no value; no such compiler.
             InputError: values of other names or shapes, or not finite; a path that cannot be written.
 
         Source: Functional Mock-up Interface Specification 3.0.1 (Modelica Association, 2023).
