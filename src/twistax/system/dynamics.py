@@ -235,8 +235,7 @@ class Dynamics:
         Raises:
             ModelError: a part has no scalar form, such as steps of implicit methods; two names are equal in C; `steps`
                 is not a method.
-            InputError: a name or type that C does not have; the directory cannot be written to, or has other files of
-                those names.
+            InputError: a name or type that C does not have; a directory that is not writable, or has such files.
         """
         from .export.c99 import write_c
 
@@ -265,8 +264,7 @@ class Dynamics:
         min drop NaN.
 
         Args:
-            families: one or more of "rates", "outputs", "constraints"; results of outputs have the names of the system,
-                those of constraints are "inequality" and "equality".
+            families: of "rates", "outputs" (by name), "constraints" (results "inequality" and "equality").
             name: of the function.
             checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
         Raises:
@@ -313,8 +311,7 @@ class Dynamics:
     def save(self, path: str | Path) -> None:
         """Write the system to a file, from which `tx.load` restores it, compiled with the same options.
 
-        The file contains the expressions, the leaves with their bounds, guesses and values, and the options of
-        `tx.compile`.
+        It contains the expressions, the leaves with bounds, guesses and values, and the options of `tx.compile`.
 
         Raises:
             ModelError: a node has a field that is not a number, text, array or value of twistax.

@@ -52,7 +52,7 @@ class Kind:
         raise NotImplementedError
 
     def bodies(self) -> Bodies:
-        """Which body moves against which, or is acted upon; None where nothing is said of that."""
+        """Which body moves against which, or is acted upon; None if not declared."""
         return None
 
     def check(self, name: str, shape: Shape) -> None:

@@ -85,7 +85,7 @@ class Vmap(Expr):
         axis: the axis mapped over, counted from 0.
         body: what fn returned.
         placeholders: the arguments fn was called with.
-        copies: whether the elements are systems, of which one is worth a program of its own; see `elements_by`.
+        copies: whether the elements are systems, each large enough for a separate program; see `elements_by`.
     Raises:
         ShapeError: a batch without that axis, or batches of different length; a substitution that gives the elements
             another shape.

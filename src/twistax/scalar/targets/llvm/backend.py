@@ -192,8 +192,7 @@ class KernelRunner:
 
 @dataclasses.dataclass(frozen=True)
 class Native(Backend):
-    """Runs functions as kernels: machine code of their scalar programs for this processor, compiled by LLVM in this
-    process.
+    """Runs functions as kernels: machine code of their scalar programs, compiled by LLVM in this process.
 
     Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
     needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
@@ -204,8 +203,7 @@ class Native(Backend):
     Attributes:
         scalars: the backend that makes scalar programs of functions, and runs them where there is no kernel.
         threads: the largest number of threads that share a large batch; None: the number of XLA's threads.
-        least: calls with fewer scalar operations, over the whole batch, run by XLA, because a kernel call in a loop
-            takes some 100 ns.
+        least: calls with fewer scalar operations in the whole batch run by XLA; a kernel call takes some 100 ns.
 
     Raises:
         ModelError: threads below one, or least below zero.
