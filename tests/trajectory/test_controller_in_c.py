@@ -95,5 +95,5 @@ def test_functions_without_a_form_in_scalars_are_refused(tmp_path: Path) -> None
     dynamics = tx.compile(tx.System(rates={p: tx.linalg.Solve(A, u)}))
     cost = tx.Minimize(running=p @ p + u @ u)
     problem = Problem(dynamics, cost, nodes=3, final_time=1.0, initial={p: np.ones(20)}, substeps=1)
-    with pytest.raises(tx.TrajectoryError, match="rate_value has no form in scalars"):
+    with pytest.raises(tx.TrajectoryError, match="rate_value has no scalar form"):
         problem.to_c(tmp_path)

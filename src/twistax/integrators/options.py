@@ -55,7 +55,7 @@ class StepOptions:
     control: StepControl | None = None
 
     def over(self, shared: StepOptions) -> dict[str, Any]:
-        """The fields by name; those that are None are taken from `shared`."""
+        """The fields by name; fields that are None are taken from `shared`."""
         fields = [field.name for field in dataclasses.fields(StepOptions)]
         values = {name: getattr(self, name) for name in fields}
         return {name: getattr(shared, name) if value is None else value for name, value in values.items()}

@@ -17,11 +17,22 @@ from ..checks import number
 from ..errors import ModelError
 from ..expr import Block, Concat, Constant, Expr, Parameter, Solve, Stack, State
 from ..expr.fields import ExprLike
+from ..expr.kinds.declare import known_as
 from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
-from .screws import Screws, Subspaces, across, checked_actuation, checked_motion, complement, direction, screw
+from .screws import (
+    Screws,
+    Subspaces,
+    across,
+    checked_actuation,
+    checked_motion,
+    complement,
+    direction,
+    kinds_of,
+    screw,
+)
 
 # fmt: off
 __all__ = [
@@ -35,25 +46,25 @@ _ROUND_OFF = 1e-12
 
 
 class Joint(Subspaces, ABC):
-    """A joint between a parent and a child, with k freedoms and a motion subspace H that is constant in the child.
+    """A joint of k degrees of freedom between a parent and a child; its motion subspace H is constant in the child.
 
-    Subclass it to add one: call `super().__init__` with H, and write `placement`. H may be an expression (6, 1);
+    To add a joint, subclass it: call `super().__init__` with H, and define `placement`. H may be an expression (6, 1);
     then set `constraint_basis` yourself. Six-vectors are [v; w] and [f; tau].
 
     Args:
-        name: begins the names of the states, `<name>_position` and `<name>_velocity`.
+        name: the prefix of the names of the states, `<name>_position` and `<name>_velocity`.
         motion: H (6, k), or (6,) for one freedom, in the child's joint frame.
-        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ unless given. Give it where H mixes m and rad.
+        actuation_basis: h* (6, k) with $h*^T H = I$; $H (H^T H)^-1$ by default. Pass it where H mixes m and rad.
 
     Attributes:
-        name: as given.
+        name: the name of the joint.
         dofs: k, from 0 to 6.
-        position: the State of shape (k,), or on `group` where a subclass names one; None for k = 0.
+        position: the State of shape (k,), or on the `group` of a subclass; None for k = 0.
         velocity: the State of shape (k,); m/s along slides, rad/s about axes. None for k = 0.
         motion_subspace, actuation_basis, constraint_basis: H, h* and H-bar* in the child's joint frame; see `Screws`.
 
     Raises:
-        ModelError: no name; H or h* no numbers; H not finite or with dependent columns; $h*^T H$ is not I; a group of
+        ModelError: no name; H or h* not numeric; H not finite or with dependent columns; $h*^T H$ is not I; a group of
             another dimension.
         ShapeError: H or h* of another shape.
     """
@@ -80,9 +91,9 @@ class Joint(Subspaces, ABC):
         self.position: State | None = None
         self.velocity: State | None = None
         if self.dofs:
-            shape = (self.dofs,) if self.group is None else None
-            self.position = State(f"{name}_position", shape, group=self.group)
-            self.velocity = State(f"{name}_velocity", (self.dofs,))
+            shape, known = (self.dofs,) if self.group is None else None, kinds_of(self.motion_subspace, self.group)
+            self.position = known_as(State(f"{name}_position", shape, group=self.group), *known[0])
+            self.velocity = known_as(State(f"{name}_velocity", (self.dofs,)), *known[1])
 
     def renamed(self, name: str) -> Joint:
         """The same joint with another name, and with states of that name. Raises ModelError for no name."""
@@ -121,7 +132,7 @@ class Joint(Subspaces, ABC):
         """T_pc (4, 4) of the position, of shape (0,) without one; its rate must be $T_pc hat(H velocity)$."""
 
     def rate(self, position: Expr, velocity: Expr) -> Expr:
-        """The rate of the position: the velocity, unless a subclass says otherwise."""
+        """The rate of the position: the velocity, unless a subclass overrides it."""
         return velocity
 
     def deflection(self, position: Expr) -> Expr | None:
@@ -243,14 +254,14 @@ class Prismatic(Joint):
 class Helical(Joint):
     """A screw: a turn about a fixed axis a with a translation along it, $H = [h a; a]$, q in rad.
 
-    The motor is a torque about the axis: h* = [0; a].
+    The motor exerts a torque about the axis: h* = [0; a].
 
     Args:
         name, axis: as for `Revolute`.
-        pitch: h in m/rad, the way along the axis for each rad; finite.
+        pitch: h in m/rad, the translation along the axis for each rad; finite.
     Raises:
         ShapeError: axis is not of shape (3,).
-        ModelError: no name; an axis that is zero or not finite; a pitch that is no finite number.
+        ModelError: no name; an axis that is zero or not finite; a pitch that is not a finite number.
     """
 
     cases = ({"axis": (2.0, -1.0, 2.0), "pitch": 0.05},)
@@ -294,7 +305,7 @@ class Cylindrical(Joint):
 class Planar(Joint):
     """Motion in a plane of the parent, through the origin with normal z: q = [x, y, angle], in m and rad.
 
-    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: x' and y' are v_x and v_y turned by the
+    The velocity is [v_x, v_y, w] in the CHILD's axes, where H is constant: [x', y'] is [v_x, v_y] rotated by the
     angle. Mount the joint with z along the normal of the plane.
 
     Args:
@@ -338,7 +349,7 @@ class Spherical(Joint):
         return Pose(position, np.zeros(3))
 
     def deflection(self, position: Expr) -> Expr:
-        """Log R, in rad: the spring turns back along the shortest way."""
+        """Log R, in rad: the shortest rotation from the rest position."""
         return SO3Log(position)
 
     def reversed(self) -> Spherical:
@@ -346,7 +357,8 @@ class Spherical(Joint):
 
 
 class Free(Joint):
-    """A joint with six freedoms: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w] (6,).
+    """A joint with six degrees of freedom: $H = I$; the position is T_pc on SE(3), the velocity the body twist [v; w]
+    (6,).
 
     There are no constraint wrenches: H-bar* has shape (6, 0).
 
@@ -369,16 +381,16 @@ class Free(Joint):
 
 
 def universal(name: str, first: Any, second: Any) -> tuple[Revolute, Revolute]:
-    """A universal joint, two turns in a row: about an axis of the parent, then about one of the child.
+    """A universal joint: a rotation about an axis of the parent, then one about an axis of the child.
 
-    Its H changes in its own child frame, so it is two joints, `<name>_1` and `<name>_2`. Put a link without a body and
-    with an identity mount between them.
+    Its H varies in its child frame, so it is modelled as two joints, `<name>_1` and `<name>_2`. Put a link without a
+    body and with an identity mount between them.
 
     Args:
-        name: begins the names of both.
+        name: the prefix of both names.
         first, second: their axes (3,), the same in both frames when both angles are zero.
     Raises:
-        ShapeError, ModelError: as for `Revolute`; axes along one line.
+        ShapeError, ModelError: as for `Revolute`; parallel axes.
     """
     joints = Revolute(f"{name}_1", first), Revolute(f"{name}_2", second)
     if np.linalg.norm(np.cross(joints[0].axis, joints[1].axis)) < _ROUND_OFF:

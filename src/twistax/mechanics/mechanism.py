@@ -31,10 +31,10 @@ if TYPE_CHECKING:
 
 
 class Mechanism(KinematicTree):
-    """Bodies on joints, in the shape of a tree, on a base at rest under uniform gravity.
+    """Bodies on joints, as a kinematic tree, on a base at rest under uniform gravity.
 
-    A floating base is a link on a `Free` joint. Links on `Fixed` joints are merged with what they sit on; their frames
-    stay.
+    A floating base is a link on a `Free` joint. Links on `Fixed` joints are merged with their parents; their frames
+    remain available.
 
     **Velocities** are one vector qd (n,), the freedoms of the joints in the order of `joints`: m/s along slides, rad/s
     about axes, w of a ball, the body twist [v; w] of a free joint. **Positions** are one vector q with the coordinates
@@ -45,22 +45,22 @@ class Mechanism(KinematicTree):
         links: one or more, in any order; see `Link`.
         gravity: (3,) in the base's axes, m/s2; numbers or an expression.
         base: name of the base's frame.
-        keep: names of `Fixed` joints that are not merged, so that the wrench they carry can be asked for.
-        notes: what else there is to say about the model, such as what a file has and nobody uses.
+        keep: names of `Fixed` joints that are not merged, so that their joint wrenches are available.
+        notes: remarks on the model, such as elements of a file that are not used.
         loops: closures of frames beyond the tree, see `loops`; they act in `forward_dynamics` and in `system`.
-        loop_metric: how rows of loops are compared: which say what others say, and which wrenches are the shortest.
-        driven: names of the joints that motors drive. Unless given all but free ones, followers, and those whose drive
+        loop_metric: the norm of closure rows, which determines redundant rows and the smallest constraint wrenches.
+        driven: names of the joints with motors. By default all but free and mimic joints, and those whose drive
             has a spring and no effort: passive joints.
-        shapes: what the base looks like in its frame, for `solution.show`; what else stands still, such as a table.
+        shapes: shapes of the base in its frame, for `solution.show`, and of fixed objects, such as a table.
     Attributes:
-        links, gravity, driven, loops, loop_metric, base, shapes: as given, the links each after its parent; gravity as
-            an expression.
-        segments: what is left after merging; see `Segment`.
-        frames: the names of all frames, with the segment each is fixed to.
+        links, gravity, driven, loops, loop_metric, base, shapes: the arguments, with each link after its parent and
+            gravity as an expression.
+        segments: the links after merging; see `Segment`.
+        frames: the names of all frames, with the segment of each.
         dofs: n.
-        q, qd: the states of `system`, and what functions take unless other positions and velocities are given.
+        q, qd: the states of `system`, and the default positions and velocities of functions.
     Raises:
-        ModelError: links that are no tree; see `sorted_links` and `segments_of`.
+        ModelError: links that are not a tree; see `sorted_links` and `segments_of`.
         ShapeError: gravity is not of shape (3,).
     """
 
@@ -71,7 +71,7 @@ class Mechanism(KinematicTree):
 
     @functools.cached_property
     def notes(self) -> tuple[str, ...]:
-        """Remarks on the model, for example what a file has that is not used."""
+        """Remarks on the model, for example elements of a file that are not used."""
         if not self.redundant_closures:
             return self._notes
         rows = sum(loop.rows for loop in self.loops)
@@ -83,12 +83,12 @@ class Mechanism(KinematicTree):
     def replace(self, *, drives: Mapping[str, Drive] | None = None, **changes: Any) -> Mechanism:
         """A copy with other drives, or with some of the constructor's arguments changed.
 
-        `arm.replace(drives={"elbow": Drive(stiffness=5.0)})` puts a spring into a joint of an arm from a file.
+        `arm.replace(drives={"elbow": Drive(stiffness=5.0)})` adds a spring to a joint of an arm from a file.
 
         Args:
-            drives: by joint, each in place of the whole drive that its link has.
-            changes: arguments of `Mechanism`; what is not named stays.
-        Raises: ModelError for a joint or an argument that is not known; as the constructor.
+            drives: by joint; each replaces the whole drive of its link.
+            changes: arguments of `Mechanism`; others are unchanged.
+        Raises: ModelError for an unknown joint or argument, and the errors of the constructor.
         """
         for name in changes.keys() - {"links", *self.arguments}:
             known = ["drives", "links", *self.arguments]
@@ -235,7 +235,7 @@ class Mechanism(KinematicTree):
     def energy(self, q: Positions | None = None, qd: ExprLike | None = None) -> Expr:
         """$T + U$ (), J: the sum of `energies`.
 
-        It changes by motors, friction, outer forces and masses that move in bodies, and by nothing else.
+        It changes only by motors, friction, external forces and masses that move in bodies.
 
         Raises: as `energies`.
         """
@@ -246,7 +246,7 @@ class Mechanism(KinematicTree):
 
         "gravity" is zero for masses at the base, "springs" where all springs of the drives are at rest.
 
-        Raises: ShapeError; ModelError for bodies with masses that move by rates that are not known.
+        Raises: ShapeError; ModelError for bodies with moving masses whose rates are unknown.
         """
         parts = (kinetic_energy(self, q, qd), potential_energy(self, q), spring_energy(self, q))
         return dict(zip(("kinetic", "gravity", "springs"), parts, strict=True))
@@ -271,17 +271,17 @@ class Mechanism(KinematicTree):
         Limits are the bounds of states and controls. The corrections close the loops of the mechanism.
 
         Args:
-            controls: the joints that motors drive; `driven` unless given. Their commands are the Control
-                "tau", one entry a freedom, in the order of the joints named. None named, none made.
+            controls: the joints with motors; `driven` by default. Their commands are the Control
+                "tau", one entry for each freedom, in the order of the joints. An empty list makes no control.
             forces: further forces of the joints (n,), N or N m, such as those of a feedback.
-            wrenches: what acts on the mechanism from outside, by frame.
+            wrenches: external wrenches, by frame.
             rates: of further states, such as those that the inertia of a body depends on.
-            outputs, constraints: as for `tx.System`; of `q` and `qd`, or anything else. Outputs may be a function
-                f(qdd, tau) that gives them: of the accelerations (n,) of the motion, and of all that motors, springs,
-                friction and `forces` exert on the joints (n,), N or N m.
+            outputs, constraints: as for `tx.System`, of `q` and `qd`, or other expressions. Outputs may be a function
+                f(qdd, tau) that returns them, of the accelerations (n,) of the motion, and of the joint forces (n,), N
+                or N m, of motors, springs, friction and `forces`.
         Raises:
-            ModelError: a joint or frame that is not known; a mechanism in which nothing moves; rates of the
-                mechanism's own states, or of states that a body depends on and that are not known.
+            ModelError: an unknown joint or frame; a mechanism without moving joints; rates of the
+                mechanism's own states; unknown rates of states that a body depends on.
             ShapeError: an argument of another shape.
         """
         mechanism = self._knowing(rates_by_name(rates)) if rates else self
@@ -289,13 +289,13 @@ class Mechanism(KinematicTree):
 
 
 class Chain(Mechanism):
-    """Links one after the other from a base at rest to the tip, under uniform gravity: a `Mechanism` with one branch.
+    """Links in series from a base at rest to the tip, under uniform gravity: a `Mechanism` with one branch.
 
     Args:
-        links: one or more, from base to tip; each sits on the one before, whatever its `parent` says.
+        links: one or more, from base to tip; the parent of each is the previous one, whatever its `parent` is.
         gravity: (3,) in the base's axes, m/s2; numbers or an expression.
     Raises:
-        ModelError: no links, or something else among them.
+        ModelError: no links, or elements that are not links.
         ShapeError: gravity is not of shape (3,).
     """
 

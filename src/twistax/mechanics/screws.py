@@ -13,20 +13,25 @@ Source: R. Featherstone, Rigid Body Dynamics Algorithms (2008), chapter 3.
 from __future__ import annotations
 
 import dataclasses
-from typing import Any
+from typing import Any, TypeAlias
 
 import numpy as np
 
 from ..checks import reals
 from ..errors import ModelError, ShapeError
-from ..expr import Concat, Expr, Norm, Parameter, Stack, Where
+from ..expr import Concat, Constant, Expr, Norm, Parameter, Stack, Where
 from ..expr.fields import ExprLike
+from ..expr.kinds.kinds import FreeVector, Kind, Pose, Rotation, Twist
+from ..expr.kinds.unit import METRE, ONE, SECOND, Unit
 from ..expr.lie import SE3Adjoint, SE3AdjointDual, twist
 from ..expr.lie.base import unit_vector
+from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
 
 #: How far h*^T H may be from the identity.
 _ROUND_OFF = 1e-12
+#: What a state is known as.
+Known: TypeAlias = tuple[Kind | None, Unit | None]
 
 
 class Subspaces:
@@ -37,7 +42,7 @@ class Subspaces:
     constraint_basis: Expr
 
     def actuation(self, F: ExprLike) -> Expr:
-        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a slide, N m for a turn.
+        """$H^T F$ (k,): the generalised force of a wrench F (6,) on the child; N for a translation, N m for a rotation.
 
         Raises: ShapeError if F is not of shape (6,).
         """
@@ -77,11 +82,12 @@ class Screws(Subspaces):
     constraint_basis: Expr
 
     def in_frame(self, T: ExprLike) -> Screws:
-        """The same joint seen in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from frame b of these to a.
+        """The same joint expressed in frame a: $Ad_T H$, $Ad*_T h*$, $Ad*_T Hbar*$ with T (4, 4) from this frame b to
+        a.
 
         Raises:
             ShapeError: T is not of shape (4, 4).
-            ModelError: T is made of numbers and no pose.
+            ModelError: T is a numeric array and not a pose.
         """
         T_ab = pose("a change of frame of a joint", "the pose T", T)
         moved = SE3AdjointDual(T_ab)
@@ -173,3 +179,34 @@ def direction(owner: str, axis: Any) -> Any:
     if isinstance(a, Parameter) and a.value is not None:
         unit_vector(owner, "axis", a.value)
     return a / Norm(a)
+
+
+# ---- kinds and units of coordinates ----------------------------------------------------------------------------------
+
+
+def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
+    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
+    if not isinstance(motion_subspace, Constant):
+        return None
+    return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
+
+
+def unit_of(motion_subspace: Expr) -> Unit | None:
+    """The unit that all coordinates of a joint have; None where they differ."""
+    turns = set(turns_of(motion_subspace) or ())
+    return None if len(turns) != 1 else ONE if turns == {True} else METRE
+
+
+def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
+    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
+    if group is SE3:
+        return (Pose(), None), (Twist(), None)
+    if group is SO3:
+        return (Rotation(), None), (FreeVector(), ONE / SECOND)
+    unit = unit_of(motion_subspace) if group is None else None
+    return (None, unit), (None, None if unit is None else unit / SECOND)
+
+
+def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
+    """The kind of a position on a group between two frames; None for other groups."""
+    return Pose(to, source) if group is SE3 else Rotation(to, source) if group is SO3 else None

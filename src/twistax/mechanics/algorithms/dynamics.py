@@ -14,6 +14,8 @@ import numpy as np
 from ...errors import ModelError
 from ...expr import Block, Concat, Constant, Dot, Expr
 from ...expr.fields import ExprLike
+from ...expr.kinds.declare import known_as
+from ...expr.kinds.kinds import Wrench
 from ...expr.lie import CoadjointAction
 from ..arguments import of_shape
 from ..kinematic_tree import KinematicTree, Positions
@@ -214,7 +216,8 @@ def outside(owner: str, mechanism: KinematicTree, wrenches: Wrenches | None) -> 
         at = mechanism.frame(name)
         F = of_shape(owner, f"the wrench at {name!r}", value, (6,), "[f; tau] in the frame's axes")
         if at.segment >= 0:
-            F, before = CoadjointAction(at.T, F), outer_wrenches[at.segment]
+            F = CoadjointAction(at.T, known_as(F, Wrench(mechanism.frame_name(name))))
+            F, before = known_as(F, Wrench(mechanism.segments[at.segment].link.name)), outer_wrenches[at.segment]
             outer_wrenches[at.segment] = F if before is None else before + F
     return outer_wrenches
 

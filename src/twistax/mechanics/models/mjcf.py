@@ -69,7 +69,7 @@ class Mjcf:
         self._file = file = Compiled(root, folder)
         self.model = file.model
         self.notes = [*file.warnings, *(f"{kind}: {count}" for kind, count in sorted(file.left_out.items()))]
-        self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation)
+        self._looks, not_drawn = looks_of_mjcf(self.model, self.mujoco, self._rotation, file.drawn)
         if not_drawn:
             self.notes.append(f"geoms that are not drawn, meshes and planes: {not_drawn}")
         self.base, self.shapes = self._name("body", 0), self._looks[0]

@@ -72,7 +72,7 @@ class Exporter:
         """Rates, outputs or constraints.
 
         Raises:
-            ModelError: a part has no form in scalars, or the program is too large.
+            ModelError: a part has no scalar form, or the program is too large.
         """
 
         def arrays(*values: jax.Array) -> list[jax.Array]:
@@ -87,7 +87,7 @@ class Exporter:
         """The derivatives of the rates in the tangent space, a matrix (n, m) for each of "x", "u", "params" in wrt.
 
         Raises:
-            ModelError: a part has no form in scalars, or the program is too large.
+            ModelError: a part has no scalar form, or the program is too large.
             InputError: another entry in wrt.
         """
         with jax.enable_x64(self.dtype == np.float64):
@@ -107,7 +107,7 @@ class Exporter:
         Args:
             advance: of t, x, u, params and h; pure and traceable.
         Raises:
-            ModelError: the step has no form in scalars, or the program is too large.
+            ModelError: the step has no scalar form, or the program is too large.
         """
         length, states = Port("h", "", ()), [state.name for state in self.dynamics.states]
 
@@ -133,7 +133,7 @@ class Exporter:
         if form.calls:
             first = "an explicit method for steps, or " if name == "step" else ""
             raise ModelError(
-                f"the {name} call {called_names(form.calls)}, without a form in scalars.\n  fix: {first}"
+                f"the {name} call {called_names(form.calls)}, without a scalar form.\n  fix: {first}"
                 "bake the parameters it works on, write it with other nodes, or leave this function out; "
                 "solves are unrolled up to "
                 f"{_LIMITS.pivoted} x {_LIMITS.pivoted}, tables up to {_LIMITS.table} places"

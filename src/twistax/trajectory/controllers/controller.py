@@ -34,7 +34,8 @@ Values = dict[str, Array]
 
 
 class Controller:
-    """Model-predictive control: the controls for a measured state, by a few steps of the solver from the last plan.
+    """Model-predictive control: the controls for a measured state, by a few iterations of the solver from the last
+    plan.
 
     `problem.controller(...)` makes one. Each sampling period has three calls:
 
@@ -46,28 +47,29 @@ class Controller:
     the last call. With `max_iterations=2` this is a real-time iteration: the plan converges while the system moves.
     With `max_iterations=100` it is a full solve, which `max_seconds` may cut off.
 
-    A controller has memory of its own, so different controllers may run in different threads; a call holds Python's
-    lock only before and after the solve. One controller serves one thread at a time.
+    A controller has its own memory, so different controllers may run in different threads; the solve itself does not
+    hold Python's lock. One controller serves one thread at a time.
 
     Args:
-        problem: of one phase, with held controls and a fixed initial state.
-        warm: a result of it, the first plan; solved for when left out. Its solver's units are those of all calls, so it
-            should be like the plans to come, and not one at rest.
-        max_iterations: the most steps of the solver in a call. One alone is cut short by limits that become active at
-            once, for example after a kick.
-        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each step.
+        problem: of one phase, with piecewise constant controls and a fixed initial state.
+        warm: a result of it, the first plan; by default the problem is solved for it. Its solver's scales are used in
+            all calls, so it should be typical, and not a plan at rest.
+        max_iterations: the maximal number of iterations in a call. A single iteration takes a short step where limits
+            become active, for example after a disturbance.
+        max_seconds: wall time after which a call ends with the iterate of the smallest error, checked before each
+            iteration.
         hessian: other second derivatives than the problem's, such as `tx.trajectory.GaussNewton()`.
-        tolerance: of the scaled first-order conditions; a call that meets it ends.
-        log: how many calls the log keeps.
+        tolerance: of the scaled first-order conditions; a call that satisfies it ends.
+        log: the number of calls that the log keeps.
 
     Attributes:
         log: a `ControllerLog` of the last calls.
-        status: how the last solve ended, a `Status`; SOLVED means that the first-order conditions hold on the mesh.
-        params: values of the parameters by name, as the next solve has them.
+        status: the `Status` of the last solve; SOLVED means that the first-order conditions hold on the mesh.
+        params: values of the parameters by name, for the next solve.
 
     Raises:
         TrajectoryError: a problem of phases, with continuous controls or with functionals of the path; a free initial
-            state; numbers without meaning.
+            state; invalid numbers.
 
     Source: Diehl, Bock, Schloeder, A real-time iteration scheme for nonlinear optimization in optimal feedback control,
     SIAM J. Control Optim. 43 (2005).
@@ -159,17 +161,18 @@ class Controller:
         final: Mapping[Any, Any] | None = None,
         limits: Mapping[Any, Any] | None = None,
     ) -> None:
-        """Set what is known before the state is measured; it stays until it is set again.
+        """Set data that are known before the state is measured; they are kept until the next change.
 
         Args:
             params: values of parameters, by leaf or name: references and weights too. Those of `by_node` have a row for
                 each node, or one for all.
             final: values of states at the end, where the problem fixes them.
-            limits: (low, high) of held controls, by leaf or name, in their unit; numbers, arrays of a control's shape,
+            limits: (low, high) of piecewise constant controls, by leaf or name, in their unit; numbers, arrays of a
+                control's shape,
                 or arrays (intervals, *shape).
         Raises:
-            InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, no finite numbers, low
-                above high.
+            InputError, ShapeError, ModelError, TrajectoryError: unknown names, other shapes, numbers that are not
+                finite, low above high.
         """
         if params is not None or final is not None:
             with in_double():
@@ -224,15 +227,15 @@ class Controller:
             bound[places] = np.broadcast_to(side, (intervals, *shape)).reshape(intervals, -1)
 
     def feedback(self, x: Mapping[Any, Any]) -> Values:
-        """The controls for a measured state: a few steps of the solver from the last plan.
+        """The controls for a measured state: a few iterations of the solver from the last plan.
 
         Args:
             x: the state, by leaf or name; every state of the system.
         Returns:
-            the controls of the first interval, by name. Where the solve fails they are those of the plan before it:
-            look at `status`. Where time runs out they are those of the iterate with the smallest error.
+            the controls of the first interval, by name. After a failed solve they are those of the previous plan:
+            check `status`. After a timeout they are those of the iterate with the smallest error.
         Raises:
-            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is no
+            InputError, ShapeError: a state is missing, has another shape or numbers that are not finite, or is not an
                 element of its group.
         """
         begin = time.perf_counter()
@@ -255,7 +258,7 @@ class Controller:
         return self._first_controls()
 
     def shift(self) -> None:
-        """Move the plan on by one interval: its second node is the first one of the next solve.
+        """Shift the plan by one interval: its second node is the first one of the next solve.
 
         The last control stays constant for one more interval, and the last state is integrated with it.
 
@@ -310,14 +313,14 @@ class Controller:
 
     @property
     def gains(self) -> Values:
-        """Derivatives of the first controls by the measured state: control name -> (*shape, n).
+        """Derivatives of the first controls with respect to the measured state: control name -> (*shape, n).
 
-        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with limits as they are active, and n the tangents of the states
-        in the order of their declaration. K is the gain of a Riccati recursion along the plan, where free times, free
-        parameters and equalities at nodes move too. Computed when read: about one iteration of the solver.
+        $u(x) = u_0 + K Log(x_0^-1 x)$ to first order, with the present active limits, and n the tangents of the states
+        in the order of their declaration. K is the gain of a Riccati recursion along the plan, including variations of
+        free times, free parameters and equalities at nodes. Computed at access: about one iteration of the solver.
 
         Raises:
-            TrajectoryError: the plan is no strict minimum.
+            TrajectoryError: the plan is not a strict minimum.
         """
         columns = self._gains(self._n)
         return {name: columns[part].reshape(*shape, self._n) for name, (part, shape) in self.controls.items()}
@@ -331,7 +334,7 @@ class Controller:
             x: as for `feedback`.
         Raises:
             InputError, ShapeError: as `feedback` does.
-            TrajectoryError: the plan is no strict minimum.
+            TrajectoryError: the plan is not a strict minimum.
         """
         solve, begin = self.prepared, self._n
         moved = self._gains(self._n) @ self._difference(self._base_of(x))
@@ -365,29 +368,30 @@ class Controller:
         states: Sequence[Mapping[str, Any]] | None = None,
         tolerance: float = 1e-9,
     ) -> CFiles:
-        """Write C99 code: `name.h`, which tells the call convention, `name.c`, and `name_test.c` with reference values.
+        """Write C99 code: `name.h` with the calling convention, `name.c`, and `name_test.c` with reference values.
 
         The code is the solver's core, the functions of the problem and `name_init`, `name_prepare`, `name_feedback`
-        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates nothing, has no
-        global state, and needs libm only. The header tells the workspace and the operations of an iteration.
+        and `name_shift`, in double precision; `name_init` begins with the present plan. It allocates no memory, has no
+        global state, and needs libm only. The header states the workspace and the operations of an iteration.
 
         Args:
-            directory: where to; made if it is not there.
-            name: of the files, and what the names of all functions begin with.
-            states: measured states of the test main, which shifts the plan after each; drawn about the plan if left
-                out.
-            tolerance: of that comparison, relative to the largest entry of an iterate.
+            directory: the folder of the files, which is created if missing.
+            name: the name of the files, and the prefix of all functions.
+            states: measured states of the test program, which shifts the plan after each; by default random states near
+                the plan.
+            tolerance: of its comparison, relative to the largest entry of an iterate.
         Returns:
             The paths: `header`, `source`, `test`.
         Raises:
-            TrajectoryError: a function of the problem has no form in scalars.
-            InputError: a name that C has not; the directory cannot be written to, or holds other files of those names.
+            TrajectoryError: a function of the problem has no scalar form.
+            InputError: a name that C does not have; the directory cannot be written to, or has other files of those
+                names.
         """
         return write_controller(self, directory, name=name, states=states, tolerance=tolerance)
 
     @property
     def measures(self) -> dict[str, float]:
-        """Numbers of the last solve: cost, error, violation, iterations and others, in units of the solver."""
+        """Measures of the last solve: cost, error, violation, iterations and others, in scales of the solver."""
         return self.prepared.measures
 
 
