@@ -129,8 +129,8 @@ class Mechanism(KinematicTree):
 
         Args:
             other: the mechanism that is attached, such as a gripper.
-            frame: of this mechanism; its base unless given.
-            pose: T (4, 4) of the other's base in the frame; the identity unless given. It must not change with the
+            frame: of this mechanism; its base by default.
+            pose: T (4, 4) of the other's base in the frame; the identity by default. It must not change with the
                 motion.
         Raises:
             ModelError: a frame that is not known; names that both have (see `renamed`); different loop metrics; numbers

@@ -51,7 +51,7 @@ def signed_distance(
 
     Args:
         a, b: `tx.view.Sphere`, `Capsule` or `Box`, or one `HalfSpace`. Their `at` is in the frame of their bodies.
-        T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity unless given.
+        T_a, T_b: poses (4, 4) of the bodies in one frame, such as `arm.pose("hand")`; the identity by default.
     Raises:
         ModelError: another shape; two half-spaces; numbers that are no pose.
         ShapeError: a pose of another shape.

@@ -75,7 +75,7 @@ def inverse_dynamics_regressor(
         mechanism: a tree or a chain.
         q, qd, qdd: as of `inverse_dynamics`.
         drives: further parameters, of every joint that moves: "armature" of rotors, "damping", and "friction" with the
-            `friction_speed` of each drive. Armatures of the joints that have one unless given: then $Y theta$ is
+            `friction_speed` of each drive. By default armatures of the joints that have one: then $Y theta$ is
             `inverse_dynamics`.
     Raises:
         ShapeError: an argument of another shape.
