@@ -22,17 +22,7 @@ from ..expr.lie import AxisRotation, Pose, SO3Exp, SO3Log
 from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape
-from .screws import (
-    Screws,
-    Subspaces,
-    across,
-    checked_actuation,
-    checked_motion,
-    complement,
-    direction,
-    kinds_of,
-    screw,
-)
+from .screws import Screws, Subspaces, across, checked_actuation, checked_motion, complement, direction, kinds_of, screw
 
 # fmt: off
 __all__ = [

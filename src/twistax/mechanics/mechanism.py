@@ -23,7 +23,7 @@ from .editing import edits
 from .editing.reroot import rerooted
 from .kinematic_tree import KinematicTree, Positions
 from .links_in_view import links_in_view
-from .mechanism_system import system_of
+from .mechanism_system import inverse_system_of, system_of
 from .tree import Link
 
 if TYPE_CHECKING:
@@ -286,6 +286,36 @@ class Mechanism(KinematicTree):
         """
         mechanism = self._knowing(rates_by_name(rates)) if rates else self
         return system_of(mechanism, controls, forces, wrenches, rates, outputs, constraints)
+
+    def inverse_system(
+        self,
+        *,
+        controls: Collection[str] | None = None,
+        forces: ExprLike | None = None,
+        wrenches: Mapping[str, ExprLike] | None = None,
+        outputs: Mapping[str, ExprLike] | Callable[[Expr, Expr], Mapping[str, ExprLike]] | None = None,
+        constraints: Asked | Iterable[Asked] | Mapping[str, Asked] = (),
+    ) -> System:
+        """The mechanism as a `tx.System` with accelerations for controls, for optimal control by inverse dynamics.
+
+        The states are `q` and `qd`, the Control "qdd" (n,) is the rate of qd. What motors have to do follows by RNEA,
+
+            $gear tau = M(q) qdd + h(q, qd) - forces$ of springs, damping, friction, wrenches,
+
+        and is the output "tau". Its limits are constraints, and freedoms without a motor, such as the six of a floating
+        base, are equalities. Rates are linear, and an evaluation is cheaper than one of forward dynamics.
+
+        Args:
+            controls: the joints that motors drive; `driven` unless given.
+            forces, wrenches: as for `system`. Contact forces may be controls: `tx.mechanics.given_forces`.
+            outputs, constraints: as for `system`, beside those above.
+        Raises:
+            ModelError: a joint or frame that is not known; nothing moves; loops; a name that is taken.
+            ShapeError: an argument of another shape.
+
+        Source: Erez, Todorov, Trajectory optimization for domains with contacts using inverse dynamics, IROS (2012).
+        """
+        return inverse_system_of(self, controls, forces, wrenches, outputs, constraints)
 
 
 class Chain(Mechanism):

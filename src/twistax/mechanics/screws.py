@@ -28,10 +28,10 @@ from ..expr.lie.base import unit_vector
 from ..groups import SE3, SO3, Group
 from .arguments import of_shape, pose
 
-#: How far h*^T H may be from the identity.
-_ROUND_OFF = 1e-12
 #: What a state is known as.
 Known: TypeAlias = tuple[Kind | None, Unit | None]
+#: How far h*^T H may be from the identity.
+_ROUND_OFF = 1e-12
 
 
 class Subspaces:
@@ -120,6 +120,37 @@ def complement(columns: np.ndarray) -> np.ndarray:
     return np.stack(basis[k:], axis=1) + 0.0 if k < n else np.zeros((n, 0))
 
 
+# ---- kinds and units of coordinates ----------------------------------------------------------------------------------
+
+
+def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
+    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
+    if not isinstance(motion_subspace, Constant):
+        return None
+    return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
+
+
+def unit_of(motion_subspace: Expr) -> Unit | None:
+    """The unit that all coordinates of a joint have; None where they differ."""
+    turns = set(turns_of(motion_subspace) or ())
+    return None if len(turns) != 1 else ONE if turns == {True} else METRE
+
+
+def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
+    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
+    if group is SE3:
+        return (Pose(), None), (Twist(), None)
+    if group is SO3:
+        return (Rotation(), None), (FreeVector(), ONE / SECOND)
+    unit = unit_of(motion_subspace) if group is None else None
+    return (None, unit), (None, None if unit is None else unit / SECOND)
+
+
+def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
+    """The kind of a position on a group between two frames; None for other groups."""
+    return Pose(to, source) if group is SE3 else Rotation(to, source) if group is SO3 else None
+
+
 def screw(linear: Any, angular: Any) -> Any:
     """H of one freedom; numbers if both halves are numbers."""
     if isinstance(linear, Expr) or isinstance(angular, Expr):
@@ -179,34 +210,3 @@ def direction(owner: str, axis: Any) -> Any:
     if isinstance(a, Parameter) and a.value is not None:
         unit_vector(owner, "axis", a.value)
     return a / Norm(a)
-
-
-# ---- kinds and units of coordinates ----------------------------------------------------------------------------------
-
-
-def turns_of(motion_subspace: Expr) -> tuple[bool, ...] | None:
-    """By freedom, whether it is a turn, in rad, and no slide, in m; None where H is an expression."""
-    if not isinstance(motion_subspace, Constant):
-        return None
-    return tuple(bool(np.any(column[3:])) for column in np.asarray(motion_subspace.value).T)
-
-
-def unit_of(motion_subspace: Expr) -> Unit | None:
-    """The unit that all coordinates of a joint have; None where they differ."""
-    turns = set(turns_of(motion_subspace) or ())
-    return None if len(turns) != 1 else ONE if turns == {True} else METRE
-
-
-def kinds_of(motion_subspace: Expr, group: Group | None) -> tuple[Known, Known]:
-    """The kind and the unit of position and velocity. Their frames are named by what the joint connects."""
-    if group is SE3:
-        return (Pose(), None), (Twist(), None)
-    if group is SO3:
-        return (Rotation(), None), (FreeVector(), ONE / SECOND)
-    unit = unit_of(motion_subspace) if group is None else None
-    return (None, unit), (None, None if unit is None else unit / SECOND)
-
-
-def element_kind(group: Group | None, to: str, source: str) -> Kind | None:
-    """The kind of a position on a group between two frames; None for other groups."""
-    return Pose(to, source) if group is SE3 else Rotation(to, source) if group is SO3 else None

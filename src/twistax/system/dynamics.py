@@ -278,6 +278,42 @@ class Dynamics:
 
         return to_casadi(self.functions, families, name, checked)
 
+    def to_fmu(
+        self,
+        path: str | Path,
+        x0: Values | None = None,
+        u: Values | None = None,
+        params: Values | None = None,
+        *,
+        steps: Any = None,
+        dt: float = 1e-3,
+        compiler: str | None = "cc",
+    ) -> Path:
+        """Write a functional mock-up unit, FMI 3.0: model exchange with directional derivatives, and co-simulation.
+
+        Its variables are states, controls, parameters and outputs, by the names of tables of solutions, with the units
+        that leaves declare. A pose is exchanged as position and unit quaternion (w, x, y, z), a rotation as quaternion.
+
+        Args:
+            path: of the file, `name.fmu`.
+            x0, u, params: values at the start, which the importer may change; what is left out starts as its leaf says
+                by `initial`, `guess` or `value`, else at zero or the identity.
+            steps: an explicit method for co-simulation, such as `tx.RKMK(tx.tableaus.RK4)`; none: model exchange alone.
+            dt: the longest internal step of co-simulation, s.
+            compiler: a C compiler of this machine; None: sources alone.
+        Returns:
+            The path.
+        Raises:
+            ModelError: a part has no form in scalars; `steps` is no method; a parameter has no value; no such compiler.
+            InputError: values of other names or shapes, or not finite; a path that cannot be written.
+
+        Source: Functional Mock-up Interface Specification 3.0.1 (Modelica Association, 2023).
+        """
+        from .fmu.archive import write_unit
+
+        advance = None if steps is None else steps_of(self, steps)
+        return write_unit(self.functions, path, x0, u, params, advance=advance, dt=dt, compiler=compiler)
+
     def save(self, path: str | Path) -> None:
         """Write the system to a file, from which `tx.load` restores it, compiled with the same options.
 
@@ -351,8 +387,12 @@ def steps_of(dynamics: Dynamics, method: Any) -> Callable[..., Arrays]:
     """
     step = getattr(method, "step_in_arrays", None)
     if isinstance(method, type) or step is None:
-        raise ModelError(f"to_c: steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
+        raise ModelError(f"steps expects a method such as tx.RKMK(tx.tableaus.RK4), got {method!r}")
     method.check(dynamics)
+    if dynamics.system.corrections:
+        raise ModelError(
+            "steps: C has no form of the corrections that systems with loops need.\n  fix: leave steps out"
+        )
     return functools.partial(step, dynamics)
 
 

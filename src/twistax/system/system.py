@@ -98,7 +98,7 @@ class System(Composable):
             raise ModelError(f"outputs must be a dict from names to expressions, got the name {name!r}")
         expressions = {key: _expression(f"rates[{name_of(key)!r}]", rate) for key, rate in rates.items()}
         self.outputs: dict[str, Expr] = {n: _expression(f"outputs[{n!r}]", e) for n, e in (outputs or {}).items()}
-        named = _named_constraints(constraints)
+        named = constraints_by_name(constraints)
         self.soft = {name: constraint for name, constraint in named.items() if isinstance(constraint, Soft)}
         self.constraints: dict[str, Constraint] = {name: hard(constraint) for name, constraint in named.items()}
         if corrections is not None and not isinstance(corrections, Mapping):
@@ -319,7 +319,8 @@ def free_name(text: str, taken: Container[str]) -> str:
     return next(name for name in numbered if name not in taken)
 
 
-def _named_constraints(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+def constraints_by_name(constraints: Asked | Iterable[Asked] | Mapping[str, Asked]) -> dict[str, Asked]:
+    """Constraints with names: their own, or their texts. Raises ModelError for what is no constraint."""
     if isinstance(constraints, Mapping):
         named = dict(constraints)
     elif not isinstance(constraints, (Iterable, Soft)):

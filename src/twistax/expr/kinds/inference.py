@@ -263,10 +263,17 @@ class Inference:
         facts = (classes.known(end + axis) for axis in axes for classes in (self._frames, self._spaces))
         return self._units.get(end) is not None or any(facts)
 
+    def unit(self, value: Expr) -> Unit | None:
+        """The unit of a value, of a six-vector that of its angular part; None where it is open."""
+        return self._units.get(self._ends[id(value)])
+
+    def spaces(self, value: Expr) -> list[Space | None]:
+        """The space of each axis of a value, None where it is open or not of length six."""
+        return [self._space(self._ends[id(value)] + axis) for axis in range(-value.ndim, 0)]
+
     def description(self, value: Expr) -> str:
         """What is known of a value: its kind, frames and unit, or open."""
-        end = self._ends[id(value)]
-        spaces = [self._space(end + axis) for axis in range(-value.ndim, 0)]
+        end, spaces = self._ends[id(value)], self.spaces(value)
         axes = (-2, -1) if value.ndim == 2 or value.shape == (4,) else (-1,) if value.ndim == 1 else ()
         frames = [self._frames.known(end + axis) for axis in axes]
         names = ["open" if frame is None else repr(frame.fact) for frame in frames]
@@ -277,7 +284,7 @@ class Inference:
             parts.append(f"from {names[-1]} to {names[0]}")
         elif any(frames):
             parts.append("in " + " by ".join(dict.fromkeys(names)))
-        unit = self._units.get(end)
+        unit = self.unit(value)
         if unit is not None or value.shape != (4, 4):
             parts.append("unit open" if unit is None else f"unit {unit}")
         return ", ".join(parts)
