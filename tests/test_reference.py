@@ -41,7 +41,7 @@ NO_ERRORS = {
         estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
         estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict Solution Statistics
         Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
-        mechanics.GivenForces
+        mechanics.BaseParameters mechanics.GivenForces mechanics.ReachResult mechanics.ReachStatus mechanics.Regressor
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization
         trajectory.Accuracy trajectory.ControllerLog

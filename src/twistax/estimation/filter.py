@@ -43,10 +43,10 @@ class Filter(ABC):
 
     Args:
         dynamics: the compiled system.
-        measurements: what sensors measure, `Measurement` each.
+        measurements: the models of the sensors, a `Measurement` each.
         method: of the mean; RKMK with RK4 if left out.
         max_step: the longest step of a prediction in s; one step between two times of a run if left out.
-        gate: a probability: a measurement is used only if its normalised innovation squared lies below the quantile of
+        gate: a probability: a measurement is used only if its normalised innovation squared is below that quantile of
             chi-square; all are used if left out.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
@@ -74,11 +74,11 @@ class Filter(ABC):
 
     @abstractmethod
     def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
-        """The estimate h seconds later. Arguments are prepared."""
+        """The estimate h seconds later. Arguments must be validated."""
 
     @abstractmethod
     def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
-        """The estimate after a measurement of which the normalised innovation is below the limit."""
+        """The estimate after a measurement if its normalised innovation is below the limit."""
 
     # ---- one step ----------------------------------------------------------------------------------------------------
 
@@ -126,20 +126,20 @@ class Filter(ABC):
         params: Values | None = None,
         save_at: Any = (),
     ) -> FilterRun:
-        """The estimates over records of measurements. Under jit, vmap and grad values, x0, P0, params may be traced.
+        """The estimates over records of measurements. Values, x0, P0 and params may be traced by jit, vmap and grad.
 
         Args:
-            records: by measurement a pair (times (k,), values (k, *shape)), in any order of the times. A row with a NaN
-                is a missing measurement. Times are known numbers.
+            records: for each measurement a pair (times (k,), values (k, *shape)), with the times in any order. A row
+                with a NaN is a missing measurement. Times are concrete numbers.
             x0, P0: the estimate at t0, before any measurement.
             t0: s; the first time of the records if left out.
-            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
-                held over each step, with their value in its middle; a step ends where a table jumps.
-            save_at: more times at which the estimate is wanted, in s.
+            u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that returns a dict. They are
+                constant over each step, with the value at its middle; a step ends where a table jumps.
+            save_at: additional times of estimates, in s.
         Raises:
             InputError, ShapeError: records, estimates or controls that do not fit the filter; a covariance P0 that is
                 not positive semidefinite.
-            EstimationError: numbers of the run are not finite or a covariance lost definiteness, unless traced.
+            EstimationError: non-finite numbers, or a covariance that is not positive semidefinite, unless traced.
         """
         first = None if t0 is None else float(number("t0", t0))
         more = [reals("save_at", save_at, InputError).astype(float).reshape(-1), *jumps_of(u)]

@@ -12,7 +12,7 @@ from ..system.dynamics import Arrays
 
 
 class Smoothed(NamedTuple):
-    """States and covariances that use all measurements of a run, those of later times too.
+    """States and covariances that use all measurements of a run, including later ones.
 
     Attributes:
         ts: (k,) times in s.
@@ -34,10 +34,10 @@ class RauchTungStriebel:
         $C = P Phi^T M^-1, e = Log(y^-1 s), d = C e,$
         $x_s = x Exp(d), P_s = J_r(d) (P + C (J_r(e)^-1 N J_r(e)^-T - M) C^T) J_r(d)^T$.
 
-    The Jacobians move covariances to the tangent space at the estimate that they belong to; on $R^m$ they are
-    identities. Directions in which M is singular, such as a constant that is known, have no gain. Traceable.
+    The Jacobians transform covariances to the tangent space at their estimate; on $R^m$ they are
+    identities. Directions in which M is singular, such as a known constant, have no gain. Traceable.
 
-    Raises: nothing; numbers that are not finite stay so.
+    Raises: nothing; numbers that are not finite are propagated.
 
     Source: Rauch, Tung, Striebel, Maximum likelihood estimates of linear dynamic systems, AIAA J. 3 (1965); on groups
     Bourmaud et al., Continuous-discrete extended Kalman filter on matrix Lie groups, JMIV 51 (2015).

@@ -134,22 +134,22 @@ class JAX(Backend):
 
 @dataclasses.dataclass(frozen=True)
 class XLA(Backend):
-    """Runs functions as scalars without structural zeros and ones, compiled by XLA, if the function is large enough to
-    gain by it.
+    """Runs large functions as scalar programs without structural zeros and ones, compiled by XLA; others run as
+    arrays.
 
     By default 0 x, 0 / x and x - x are zero, also where x is infinite or NaN; constants are folded; x / d and y / d
-    share 1 / d. Functions without a scalar form are called as they are.
+    share 1 / d. Functions without a scalar form are called unchanged.
 
     Attributes:
         checked: keep 0 x, 0 / x and x - x, and every division.
-        least: functions with fewer scalar operations, not counting those on parameters alone, run as arrays, where XLA
-            finds the same savings itself.
+        least: functions with fewer scalar operations, without those on parameters alone, run as arrays, where XLA
+            performs the same simplifications.
         largest: functions with more scalars run as arrays, because they would take long to compile.
-        widest: functions with an array of more entries run as arrays, which use the processor's vectors as well. For
-            intermediate arrays this holds unless they are mostly zeros.
+        widest: functions with an array of more entries run as arrays, which XLA vectorises. For
+            intermediate arrays this applies unless they are mostly zeros.
 
     Raises:
-        ModelError: least, largest or widest is no whole number from 0 on.
+        ModelError: least, largest or widest is not a whole number from 0 on.
     """
 
     checked: bool = False
@@ -189,11 +189,11 @@ class XLA(Backend):
         return _ScalarSteps(self)
 
     def scalarised(self, closed: ClosedJaxpr, limits: Limits = LIMITS) -> ScalarProgram:
-        """The scalars of a jaxpr.
+        """The scalar program of a jaxpr.
 
         Raises:
-            TooLarge: there are more than `largest`, or an array of more than `widest` entries; complex results, of
-                which scalars have no derivatives.
+            TooLarge: there are more than `largest` scalars, or an array of more than `widest` entries; the result is
+                complex, for which scalar programs have no derivatives.
         """
         if any(jnp.issubdtype(v.aval.dtype, jnp.complexfloating) for v in closed.jaxpr.outvars):
             raise TooLarge("one of the results is complex")
@@ -207,7 +207,7 @@ class XLA(Backend):
         raise TooLarge(f"one of the arrays has more than {self.widest} entries")
 
     def scalars(self, closed: ClosedJaxpr, largest: int, limits: Limits = LIMITS) -> ScalarProgram:
-        """A jaxpr as a scalar program, of at most so many scalars."""
+        """A jaxpr as a scalar program, up to a maximal number of scalars."""
         return scalarize(closed, checked=self.checked, largest=largest, limits=limits)
 
 

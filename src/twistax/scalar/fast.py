@@ -152,17 +152,17 @@ def fast(
     What has no such form (libraries, large arrays, effects, random keys) runs as JAX has it, and so does everything on
     other devices. `fast(f).explain(*arguments)` says what became of it, and one warning where nothing is gained.
 
-    Results are those of the function to rounding, but 0 x, 0 / x and x - x are zero also where x is infinite or NaN,
-    unless the backend is `tx.Native(tx.XLA(checked=True))`.
+    Results have the units of the function. They equal those of the function up to round-off, except that 0 x, 0 / x and
+    x - x are zero also where x is infinite or NaN, unless the backend is `tx.Native(tx.XLA(checked=True))`.
 
-    In single precision intermediate derivatives may leave the range of numbers. `jax.jacfwd(fast(f))` and
-    `jax.grad(fast(f))` differentiate the program in a form that keeps them in range. `fast(jax.jacfwd(f))` and
-    `fast(jax.grad(f))` compile the formulas of JAX, of which only those of quotients and powers are put into that form.
+    In single precision intermediate derivatives may overflow or underflow. `jax.jacfwd(fast(f))` and
+    `jax.grad(fast(f))` differentiate the program in a form that avoids this. `fast(jax.jacfwd(f))` and
+    `fast(jax.grad(f))` compile the formulas of JAX, and change only those of quotients and powers to that form.
 
     Args:
-        function: takes and gives pytrees of arrays; pure. Left out, `fast` is a decorator with options.
-        static_argnums, static_argnames: arguments that are no arrays, as in `jax.jit`; another value compiles anew.
-        backend: what runs the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
+        function: a pure function of pytrees of arrays. If omitted, `fast` is a decorator with options.
+        static_argnums, static_argnames: arguments that are not arrays, as in `jax.jit`; another value recompiles.
+        backend: the backend of the parts; "auto" is `tx.Native()` where llvmlite is installed, else `tx.XLA()`.
     Raises:
         ModelError: the function cannot be called; another backend.
     """

@@ -195,18 +195,20 @@ class KernelRunner:
 
 @dataclasses.dataclass(frozen=True)
 class Native(Backend):
-    """Runs functions as kernels: machine code of their scalars for this processor, compiled by LLVM in this process.
+    """Runs functions as kernels: machine code of their scalar programs for this processor, compiled by LLVM in this
+    process.
 
-    Members of a batch run side by side in the vectors of the processor, or each in a thread of a CUDA device. Native
+    Members of a batch run in vector lanes, or each in a thread of a CUDA device. Native
     needs llvmlite, `pip install "twistax[native]"`. It runs calls, batches and derivatives of functions on the CPU and
-    on CUDA devices, and steps of explicit methods, all steps between two saved times in one kernel, with their
-    derivatives. Other loops of integrators, other devices, and functions without a native form run as `scalars` does.
+    on CUDA devices, and steps of explicit methods, with all steps between two saved times in one kernel, and their
+    derivatives. Other loops of integrators, other devices, and functions without a native form use the backend
+    `scalars`.
 
     Attributes:
-        scalars: the backend that turns functions into scalars, and runs them where no kernel does.
-        threads: the largest number of threads that share a large batch; None: as many as XLA has.
-        least: calls with fewer operations on scalars, counted over the whole batch, run by XLA: in a loop a kernel call
-            costs some 100 ns.
+        scalars: the backend that makes scalar programs of functions, and runs them where there is no kernel.
+        threads: the largest number of threads that share a large batch; None: the number of XLA's threads.
+        least: calls with fewer scalar operations, over the whole batch, run by XLA, because a kernel call in a loop
+            takes some 100 ns.
 
     Raises:
         ModelError: threads below one, or least below zero.
