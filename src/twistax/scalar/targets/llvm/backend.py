@@ -39,8 +39,7 @@ from .loop import LoopBody
 from .machine_code import BuildError, Processor
 from .self_test import check_kernel
 
-#: An event of `jax.monitoring` for each kernel, with the seconds to write, compile and check it, or to read it from the
-#: cache.
+#: An event of `jax.monitoring` for each kernel: seconds to write, compile and check it, or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
@@ -327,7 +326,6 @@ class Auto(Native):
             return None
 
         program = BatchedByKernel(closed, scalars)
-
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
         reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
         return dataclasses.replace(emission, function=function, reason=reason)
