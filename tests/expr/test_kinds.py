@@ -30,6 +30,8 @@ x, speed = tx.State("x", unit="m"), tx.State("speed", unit="m/s")
 angle = tx.State("angle", unit="rad")
 k = tx.Parameter("k", value=3.0, unit="N/m")
 
+MASSES = tx.Parameter("masses", value=[1.0, 2.0], unit="kg")
+
 ZERO = np.zeros(3)
 BODY = lie.AdjointDual(V, M @ V)
 
@@ -104,6 +106,11 @@ WRONG: dict[str, tuple[Callable[[], tx.System], str, str]] = {
         "two frames",
         "maps 'body' to 'world'",
     ),
+    "a scalar added to a vector": (outputs(y=v + speed), "a scalar is added to each entry", "a direction"),
+    "a scalar taken off a vector": (outputs(y=w - speed / x), "a scalar is added to each entry", "a direction"),
+    "a pose times a length": (outputs(y=(x * g)[:3, :3]), "a pose has no unit", "divide by"),
+    "a table of another unit": (outputs(y=x + tx.Linterp(angle, [0.0, 1.0], MASSES)), "Add has one unit", "kg"),
+    "a table at another unit": (outputs(y=tx.Linterp(angle, MASSES, [0.0, 1.0])), "Linterp has one unit along", "kg"),
     "a quantity": (outputs(y=x + 3.0 * tx.units.seconds), "Add has one unit, got m and s", "divide"),
 }
 
@@ -134,6 +141,11 @@ SOUND: dict[str, dict[str, Any]] = {
     "branches": {"y": tx.Cond(x <= 2.0, v, R @ (R.T @ v)), "z": tx.Where(x <= 1.0, x, 2 * x)},
     "tables": {"y": tx.Linterp(x, [0.0, 1.0], [0.0, 3.0]) + speed},
     "a rate": {"y": tx.Rate(p, {p: v}) + v},
+    "two maps": {
+        "y": tx.Vmap(lambda e: e + v, np.ones((2, 3))),
+        "z": tx.Vmap(lambda e: e + w, np.ones((2, 3))),
+    },
+    "a vector within limits": {"y": tx.Max(v, -1.0 * speed), "z": v + 1.0},
     "a map": {"y": tx.Vmap(lambda s: s * (v + v), np.arange(3.0))},
     "columns and rows": {"y": v + v @ R[:, 2] * R[:, 2], "z": w * R[2, :]},
     "an inertia carried": {

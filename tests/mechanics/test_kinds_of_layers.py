@@ -105,6 +105,13 @@ def test_what_layers_know_is_told() -> None:
     assert known.leaves["ball_position"] == "from 'dish' to 'hub', unit 1"
 
 
+def test_a_vehicle_says_its_frames() -> None:
+    known = tx.compile(flight.Vehicle().system(BODY)).explain(kinds=True)
+    assert known.leaves == {"g": "from 'body' to 'inertial'", "V": "a twist, in 'body', unit 1/s"}
+    outputs = {"fixed_position": "in 'fixed', unit m", "ned_velocity": "in 'ned', unit m/s", "density": "unit kg/m3"}
+    assert {name: known.outputs[name] for name in outputs} == outputs
+
+
 def test_every_joint_says_the_unit_of_its_coordinates() -> None:
     z = (0.0, 0.0, 1.0)
     units = {"unit 1": joints.Revolute("j", z), "unit m": joints.Prismatic("j", z), "unit open": joints.Planar("j")}

@@ -270,8 +270,7 @@ class Dynamics:
             name: of the function.
             checked: keep 0 x, 0 / x and x - x, as `tx.XLA(checked=True)` does.
         Raises:
-            ModelError: CasADi is not installed (extra `twistax[casadi]`); a part has no scalar form; two arrays have
-                one name.
+            ModelError: CasADi is not installed (extra `casadi`); a part has no scalar form; two arrays have one name.
             InputError: a name that CasADi does not allow.
         """
         from .export.casadi_function import to_casadi
@@ -296,15 +295,12 @@ class Dynamics:
 
         Args:
             path: of the file, `name.fmu`.
-            x0, u, params: values at the start, which the importer may change; what is left out starts as its leaf says
-                by `initial`, `guess` or `value`, else at zero or the identity.
-            steps: an explicit method for co-simulation, such as `tx.RKMK(tx.tableaus.RK4)`; none: model exchange alone.
-            dt: the longest internal step of co-simulation, s.
+            x0, u, params: values at the start; others start at `initial`, `guess` or `value`, or else at zero.
+            steps, dt: an explicit method and the longest step, s, of co-simulation; without one model exchange alone.
             compiler: a C compiler of this machine; None: sources alone.
-        Returns:
-            The path.
+        Returns: the path.
         Raises:
-            ModelError: a part has no form in scalars; `steps` is no method; a parameter has no value; no such compiler.
+            ModelError: a part has no scalar form; `steps` is no method; a parameter has no value; no such compiler.
             InputError: values of other names or shapes, or not finite; a path that cannot be written.
 
         Source: Functional Mock-up Interface Specification 3.0.1 (Modelica Association, 2023).

@@ -171,12 +171,12 @@ def test_names_units_and_start_values(order: Any, tmp_path: Path) -> None:
     units = {
         "g.x": "m",
         "g.qw": "1",
-        linear: "m s-1",
-        angular: "s-1",
-        linear.replace("V", "F"): "kg m s-2",
-        angular.replace("V", "F"): "kg m2 s-2",
-        f"der({linear})": "m s-2",
-        "power": "kg m2 s-3",
+        linear: "m/s",
+        angular: "1/s",
+        linear.replace("V", "F"): "kg m/s2",
+        angular.replace("V", "F"): "kg m2/s2",
+        f"der({linear})": "m/s2",
+        "power": "kg m2/s3",
         "h": None,
     }
     assert {name: entries[name].get("unit") for name in units} == units
@@ -185,7 +185,7 @@ def test_names_units_and_start_values(order: Any, tmp_path: Path) -> None:
     assert entries["F[2]"].get("causality") == "input"
     assert entries["M[1][1]"].get("causality") == "parameter"
     defined = {entry.get("name"): entry.find("BaseUnit").attrib for entry in root.iter("Unit")}
-    assert defined["kg m2 s-3"] == {"kg": "1", "m": "2", "s": "-3"}
+    assert defined["kg m2/s3"] == {"kg": "1", "m": "2", "s": "-3"}
 
 
 @needs_compiler

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from ...errors import ModelError
-from ...expr import Expr, Leaf, State, check_kinds, leaves_of, postorder
-from ...expr.kinds.inference import Inference
+from ...expr import Expr, Leaf, State, declares, leaves_of, postorder
+from ...expr.kinds.inference import Inference, infer_kinds
 from ...expr.kinds.kinds import Space
 from ...expr.kinds.unit import METRE, ONE, SECOND, Unit, parsed
 from ...groups import Order
@@ -62,7 +62,8 @@ class VariableList:
         rates = {state: system.rates[state.name] for state in system.states}
         roots = {f"rates[{name!r}]": rate for name, rate in system.rates.items()}
         roots |= {f"outputs[{name!r}]": expr for name, expr in system.outputs.items()}
-        self._known = check_kinds(roots, rates, leaves_of(*roots.values()))
+        has_kinds = any(map(declares, postorder(*roots.values())))
+        self._known = infer_kinds(roots, rates, list(leaves_of(*roots.values()))) if has_kinds else None
         self._linear = _linear_places(system.states, roots.values())
         self.all = [UnitVariable("time", SECOND, 0, "independent", "continuous")]
         x, u, p = starts

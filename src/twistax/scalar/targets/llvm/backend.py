@@ -39,12 +39,10 @@ from .loop import LoopBody
 from .machine_code import BuildError, Processor
 from .self_test import check_kernel
 
-#: An event of `jax.monitoring` for each kernel: seconds to write, compile and check it, or to read it from the cache.
+#: An event of `jax.monitoring` for each kernel, with the seconds to make it or to read it from the cache.
 KERNEL_EVENT = "/twistax/kernel"
 
-_XLA = XLA()
-#: XLA takes many seconds to compile functions of more operations.
-_LONG = 5000
+_XLA, _LONG = XLA(), 5000  #: XLA takes many seconds to compile functions of more operations.
 #: Native forms of programs, between the check that there is one and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
