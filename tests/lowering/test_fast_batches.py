@@ -1,5 +1,6 @@
 """A batch inside of a function of `tx.fast`, by `vmap`, `lax.map` or an axis of arrays, becomes that of a kernel."""
 
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -80,6 +81,17 @@ def test_arrays_with_an_axis_for_members() -> None:
     expected = np.linalg.solve(MATRICES, SIDES[..., None])[..., 0] * np.exp(SIDES)
     np.testing.assert_allclose(own(MATRICES, SIDES), expected, rtol=1e-11)
     assert own.explain(MATRICES, SIDES).startswith(f"batch of {ROWS}: native")
+
+
+@pytest.mark.parametrize(
+    ("function", "arguments"), [(jnp.linalg.solve, (MATRICES, SIDES)), (recursion, (around(A, ROWS), XS))]
+)
+def test_the_kernel_is_that_of_a_batch_around_it(function: Callable[..., Any], arguments: Any) -> None:
+    """So it takes as long."""
+    texts = [jax.jit(f).lower(*arguments).as_text() for f in (tx.fast(jax.vmap(function)), jax.vmap(tx.fast(function)))]
+    inside, outside = (set(re.findall(r"twistax_\w+", text)) for text in texts)
+    assert inside == outside
+    assert inside
 
 
 def test_maps_are_batches() -> None:

@@ -62,6 +62,13 @@ def test_it_warns_once_and_says_why(function: Callable[..., Any], arguments: Any
     own(*arguments)
 
 
+@pytest.mark.filterwarnings("ignore:.*gains nothing")
+def test_layers_of_a_network_are_left_to_xla() -> None:
+    """Its products with large matrices, and hyperbolic tangents, are faster there."""
+    net = tx.fast(lambda x: jnp.tanh(jnp.tanh(x @ LARGE) @ LARGE.T))
+    assert "native" not in net.explain(jnp.ones((1000, 40)))
+
+
 def test_no_warning_where_a_part_gains_or_nothing_is_computed() -> None:
     """Warnings are errors here."""
     tx.fast(lambda a: (a @ a, jax.vmap(lambda x: jnp.sin(x) * jnp.exp(x @ x))(a)))(LARGE)

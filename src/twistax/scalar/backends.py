@@ -287,7 +287,7 @@ def operations_of(eqns: Sequence[Any]) -> Counter[str]:
 
 #: Operations of one instruction.
 _SHORT = {"add", "add_any", "sub", "mul", "square", "neg", "abs", "max", "min", "select", "and", "or", "not"}
-_SHORT |= {"eq", "ne", "lt", "le", "gt", "ge"}
+_SHORT |= {"eq", "ne", "lt", "le", "gt", "ge", "tanh", "logistic"}  # of the last two XLA has fast approximations
 #: Operations of one instruction that take as long as another: a division, a root, a function.
 _SHORT_PER_LONG = 10
 #: In a batch a kernel gains where it computes at least so many short operations for each number that it moves.

@@ -322,7 +322,6 @@ class Auto(Native):
             return None
 
         program = BatchedByKernel(closed, scalars)
-
         function = lambda *a: emission.function(*a) if joins_program() else call_program(program, *a)  # noqa: E731
         reason = f"{emission.reason}; batches of {self.least:,} operations and more are kernels"
         return dataclasses.replace(emission, function=function, reason=reason)
