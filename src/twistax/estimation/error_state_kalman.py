@@ -13,7 +13,7 @@ from ..groups import Product
 from ..system.dynamics import Dynamics
 from .filter import Filter, Prediction
 from .measurement import Measurement
-from .stochastic_model import Point
+from .stochastic_model import OperatingPoint
 from .update import Update, linear_update, symmetric
 
 
@@ -62,11 +62,11 @@ class ErrorStateKalman(Filter):
         callable_with("reset", reset, ("group", "d"), ModelError)
         self.reset = reset
 
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         x, transition, Q = self.model.step(point, h)
         return Prediction(x, symmetric(transition @ P @ transition.T + Q), transition)
 
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         measured = self.model.measurements[name].group
         value, H, R = self.model.sensitivity(name, point)
         residual = measured.difference(value, z)

@@ -18,8 +18,8 @@ from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
-from .records import Grid, Records, controls_on, grid_of, jumps_of
-from .stochastic_model import Point, StochasticModel
+from .records import Records, Timeline, controls_on, jumps_of, timeline_of
+from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
 
 
@@ -73,11 +73,11 @@ class Filter(ABC):
     # ---- what a filter is --------------------------------------------------------------------------------------------
 
     @abstractmethod
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         """The estimate h seconds later. Arguments are prepared."""
 
     @abstractmethod
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         """The estimate after a measurement of which the normalised innovation is below the limit."""
 
     # ---- one step ----------------------------------------------------------------------------------------------------
@@ -145,30 +145,37 @@ class Filter(ABC):
         more = [reals("save_at", save_at, InputError).astype(float).reshape(-1), *jumps_of(u)]
         start = 0.0 if first is None else first
         point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
-        grid = grid_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
-        controls = controls_on(u, grid.ts, point.t.dtype)
+        timeline = timeline_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
+        controls = controls_on(u, timeline.ts, point.t.dtype)
         covariance = self._covariance(P0, point)
         # Lengths are differences in double precision: single precision loses them where times are large.
-        ts, lengths = (jnp.asarray(a, point.t.dtype) for a in (grid.ts, np.diff(grid.ts, prepend=grid.ts[0])))
-        traced = self._scan(ts, lengths, grid.values, grid.present, controls, point.x, covariance, point.params)
-        run = self._result(grid, *traced)
+        ts, lengths = (
+            jnp.asarray(a, point.t.dtype) for a in (timeline.ts, np.diff(timeline.ts, prepend=timeline.ts[0]))
+        )
+        traced = self._scan(ts, lengths, timeline.values, timeline.present, controls, point.x, covariance, point.params)
+        run = self._result(timeline, *traced)
         if not is_traced(traced):
             run.check()
         return run
 
-    def _result(self, grid: Grid, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
+    def _result(self, timeline: Timeline, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
         innovations = {}
         total = jnp.zeros((), post.P.dtype)
         information = jnp.zeros_like(post.P)
         for name, update in updates.items():
-            rows = grid.rows[name]
+            rows = timeline.rows[name]
             at = jax.tree.map(lambda a, rows=rows: a[rows], update)
             innovations[name] = Innovations(
-                jnp.asarray(grid.ts[rows], post.P.dtype), at.residual, at.S, at.nis, at.used, grid.present[name][rows]
+                jnp.asarray(timeline.ts[rows], post.P.dtype),
+                at.residual,
+                at.S,
+                at.nis,
+                at.used,
+                timeline.present[name][rows],
             )
             total = total + jnp.sum(update.log_likelihood)
             information = information + update.information
-        ts = jnp.asarray(grid.ts, post.P.dtype)
+        ts = jnp.asarray(timeline.ts, post.P.dtype)
         return FilterRun(
             ts, post.x, post.P, prior.x, prior.P, prior.transition, information, innovations, total, self.model.group
         )
@@ -178,11 +185,11 @@ class Filter(ABC):
         def scan(ts: Any, lengths: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
             def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
                 t, h, z, seen, u = row
-                before = Point(t - h, carry.x, u, params)
+                before = OperatingPoint(t - h, carry.x, u, params)
                 prior = self.propagated(before, carry.P, h)
                 x, P, updates = prior.x, prior.P, {}
                 for name in z:
-                    update = functools.partial(self._if_present, name, Point(t, x, u, params), P, z[name])
+                    update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
                     updates[name] = update(seen[name])
                     x, P = updates[name].x, updates[name].P
                 post = Estimate(x, P)
@@ -193,7 +200,7 @@ class Filter(ABC):
 
         return jax.jit(scan)
 
-    def _if_present(self, name: str, point: Point, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
+    def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
             shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self._limits[name]))
             zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
@@ -209,7 +216,7 @@ class Filter(ABC):
 
     @functools.cached_property
     def _jitted_update(self) -> Callable[..., Update]:
-        def update(name: str, point: Point, P: jax.Array, z: jax.Array) -> Update:
+        def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
             known = jnp.isfinite(z).all()
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
             return self._if_present(name, point, P, safe, known)
@@ -224,7 +231,7 @@ class Filter(ABC):
 
     def _point(
         self, t: Any, x: Values, u: Values | None, params: Values | None, rates: bool, measurements: Iterable[str]
-    ) -> Point:
+    ) -> OperatingPoint:
         """The arguments, checked and cast; what rates and these measurements read must be there."""
         model, u = self.model, dict(u or {})
         controls = [leaf.name for leaf in model.dynamics.controls]
@@ -236,9 +243,9 @@ class Filter(ABC):
         reads = ("rates", "outputs") if rates else ("outputs",)
         inputs = functions.prepare(t, x, model.with_zeros(u, dtype), params, reads=reads)
         used = {name: value for name, value in inputs.u.items() if name in controls}
-        return Point(inputs.t, dict(inputs.x), used, dict(inputs.params))
+        return OperatingPoint(inputs.t, dict(inputs.x), used, dict(inputs.params))
 
-    def _covariance(self, P: Any, point: Point) -> jax.Array:
+    def _covariance(self, P: Any, point: OperatingPoint) -> jax.Array:
         n, dtype = self.model.dimension, point.t.dtype
         array = real_array("P", P)
         if array.shape not in ((), (n,), (n, n)):

@@ -20,7 +20,7 @@ from ..system.system import System
 from .measurement import Measurement
 
 
-class Point(NamedTuple):
+class OperatingPoint(NamedTuple):
     """The arguments of rates and measurements, prepared."""
 
     t: jax.Array
@@ -84,7 +84,7 @@ class StochasticModel:
 
     # ---- the state between measurements ------------------------------------------------------------------------------
 
-    def step(self, point: Point, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
+    def step(self, point: OperatingPoint, h: jax.Array) -> tuple[Arrays, jax.Array, jax.Array]:
         """The mean after h seconds with controls held, the transition matrix and the covariance of the noise.
 
         Covariances are in the tangent space at the mean: P -> Phi P Phi^T + Q.
@@ -94,18 +94,18 @@ class StochasticModel:
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
         return x1, transition, self.process_noise(self.halfway(point, x1, h), h)
 
-    def moved(self, point: Point, h: jax.Array) -> Arrays:
+    def moved(self, point: OperatingPoint, h: jax.Array) -> Arrays:
         """The mean after h seconds."""
         field = VectorField(self.dynamics, lambda _: point.u, point.params)
         increment = self.method.increment(field, point.t, point.x, h)
         return self.group.retract(point.x, self.group.join(increment))
 
-    def halfway(self, point: Point, x1: Arrays, h: jax.Array) -> Point:
+    def halfway(self, point: OperatingPoint, x1: Arrays, h: jax.Array) -> OperatingPoint:
         """The middle of the geodesic from a point to the state h seconds later."""
         middle = self.group.retract(point.x, 0.5 * self.group.difference(point.x, x1))
         return point._replace(t=point.t + 0.5 * h, x=middle)
 
-    def process_noise(self, point: Point, h: jax.Array) -> jax.Array:
+    def process_noise(self, point: OperatingPoint, h: jax.Array) -> jax.Array:
         """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, (n, n), of noise with the intensity W.
 
         Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978), theorem 1.
@@ -120,14 +120,14 @@ class StochasticModel:
         Q = exponential[n:, n:].T @ exponential[:n, n:]
         return 0.5 * (Q + Q.T)
 
-    def linearized(self, point: Point) -> tuple[jax.Array, jax.Array]:
+    def linearized(self, point: OperatingPoint) -> tuple[jax.Array, jax.Array]:
         """F and G of $d' = F d + G w$, d the right perturbation of the state."""
         n, m = self.dimension, self.controls.dimension
         value, slopes = around(self.noisy, ())(point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)
         size = sum(int(np.prod(noise.shape)) for noise in self.process)
         return slopes[:n, :n] - self.group.ad(value[:n]), slopes[:n, n + m : n + m + size]
 
-    def intensity(self, point: Point, noises: Iterable[Noise]) -> jax.Array:
+    def intensity(self, point: OperatingPoint, noises: Iterable[Noise]) -> jax.Array:
         """The intensity W of white noise, in squares of densities: a block for each noise."""
         noises = list(noises)
         values = self.outputs([_density(noise) for noise in noises], point)
@@ -136,11 +136,11 @@ class StochasticModel:
 
     # ---- measurements ------------------------------------------------------------------------------------------------
 
-    def measured(self, name: str, point: Point) -> jax.Array:
+    def measured(self, name: str, point: OperatingPoint) -> jax.Array:
         """The value of a measurement without noise."""
         return self.outputs([name], point)[name]
 
-    def sensitivity(self, name: str, point: Point) -> Sensitivity:
+    def sensitivity(self, name: str, point: OperatingPoint) -> Sensitivity:
         """The value of a measurement, its derivative by the state and the covariance of its errors."""
         measurement, n, dtype = self.measurements[name], self.dimension, point.t.dtype
         group, m = measurement.group, measurement.group.dimension
@@ -168,7 +168,7 @@ class StochasticModel:
 
     # ---- values ------------------------------------------------------------------------------------------------------
 
-    def outputs(self, names: list[str], point: Point) -> Arrays:
+    def outputs(self, names: list[str], point: OperatingPoint) -> Arrays:
         """Outputs of the system with noise."""
         functions = self.noisy.functions.with_outputs(names)
         return functions.as_written("outputs", point.t, point.x, self.with_zeros(point.u, point.t.dtype), point.params)

@@ -10,7 +10,7 @@ import jax.numpy as jnp
 
 from ..groups import Group
 from .filter import Filter, Prediction
-from .stochastic_model import Point
+from .stochastic_model import OperatingPoint
 from .update import Update, linear_update, symmetric
 
 
@@ -37,7 +37,7 @@ class UnscentedKalman(Filter):
     Brossard, Barrau, Bonnabel, A code for unscented Kalman filtering on manifolds, ICRA (2020), with other weights.
     """
 
-    def propagated(self, point: Point, P: jax.Array, h: jax.Array) -> Prediction:
+    def propagated(self, point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
         group = self.model.group
         root = _Root.of(P)
         center = self.model.moved(point, h)
@@ -49,7 +49,7 @@ class UnscentedKalman(Filter):
             mean, symmetric(deviations.T @ deviations / count + Q), root.linear_map(_by_root(deviations)).T
         )
 
-    def corrected(self, name: str, point: Point, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
+    def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         group = self.model.measurements[name].group
         center, _, R = self.model.sensitivity(name, point)
         root = _Root.of(P)
@@ -62,7 +62,7 @@ class UnscentedKalman(Filter):
         residual = group.difference(mean, z)
         return linear_update(self.model.group, point.x, P, residual, root.linear_map(slopes).T, R + spread, limit)
 
-    def _points(self, point: Point, root: _Root, function: Callable[[Point], Any]) -> Any:
+    def _points(self, point: OperatingPoint, root: _Root, function: Callable[[OperatingPoint], Any]) -> Any:
         """A function at all sigma points, those of positive sign first."""
         n = self.model.dimension
         columns = jnp.sqrt(jnp.asarray(n, root.factor.dtype)) * root.matrix.T
