@@ -39,8 +39,9 @@ NO_ERRORS = {
     "users get these and do not make them": """
         AtStart Between Crossings Dynamics Mode Order PhasedSolution Result columns.Column Simulator
         estimation.Consistency estimation.Estimate estimation.FilterRun estimation.Innovations estimation.Observability
-        estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict Solution Statistics
-        Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
+        estimation.Prediction estimation.Smoothed estimation.Update estimation.Verdict estimation.AllanVariance
+        estimation.GroupAffinity estimation.InertialState estimation.Invariance estimation.PreintegratedImu
+        Solution Statistics Sweep Trim charts.Coordinates diffrax.AmbientTerm diffrax.LieController diffrax.LieTerm mechanics.DaveModel
         mechanics.GivenForces
         mechanics.joints.Screws mechanics.environment.earth.Geodetic mechanics.flight.AirData
         mechanics.flight.Gust mechanics.flight.ImuReading trajectory.Discretization trajectory.Linearization

@@ -36,7 +36,7 @@ from .errors import (
 from .expr import *  # noqa: F403  the node classes; expr.__all__ lists them
 from .expr import tables
 from .expr.lie import pose
-from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, Order, Product, tangent_grad
+from .groups import ANGULAR_FIRST, LINEAR_FIRST, SE3, SO3, Euclidean, ExtendedPose, Order, Product, tangent_grad
 from .kinds import FreeVector, Momentum, Point, Twist, Wrench
 from .system import System
 
@@ -99,15 +99,15 @@ __version__ = "0.2.0.dev0"
 # fmt: off
 __all__ = [
     "ANGULAR_FIRST", "LINEAR_FIRST", "RKMK", "SE3", "SO3", "XLA", "JAX", "AtStart", "Between", "CommutatorFree",
-    "Crossings", "Dynamics", "EstimationError", "Euclidean", "Event", "FirstOrderHold", "FreeBody", "FreeParticle",
-    "FreeVector", "Function", "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError", "KindError",
-    "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Momentum", "Native", "OperationError",
-    "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial", "Point", "Product",
-    "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl", "Sweep", "System",
-    "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts", "columns", "compile",
-    "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join", "kinds", "lie",
-    "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep", "tableaus", "tables",
-    "tangent_grad", "testing", "trajectory", "trim", "units", "view",
+    "Crossings", "Dynamics", "EstimationError", "Euclidean", "Event", "ExtendedPose", "FirstOrderHold", "FreeBody",
+    "FreeParticle", "FreeVector", "Function", "ImmutableError", "ImplicitRKMK", "InputError", "IntegrationError",
+    "KindError", "Magnus", "Maximize", "Measurement", "Minimize", "Mode", "ModelError", "Momentum", "Native",
+    "OperationError", "Order", "OrderError", "ParameterTree", "Phase", "PhasedSolution", "PiecewisePolynomial",
+    "Point", "Product", "Result", "ShapeError", "Simulator", "Solution", "Splitting", "Statistics", "StepControl",
+    "Sweep", "System", "TrajectoryError", "Trim", "Twist", "TwistaxError", "Wrench", "ZeroOrderHold", "charts",
+    "columns", "compile", "compositions", "diffrax", "estimation", "fast", "integrate", "integrate_phases", "join",
+    "kinds", "lie", "linalg", "load", "lower", "mechanics", "pose", "repeat", "simulator", "spatial", "sweep",
+    "tableaus", "tables", "tangent_grad", "testing", "trajectory", "trim", "units", "view",
 ]
 # fmt: on
 __all__ += expr.__all__

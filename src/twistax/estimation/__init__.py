@@ -4,15 +4,21 @@ from .consistency import Consistency, Verdict, consistency
 from .error_state_kalman import ErrorStateKalman
 from .filter import Estimate, Filter, Prediction
 from .filter_run import FilterRun, Innovations
+from .imu.allan import AllanVariance, allan
+from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
+from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
 from .observability import Observability
 from .smoother import RauchTungStriebel, Smoothed
+from .square_root_kalman import SquareRootKalman
 from .unscented_kalman import UnscentedKalman
 from .update import Update
 
 # fmt: off
 __all__ = [
-    "Consistency", "ErrorStateKalman", "Estimate", "Filter", "FilterRun", "Innovations", "Observability",
-    "Prediction", "RauchTungStriebel", "Smoothed", "UnscentedKalman", "Update", "Verdict", "consistency",
+    "AllanVariance", "Consistency", "ErrorStateKalman", "Estimate", "Filter", "FilterRun", "GroupAffinity",
+    "InertialState", "Innovations", "Invariance", "InvariantKalman", "Observability", "Prediction",
+    "PreintegratedImu", "Preintegration", "RauchTungStriebel", "Smoothed", "SquareRootKalman", "UnscentedKalman",
+    "Update", "Verdict", "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from typing import Any
 
 import jax
@@ -14,7 +14,7 @@ from ..system.dynamics import Dynamics
 from .filter import Filter, Prediction
 from .measurement import Measurement
 from .stochastic_model import OperatingPoint
-from .update import Update, linear_update, symmetric
+from .update import LinearMeasurement, Reset, Update, linear_update, symmetric
 
 
 class ErrorStateKalman(Filter):
@@ -56,7 +56,7 @@ class ErrorStateKalman(Filter):
         method: Any = None,
         max_step: float | None = None,
         gate: float | None = None,
-        reset: Callable[[Product, jax.Array], jax.Array] = Product.right_jacobian,
+        reset: Reset = Product.right_jacobian,
     ) -> None:
         super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate)
         callable_with("reset", reset, ("group", "d"), ModelError)
@@ -69,5 +69,8 @@ class ErrorStateKalman(Filter):
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         measured = self.model.measurements[name].group
         value, H, R = self.model.sensitivity(name, point)
-        residual = measured.difference(value, z)
-        return linear_update(self.model.group, point.x, P, residual, H, R, limit, self.reset)
+        return self.after(LinearMeasurement(point.x, measured.difference(value, z), H, R), P, limit)
+
+    def after(self, measured: LinearMeasurement, P: jax.Array, limit: float | None) -> Update:
+        """The estimate after a linearised measurement."""
+        return linear_update(self.model.group, measured, P, limit, self.reset)

@@ -80,6 +80,14 @@ class Filter(ABC):
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         """The estimate after a measurement of which the normalised innovation is below the limit."""
 
+    def factored(self, P: jax.Array) -> jax.Array:
+        """What `propagated` and `corrected` take and return instead of a covariance: here the covariance."""
+        return P
+
+    def multiplied(self, factor: jax.Array) -> jax.Array:
+        """The covariance from that."""
+        return factor
+
     # ---- one step ----------------------------------------------------------------------------------------------------
 
     def predict(
@@ -132,7 +140,7 @@ class Filter(ABC):
             records: by measurement a pair (times (k,), values (k, *shape)), in any order of the times. A row with a NaN
                 is a missing measurement. Times are known numbers.
             x0, P0: the estimate at t0, before any measurement.
-            t0: s; the first time of the records if left out.
+            t0: s; the first time of the records and of `save_at` if left out.
             u: controls: constants, tables such as `tx.ZeroOrderHold`, or a function of t that gives a dict. They are
                 held over each step, with their value in its middle; a step ends where a table jumps.
             save_at: more times at which the estimate is wanted, in s.
@@ -142,10 +150,12 @@ class Filter(ABC):
             EstimationError: numbers of the run are not finite or a covariance lost definiteness, unless traced.
         """
         first = None if t0 is None else float(number("t0", t0))
-        more = [reals("save_at", save_at, InputError).astype(float).reshape(-1), *jumps_of(u)]
+        times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
         start = 0.0 if first is None else first
         point = self._point(start, x0, self._first(u, start), params, True, self.model.measurements)
-        timeline = timeline_of(records, self.model.measurements, first, more, self.max_step, point.t.dtype)
+        timeline = timeline_of(
+            records, self.model.measurements, first, times, jumps_of(u), self.max_step, point.t.dtype
+        )
         controls = controls_on(u, timeline.ts, point.t.dtype)
         covariance = self._covariance(P0, point)
         # Lengths are differences in double precision: single precision loses them where times are large.
@@ -192,11 +202,11 @@ class Filter(ABC):
                     update = functools.partial(self._if_present, name, OperatingPoint(t, x, u, params), P, z[name])
                     updates[name] = update(seen[name])
                     x, P = updates[name].x, updates[name].P
-                post = Estimate(x, P)
-                return post, (prior, post, updates)
+                prior = prior._replace(P=self.multiplied(prior.P))
+                return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
 
             rows = (ts, lengths, values, present, controls)
-            return jax.lax.scan(advance, Estimate(x0, P0), rows)[1]
+            return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
 
         return jax.jit(scan)
 
@@ -212,14 +222,19 @@ class Filter(ABC):
 
     @functools.cached_property
     def _jitted_predict(self) -> Callable[..., Prediction]:
-        return jax.jit(self.propagated)
+        def predict(point: OperatingPoint, P: jax.Array, h: jax.Array) -> Prediction:
+            prediction = self.propagated(point, self.factored(P), h)
+            return prediction._replace(P=self.multiplied(prediction.P))
+
+        return jax.jit(predict)
 
     @functools.cached_property
     def _jitted_update(self) -> Callable[..., Update]:
         def update(name: str, point: OperatingPoint, P: jax.Array, z: jax.Array) -> Update:
             known = jnp.isfinite(z).all()
             safe = jnp.where(known, z, self.model.measurements[name].group.identity(z.dtype))
-            return self._if_present(name, point, P, safe, known)
+            update = self._if_present(name, point, self.factored(P), safe, known)
+            return update._replace(P=self.multiplied(update.P))
 
         return jax.jit(update, static_argnums=0)
 

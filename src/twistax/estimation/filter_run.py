@@ -73,7 +73,7 @@ class FilterRun:
 
     @property
     def result(self) -> str:
-        """What happened, and when: "successful", or numbers that are not finite or a covariance not positive."""
+        """What happened, and when: "successful", numbers that are not finite, or a covariance that is not positive."""
         P = np.asarray(self.P, float)
         finite = np.isfinite(P).all(axis=(-2, -1))
         for x in self.xs.values():
@@ -82,6 +82,10 @@ class FilterRun:
         if not finite.all():
             row = np.argwhere(~finite)[0]
             return f"not finite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
+        definite = np.isfinite(np.asarray(self.information)).all(axis=(-2, -1))
+        if not definite.all():
+            row = np.argwhere(~definite)[0]
+            return f"covariance of a measurement not positive definite at t = {np.asarray(self.ts)[tuple(row)]:g} s"
         size = np.sqrt(np.clip(np.diagonal(P, axis1=-2, axis2=-1), 0.0, None))
         scale = np.where(size > 0.0, size, 1.0)
         least = np.linalg.eigvalsh(P / (scale[..., :, None] * scale[..., None, :]))[..., 0]

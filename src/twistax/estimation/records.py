@@ -39,11 +39,12 @@ def timeline_of(
     records: Records,
     measurements: Mapping[str, Measurement],
     t0: float | None,
-    more: list[np.ndarray],
+    save_at: np.ndarray,
+    jumps: list[np.ndarray],
     max_step: float | None,
     dtype: Any,
 ) -> Timeline:
-    """The times of all records, of more times, and of steps of at most `max_step`.
+    """The times of all records and of `save_at`, of jumps between them, and of steps of at most `max_step`.
 
     Rows with a NaN are missing measurements. Records may come in any order of their times.
 
@@ -52,16 +53,19 @@ def timeline_of(
     if not isinstance(records, Mapping):
         raise InputError(f"records must be a dict from measurements to (times, values), got {short(records)}")
     times = {name: _times(name, pair, measurements) for name, pair in records.items()}
-    knots = np.unique(np.concatenate([np.zeros(0), *times.values(), *more]))
+    if not np.isfinite(save_at).all():
+        raise InputError(f"save_at expects finite times, got {short(save_at)}")
+    knots = np.concatenate([np.zeros(0), *times.values(), save_at])
     if t0 is None and not knots.size:
         raise InputError("records are empty, so t0 is not known.\n  fix: t0=..., in s")
-    start = float(knots[0]) if t0 is None else t0
-    early = [name for name, ts in times.items() if ts.size and ts.min() < start]
-    if early:
-        raise InputError(
-            f"records[{early[0]!r}] has the time {times[early[0]].min():g}, before the start t0 = {start:g}"
-        )
-    ts = np.concatenate([[start], knots[knots > start]])
+    start = float(knots.min()) if t0 is None else t0
+    for place, ts in (*((f"records[{name!r}]", ts) for name, ts in times.items()), ("save_at", save_at)):
+        if ts.size and ts.min() < start:
+            raise InputError(f"{place} has the time {ts.min():g}, before the start t0 = {start:g}")
+    # A jump outside of the run is none: the run begins with its records and ends with them.
+    knots = np.unique(np.concatenate([[start], knots]))
+    jumps = [at[(at > start) & (at < knots[-1])] for at in jumps]
+    ts = np.unique(np.concatenate([knots, *jumps]))
     ts = ts if max_step is None else _refined(ts, max_step)
     values, present, rows = {}, {}, {}
     for name, (_, rows_of_values) in records.items():
