@@ -67,3 +67,16 @@ rng = np.random.default_rng(0)
 rates = 2e-3 / np.sqrt(0.01) * rng.normal(size=100_000) + 5e-4 * np.sqrt(0.01) * rng.normal(size=100_000).cumsum()
 variance = tx.estimation.allan(rates, 0.01)
 variance.density, variance.walk  # of the white noise and of the Noise that drives the bias
+
+# tx.estimation.FixedLagSmoother
+lagged = run.smooth(tx.estimation.FixedLagSmoother(lag=2))
+lagged.xs["v"]
+
+# tx.estimation.BatchSmoother tx.estimation.BatchEstimate tx.estimation.HuberLoss tx.estimation.CauchyLoss
+losses = {"range": tx.estimation.HuberLoss()}  # or CauchyLoss()
+batch = tx.estimation.BatchSmoother(cart, [ranging], losses=losses)
+estimate = batch.run({"range": (ts, [0.1, 1.2, 9.0, 3.1, 4.0])}, {"p": 0.0, "v": 0.0}, P0=1.0)
+estimate.xs["p"], estimate.weights["range"]  # the third range hardly counts
+
+# tx.estimation.RobustLoss
+isinstance(tx.estimation.CauchyLoss(2.0), tx.estimation.RobustLoss)

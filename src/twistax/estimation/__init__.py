@@ -9,16 +9,19 @@ from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
 from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
 from .observability import Observability
-from .smoother import RauchTungStriebel, Smoothed
+from .smoothers.batch_smoother import BatchEstimate, BatchSmoother
+from .smoothers.robust_losses import CauchyLoss, HuberLoss, RobustLoss
+from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed
 from .square_root_kalman import SquareRootKalman
 from .unscented_kalman import UnscentedKalman
 from .update import Update
 
 # fmt: off
 __all__ = [
-    "AllanVariance", "Consistency", "ErrorStateKalman", "Estimate", "Filter", "FilterRun", "GroupAffinity",
-    "InertialState", "Innovations", "Invariance", "InvariantKalman", "Observability", "Prediction",
-    "PreintegratedImu", "Preintegration", "RauchTungStriebel", "Smoothed", "SquareRootKalman", "UnscentedKalman",
-    "Update", "Verdict", "allan", "consistency", "group_affinity",
+    "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Consistency", "ErrorStateKalman", "Estimate",
+    "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss", "InertialState", "Innovations",
+    "Invariance", "InvariantKalman", "Observability", "Prediction", "PreintegratedImu", "Preintegration",
+    "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "UnscentedKalman", "Update", "Verdict", "allan",
+    "consistency", "group_affinity",
 ]
 # fmt: on

@@ -38,6 +38,18 @@ class Prediction(NamedTuple):
     transition: jax.Array
 
 
+class RunStages(NamedTuple):
+    """The arguments of a run: times (k,), lengths hs of the intervals that end there, their controls, and the start."""
+
+    timeline: Timeline
+    ts: jax.Array
+    hs: jax.Array
+    controls: Arrays
+    x0: Arrays
+    P0: jax.Array
+    params: Arrays
+
+
 class Filter(ABC):
     """A filter for a compiled system with noise and measurements.
 
@@ -149,6 +161,17 @@ class Filter(ABC):
                 not positive semidefinite.
             EstimationError: numbers of the run are not finite or a covariance lost definiteness, unless traced.
         """
+        stages = self.staged(records, x0, P0, t0, u, params, save_at)
+        traced = self._scan(stages)
+        run = self._result(stages.timeline, *traced)
+        if not is_traced(traced):
+            run.check()
+        return run
+
+    def staged(
+        self, records: Records, x0: Values, P0: Any, t0: Any, u: Any, params: Values | None, save_at: Any
+    ) -> RunStages:
+        """The arguments of a run, checked and cast."""
         first = None if t0 is None else float(number("t0", t0))
         times = reals("save_at", save_at, InputError).astype(float).reshape(-1)
         start = 0.0 if first is None else first
@@ -157,16 +180,10 @@ class Filter(ABC):
             records, self.model.measurements, first, times, jumps_of(u), self.max_step, point.t.dtype
         )
         controls = controls_on(u, timeline.ts, point.t.dtype)
-        covariance = self._covariance(P0, point)
         # Lengths are differences in double precision: single precision loses them where times are large.
-        ts, lengths = (
-            jnp.asarray(a, point.t.dtype) for a in (timeline.ts, np.diff(timeline.ts, prepend=timeline.ts[0]))
-        )
-        traced = self._scan(ts, lengths, timeline.values, timeline.present, controls, point.x, covariance, point.params)
-        run = self._result(timeline, *traced)
-        if not is_traced(traced):
-            run.check()
-        return run
+        lengths = np.diff(timeline.ts, prepend=timeline.ts[0])
+        ts, hs = (jnp.asarray(a, point.t.dtype) for a in (timeline.ts, lengths))
+        return RunStages(timeline, ts, hs, controls, point.x, self._covariance(P0, point), point.params)
 
     def _result(self, timeline: Timeline, prior: Prediction, post: Estimate, updates: dict[str, Update]) -> FilterRun:
         innovations = {}
@@ -192,7 +209,9 @@ class Filter(ABC):
 
     @functools.cached_property
     def _scan(self) -> Callable[..., Any]:
-        def scan(ts: Any, lengths: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any) -> Any:
+        def scan(
+            ts: Any, hs: Any, values: Any, present: Any, controls: Any, x0: Any, P0: Any, params: Any
+        ) -> tuple[Prediction, Estimate, dict[str, Update]]:
             def advance(carry: Estimate, row: Any) -> tuple[Estimate, Any]:
                 t, h, z, seen, u = row
                 before = OperatingPoint(t - h, carry.x, u, params)
@@ -205,10 +224,16 @@ class Filter(ABC):
                 prior = prior._replace(P=self.multiplied(prior.P))
                 return Estimate(x, P), (prior, Estimate(x, self.multiplied(P)), updates)
 
-            rows = (ts, lengths, values, present, controls)
+            rows = (ts, hs, values, present, controls)
             return jax.lax.scan(advance, Estimate(x0, self.factored(P0)), rows)[1]
 
-        return jax.jit(scan)
+        jitted = jax.jit(scan)
+
+        def run(stages: RunStages) -> Any:
+            timeline, ts, hs, controls, x0, P0, params = stages
+            return jitted(ts, hs, timeline.values, timeline.present, controls, x0, P0, params)
+
+        return run
 
     def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:

@@ -18,7 +18,7 @@ from ..linear.labels import labels, tangent_shapes
 from ..system.dynamics import Arrays
 from .consistency import Consistency, consistency
 from .observability import Observability, observability
-from .smoother import RauchTungStriebel, Smoothed
+from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed
 
 
 @jax.tree_util.register_dataclass
@@ -147,9 +147,9 @@ class FilterRun:
         nis = np.where(np.asarray(rows.present), np.asarray(rows.nis), np.nan)
         return consistency(nis, rows.residual.shape[-1], level=level, tolerance=tolerance)
 
-    def smooth(self) -> Smoothed:
-        """The states that use all measurements, by `RauchTungStriebel`. Traceable."""
-        smooth = functools.partial(RauchTungStriebel().smooth, self.group)
+    def smooth(self, smoother: RauchTungStriebel | FixedLagSmoother | None = None) -> Smoothed:
+        """The states that use later measurements too, all of them by `RauchTungStriebel()`, the default. Traceable."""
+        smooth = functools.partial((smoother or RauchTungStriebel()).smooth, self.group)
         for _ in range(self.ts.ndim - 1):
             smooth = jax.vmap(smooth)
         return smooth(self.ts, (self.xs, self.P), (self.prior_xs, self.prior_P, self.transitions))
