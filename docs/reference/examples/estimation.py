@@ -80,3 +80,11 @@ estimate.xs["p"], estimate.weights["range"]  # the third range hardly counts
 
 # tx.estimation.RobustLoss
 isinstance(tx.estimation.CauchyLoss(2.0), tx.estimation.RobustLoss)
+
+# tx.estimation.Trapezoidal tx.estimation.VanLoan
+rules = [tx.estimation.VanLoan(), tx.estimation.Trapezoidal()]
+filters = [tx.estimation.ErrorStateKalman(cart, [ranging], noise=rule) for rule in rules]
+[one.predict(0.0, {"p": 0.0, "v": 0.0}, 0.0, h=0.1).P[0, 0] for one in filters]  # h^3 / 3 and h^3 / 2
+
+# tx.estimation.NoiseDiscretization
+all(isinstance(rule, tx.estimation.NoiseDiscretization) for rule in rules)

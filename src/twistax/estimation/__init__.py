@@ -9,6 +9,7 @@ from .imu.preintegration import InertialState, PreintegratedImu, Preintegration
 from .invariant_kalman import GroupAffinity, Invariance, InvariantKalman, group_affinity
 from .measurement import Measurement
 from .observability import Observability
+from .process_noise import NoiseDiscretization, Trapezoidal, VanLoan
 from .smoothers.batch_smoother import BatchEstimate, BatchSmoother
 from .smoothers.robust_losses import CauchyLoss, HuberLoss, RobustLoss
 from .smoothers.smoother import FixedLagSmoother, RauchTungStriebel, Smoothed
@@ -20,8 +21,8 @@ from .update import Update
 __all__ = [
     "AllanVariance", "BatchEstimate", "BatchSmoother", "CauchyLoss", "Consistency", "ErrorStateKalman", "Estimate",
     "Filter", "FilterRun", "FixedLagSmoother", "GroupAffinity", "HuberLoss", "InertialState", "Innovations",
-    "Invariance", "InvariantKalman", "Observability", "Prediction", "PreintegratedImu", "Preintegration",
-    "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "UnscentedKalman", "Update", "Verdict", "allan",
-    "consistency", "group_affinity",
+    "Invariance", "InvariantKalman", "NoiseDiscretization", "Observability", "Prediction", "PreintegratedImu",
+    "Preintegration", "RauchTungStriebel", "RobustLoss", "Smoothed", "SquareRootKalman", "Trapezoidal",
+    "UnscentedKalman", "Update", "VanLoan", "Verdict", "allan", "consistency", "group_affinity",
 ]
 # fmt: on

@@ -18,6 +18,7 @@ from ..system.dynamics import Arrays, Dynamics
 from ..system.inputs import Values, precision
 from .filter_run import FilterRun, Innovations
 from .measurement import Measurement, check_definite
+from .process_noise import NoiseDiscretization
 from .records import Records, Timeline, controls_on, jumps_of, timeline_of
 from .stochastic_model import OperatingPoint, StochasticModel
 from .update import Update
@@ -60,6 +61,7 @@ class Filter(ABC):
         max_step: the longest step of a prediction in s; one step between two times of a run if left out.
         gate: a probability: a measurement is used only if its normalised innovation squared lies below the quantile of
             chi-square; all are used if left out.
+        noise: how continuous noise becomes the covariance of a step: `VanLoan()`, the default, or `Trapezoidal()`.
     Raises:
         ModelError: two measurements of one name, a state or control that the system does not have, a noise both in
             rates and in measurements, a gate outside of (0, 1).
@@ -73,14 +75,15 @@ class Filter(ABC):
         method: Any = None,
         max_step: float | None = None,
         gate: float | None = None,
+        noise: NoiseDiscretization | None = None,
     ) -> None:
-        self.model = StochasticModel(dynamics, measurements, method)
+        self.model = StochasticModel(dynamics, measurements, method, noise)
         if max_step is not None:
             number("max_step", max_step, "a positive number of s", lambda h: h > 0.0, ModelError)
         if gate is not None:
             number("gate", gate, "a probability between 0 and 1", lambda p: 0.0 < p < 1.0, ModelError)
         self.max_step, self.gate = max_step, gate
-        self._limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
+        self.limits = {name: _limit(gate, m.group.dimension) for name, m in self.model.measurements.items()}
 
     # ---- what a filter is --------------------------------------------------------------------------------------------
 
@@ -237,11 +240,11 @@ class Filter(ABC):
 
     def _if_present(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, seen: jax.Array) -> Update:
         def skip() -> Update:
-            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self._limits[name]))
+            shapes = jax.eval_shape(lambda: self.corrected(name, point, P, z, self.limits[name]))
             zeros = jax.tree.map(lambda a: jnp.zeros(a.shape, a.dtype), shapes)
             return zeros._replace(x=point.x, P=P)
 
-        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self._limits[name]), skip)
+        return jax.lax.cond(seen, lambda: self.corrected(name, point, P, z, self.limits[name]), skip)
 
     # ---- arguments ---------------------------------------------------------------------------------------------------
 

@@ -18,6 +18,7 @@ from ..system.dynamics import Arrays, Dynamics, need_compiled
 from ..system.inputs import Values
 from .error_state_kalman import ErrorStateKalman
 from .measurement import Measurement
+from .process_noise import NoiseDiscretization
 
 
 class Invariance(enum.Enum):
@@ -45,7 +46,7 @@ class InvariantKalman(ErrorStateKalman):
     Attitude, velocity and position are a state of `tx.ExtendedPose`; as three states they are not group-affine.
 
     Args:
-        dynamics, measurements, method, max_step, gate: as of `ErrorStateKalman`.
+        dynamics, measurements, method, max_step, gate, noise: as of `ErrorStateKalman`.
         invariance: `Invariance.LEFT` or `Invariance.RIGHT`.
     Raises:
         ModelError: what `ErrorStateKalman` refuses.
@@ -65,11 +66,12 @@ class InvariantKalman(ErrorStateKalman):
         method: Any = None,
         max_step: float | None = None,
         gate: float | None = None,
+        noise: NoiseDiscretization | None = None,
     ) -> None:
         if not isinstance(invariance, Invariance):
             raise ModelError(f"invariance expects Invariance.LEFT or Invariance.RIGHT, got {invariance!r}")
         reset = _unmoved if invariance is Invariance.LEFT else _transported
-        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, reset=reset)
+        super().__init__(dynamics, measurements, method=method, max_step=max_step, gate=gate, noise=noise, reset=reset)
         self.invariance = invariance
 
     def affinity(self, u: Values | None = None, params: Values | None = None, *, seed: int = 0) -> GroupAffinity:
@@ -91,7 +93,7 @@ class GroupAffinity:
 
     Attributes:
         affine: whether they are, to round-off.
-        defect: the largest violation, relative to the largest rate.
+        defect: $max |f(a b) - f(b) - Ad_b^-1 (f(a) - f(e))| / max |f|$, dimensionless.
         fixed: the fewest states with vector values that are to be constants for the rest to be group-affine, such as
             biases; empty where `affine`, None where no such states help.
     """
@@ -119,7 +121,7 @@ def group_affinity(
     Args:
         u: controls.
         params: parameters; those with values may be left out.
-        seed: of the random states.
+        seed: of the random states, dimensionless.
     Raises: ModelError, InputError as a call of the dynamics does.
 
     Example: `print(tx.estimation.group_affinity(dynamics))`.

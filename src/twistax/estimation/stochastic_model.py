@@ -18,6 +18,7 @@ from ..linear.linearize import around
 from ..system.dynamics import Arrays, Dynamics, compile, need_compiled
 from ..system.system import System
 from .measurement import Measurement
+from .process_noise import NoiseDiscretization, VanLoan
 
 
 class OperatingPoint(NamedTuple):
@@ -45,10 +46,16 @@ class StochasticModel:
         measurements: by name.
         group, dimension: of the state.
         method: of the mean.
+        noise: how continuous noise becomes a covariance.
     """
 
-    def __init__(self, dynamics: Dynamics, measurements: Iterable[Measurement], method: Any = None) -> None:
+    def __init__(
+        self, dynamics: Dynamics, measurements: Iterable[Measurement], method: Any, noise: NoiseDiscretization | None
+    ) -> None:
         need_compiled("a filter", dynamics)
+        self.noise = VanLoan() if noise is None else noise
+        if not isinstance(self.noise, NoiseDiscretization):
+            raise ModelError(f"noise expects VanLoan() or Trapezoidal(), got {noise!r}")
         self.dynamics, self.group, self.dimension = dynamics, dynamics.group, dynamics.dimension
         self.method: RKMK = method_of(method)
         self.measurements = _by_name(measurements)
@@ -80,6 +87,7 @@ class StochasticModel:
         bake = {name: value for name, value in dynamics.baked.items() if name in known}
         self.noisy = compile(noisy, bake=bake, backend=dynamics.backend)
         self._zeros = {noise.name: noise.shape for noise in noises}
+        self.noise_names = tuple(self._zeros)
         self.controls = Controls(dynamics.controls)
 
     # ---- the state between measurements ------------------------------------------------------------------------------
@@ -92,7 +100,7 @@ class StochasticModel:
         t, x, u, params = point
         flat = self.controls.join(u, t.dtype)
         x1, transition, *_ = step_derivatives(self.dynamics, self.method, t, x, flat, h, params)
-        return x1, transition, self.process_noise(self.halfway(point, x1, h), h)
+        return x1, transition, self.process_noise(point, x1, transition, h)
 
     def moved(self, point: OperatingPoint, h: jax.Array) -> Arrays:
         """The mean after h seconds."""
@@ -100,25 +108,21 @@ class StochasticModel:
         increment = self.method.increment(field, point.t, point.x, h)
         return self.group.retract(point.x, self.group.join(increment))
 
-    def halfway(self, point: OperatingPoint, x1: Arrays, h: jax.Array) -> OperatingPoint:
-        """The middle of the geodesic from a point to the state h seconds later."""
-        middle = self.group.retract(point.x, 0.5 * self.group.difference(point.x, x1))
-        return point._replace(t=point.t + 0.5 * h, x=middle)
-
-    def process_noise(self, point: OperatingPoint, h: jax.Array) -> jax.Array:
-        """$Q = int_0^h exp(F s) G W G^T exp(F s)^T ds$, (n, n), of noise with the intensity W.
-
-        Source: Van Loan, Computing integrals involving the matrix exponential, IEEE TAC 23 (1978), theorem 1.
-        """
-        n = self.dimension
+    def process_noise(self, point: OperatingPoint, x1: Arrays, transition: jax.Array, h: jax.Array) -> jax.Array:
+        """The covariance (n, n) of the noise from a point to the state x1 h seconds later."""
         if not self.process:
-            return jnp.zeros((n, n), point.t.dtype)
-        F, G = self.linearized(point)
-        intensity = G @ self.intensity(point, self.process) @ G.T
-        block = jnp.block([[-F, intensity], [jnp.zeros_like(F), F.T]]) * h
-        exponential = jax.scipy.linalg.expm(block)
-        Q = exponential[n:, n:].T @ exponential[:n, n:]
-        return 0.5 * (Q + Q.T)
+            return jnp.zeros((self.dimension, self.dimension), point.t.dtype)
+
+        def local(fraction: float) -> tuple[jax.Array, jax.Array]:
+            """In the start, the middle or the end of the step."""
+            x = {0.0: point.x, 1.0: x1}.get(fraction)
+            if x is None:
+                x = self.group.retract(point.x, fraction * self.group.difference(point.x, x1))
+            at = point._replace(t=point.t + fraction * h, x=x)
+            F, G = self.linearized(at)
+            return F, G @ self.intensity(at, self.process) @ G.T
+
+        return self.noise.covariance(local, transition, h)
 
     def linearized(self, point: OperatingPoint) -> tuple[jax.Array, jax.Array]:
         """F and G of $d' = F d + G w$, d the right perturbation of the state."""

@@ -29,6 +29,7 @@ class UnscentedKalman(Filter):
         method: of the mean; RKMK with RK4 if left out.
         max_step: the longest step of a prediction in s; one step between two times if left out.
         gate: a probability, as of `ErrorStateKalman`.
+        noise: as of `ErrorStateKalman`.
     Raises:
         ModelError: what `ErrorStateKalman` refuses.
 
@@ -44,11 +45,9 @@ class UnscentedKalman(Filter):
         center = self.model.moved(point, h)
         points = self._points(point, root, lambda one: self.model.moved(one, h))
         mean, deviations = _around_mean(group, center, points)
-        Q = self.model.process_noise(self.model.halfway(point, center, h), h)
-        count = len(deviations)
-        return Prediction(
-            mean, symmetric(deviations.T @ deviations / count + Q), root.linear_map(_by_root(deviations)).T
-        )
+        transition = root.linear_map(_by_root(deviations)).T
+        Q = self.model.process_noise(point, center, transition, h)
+        return Prediction(mean, symmetric(deviations.T @ deviations / len(deviations) + Q), transition)
 
     def corrected(self, name: str, point: OperatingPoint, P: jax.Array, z: jax.Array, limit: float | None) -> Update:
         group = self.model.measurements[name].group

@@ -75,8 +75,8 @@ class LinearMeasurement(NamedTuple):
 
 
 def symmetric(P: jax.Array) -> jax.Array:
-    """The symmetric part."""
-    return 0.5 * (P + P.T)
+    """The symmetric matrix of the lower triangle; what is computed for the upper one is left out of scalar programs."""
+    return jnp.tril(P) + jnp.tril(P, -1).T
 
 
 def linear_update(

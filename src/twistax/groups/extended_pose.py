@@ -48,6 +48,8 @@ class ExtendedPose(Group):
         vectors: name and unit of each vector.
     Raises: ModelError for what is no tuple of pairs of text, for none.
 
+    Source: Barrau, Bonnabel, The invariant extended Kalman filter as a stable observer, IEEE TAC 62 (2017), appendix A.
+
     Example: `tx.State("X", group=tx.ExtendedPose())`; `X[:3, :3]`, `X[:3, 3]` and `X[:3, 4]` are attitude, velocity
     and position.
     """

@@ -108,7 +108,7 @@ class BatchSmoother:
         dynamics, measurements, method, max_step: as of `ErrorStateKalman`.
         losses: by measurement a `RobustLoss`; squares if left out.
         max_iterations: steps at most.
-        tolerance: the last step in standard deviations.
+        tolerance: the last step in standard deviations; the square root of the round-off if left out.
     Raises:
         ModelError: what `ErrorStateKalman` refuses; a loss that is none, or of an unknown measurement.
 
@@ -127,7 +127,7 @@ class BatchSmoother:
         method: Any = None,
         max_step: float | None = None,
         max_iterations: int = 50,
-        tolerance: float = 1e-6,
+        tolerance: float | None = None,
     ) -> None:
         self.kalman = ErrorStateKalman(dynamics, measurements, method=method, max_step=max_step)
         self.model, self.losses = self.kalman.model, dict(losses or {})
@@ -139,7 +139,8 @@ class BatchSmoother:
             if not isinstance(loss, RobustLoss):
                 raise ModelError(f"losses[{name!r}] expects a RobustLoss such as HuberLoss(), got {loss!r}")
         whole("max_iterations", max_iterations, 1, ModelError)
-        number("tolerance", tolerance, "a positive number", lambda size: size > 0.0, ModelError)
+        if tolerance is not None:
+            number("tolerance", tolerance, "a positive number", lambda size: size > 0.0, ModelError)
         self.max_iterations, self.tolerance = max_iterations, tolerance
 
     def run(
@@ -197,6 +198,8 @@ class BatchSmoother:
 
     def _solved(self, xs: Arrays, data: _Data) -> Any:
         dtype, size = data.P0.dtype, (len(data.ts), self.model.dimension)
+        round_off = float(jnp.finfo(dtype).eps)
+        tolerance = np.sqrt(round_off) if self.tolerance is None else self.tolerance
         zero, still = jnp.zeros((), dtype), jnp.zeros(size, dtype)
         _, P = smoothed(self._linearized(data, xs)[0], zero, still + 1.0)
         variances = jnp.diagonal(P, axis1=1, axis2=2)
@@ -208,7 +211,7 @@ class BatchSmoother:
             # Both costs with the covariances of this iterate, whose derivatives a Gauss-Newton step leaves out.
             Rs = {name: sensed.R for name, sensed in stages.sensed.items()}
             (_, before), (new, after) = (self._moved(data, Qs, Rs, iterate.xs, by) for by in (still, d))
-            better = after <= before * (1.0 + 16.0 * float(jnp.finfo(dtype).eps))
+            better = after <= before * (1.0 + 16.0 * round_off)
             step = jnp.sqrt(jnp.max(jnp.mean(d * d / scale, axis=1)))
             down = jnp.where(iterate.damping > _DAMPING, iterate.damping / _FACTOR, zero)
             up = jnp.maximum(iterate.damping * _FACTOR, jnp.asarray(_DAMPING, dtype))
@@ -217,7 +220,7 @@ class BatchSmoother:
                 jnp.where(better, down, up),
                 iterate.iterations + 1,
                 step,
-                better & (step < self.tolerance) & (iterate.damping == 0.0),
+                (step < tolerance) & (iterate.damping == 0.0),
             )
 
         def going(iterate: _Iterate) -> jax.Array:

@@ -65,12 +65,13 @@ class RauchTungStriebel:
 
 @dataclasses.dataclass(frozen=True)
 class FixedLagSmoother:
-    """The smoother of a state by the measurements until `lag` times later, as one that runs along can have it.
+    """The mean of a state by the measurements until `lag` times later, $E[x_k | z_0, ..., z_(k + lag)]$.
 
-    It takes the steps of `RauchTungStriebel` from each time back over `lag` intervals. Traceable.
+    A program that runs along can have it. It takes the steps of `RauchTungStriebel` from each time back over `lag`
+    intervals. Traceable.
 
     Attributes:
-        lag: how many later times of the run count, 1 or more.
+        lag: how many later times of the run count, 1 or more; dimensionless.
     Raises: InputError for another lag.
 
     Source: Anderson, Moore, Optimal Filtering (1979), sec. 7.3, of which this is the same numbers.
