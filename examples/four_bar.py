@@ -40,7 +40,7 @@ linkage = Mechanism(
         Link(joints.Revolute("rocker", axis), rod(0.8), at(0.9)),
         Link(joints.Fixed("tip"), None, at(0.8), parent="rocker"),
     ],
-    loops=[loops.Point("closure", "pin", "tip")],
+    loops=[loops.PointLoop("closure", "pin", "tip")],
 )
 four_bar = tx.compile(
     linkage.system(

@@ -42,7 +42,7 @@ for i, (foot, top) in enumerate(zip(feet, tops, strict=True)):
         Link(slide, rod, tx.pose(position=[0.0, 0.0, tube_length]), parent=f"tube_{i}", drive=spring),
         Link(joints.Fixed(f"ball_{i}"), None, tx.pose(position=top), parent="plate"),
     ]
-    closures.append(loops.Point(f"closure_{i}", f"leg_{i}", f"ball_{i}"))
+    closures.append(loops.PointLoop(f"closure_{i}", f"leg_{i}", f"ball_{i}"))
     x, y, z = way / length
     angles += [-np.arctan2(y, z), np.arcsin(x), length - tube_length]
 platform = Mechanism(links, loops=closures, driven=[])

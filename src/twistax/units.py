@@ -7,9 +7,9 @@
     solution.outputs["altitude"] / units.feet                      # and back
 
 Everything in twistax is in m, kg, s, rad and K. A `Quantity` is a float in these units and goes wherever a float goes.
-What asks for a unit, as `flight.start` does, refuses another one. Plain numbers are taken as m, kg, s, rad and K.
+Functions that expect a unit, such as `flight.start`, refuse another one, and take plain numbers as m, kg, s, rad and K.
 
-A unit that is multiplied with an array or an expression is its factor: nothing is checked there.
+The product of a unit with an array or an expression is one with its factor, whose unit is not checked.
 
 Sources of the factors, all exact: the international yard and pound (1959), ISO 80000-3 for the nautical mile, standard
 gravity of the General Conference on Weights and Measures (1901).
@@ -139,7 +139,7 @@ def same_unit(place: str, value: Any, unit: Quantity) -> None:
 
 
 def taken(place: str, value: Any, unit: Quantity, shape: tuple[int, ...] = ()) -> np.ndarray:
-    """A value that comes in at a door, as numbers in m, kg, s, rad and K.
+    """An argument of a public function, checked, as numbers in m, kg, s, rad and K.
 
     Args:
         place: names the value in messages.

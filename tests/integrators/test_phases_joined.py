@@ -153,7 +153,7 @@ def test_a_phase_may_be_another_system_on_another_group() -> None:
 
 
 def test_phases_alike_compile_once(monkeypatch: pytest.MonkeyPatch) -> None:
-    """Every function over steps is made by `Kept.get`; phases with other parameters, durations and starts make none."""
+    """`Cache.get` makes every function over steps; other parameters, durations and starts make no new one."""
     dynamics = tx.compile(tx.System({h: v, v: -pull}))
     made, real = [], jax.jit
     monkeypatch.setattr(method.jax, "jit", lambda f, **how: made.append(f) or real(f, **how))

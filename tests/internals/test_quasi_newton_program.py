@@ -8,7 +8,7 @@ import pytest
 from test_hessians import pendulum
 
 import twistax as tx
-from twistax.expr.operations.elementwise import Function
+from twistax.expr.operations.elementwise import ElementwiseFunction
 from twistax.trajectory import Problem, QuasiNewton
 
 
@@ -23,7 +23,7 @@ def test_quasi_newton_needs_no_second_derivative() -> None:
         slope = jax.pure_callback(lambda x: np.cos(x), x, x, vmap_method="sequential")
         return lift(x), slope * dx
 
-    class Lift(Function):
+    class Lift(ElementwiseFunction):
         """The sine, by a function without second derivatives."""
 
         function = staticmethod(lift)

@@ -10,7 +10,7 @@ import pytest
 
 from test_jax_inside import ARGUMENTS, recursion
 from twistax import progress
-from twistax.jax_inside import compiling, tracing
+from twistax.jax_inside import tracing
 from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.xla import as_function
 
@@ -42,7 +42,7 @@ def test_a_scan_of_another_jax_runs_as_jax_has_it(params: dict[str, Any], monkey
 def test_without_metadata_functions_run_as_they_are(monkeypatch: pytest.MonkeyPatch) -> None:
     from twistax.scalar.small_call import small_call
 
-    monkeypatch.setattr(compiling, "_set_xla_metadata", None)
-    assert not compiling.small_calls_exist()
+    monkeypatch.setattr(tracing, "_set_xla_metadata", None)
+    assert not tracing.small_calls_exist()
     x = jnp.arange(3.0)
     np.testing.assert_array_equal(small_call(lambda a: a * a, x), x * x)

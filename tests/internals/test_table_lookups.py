@@ -11,8 +11,7 @@ import pytest
 import twistax as tx
 from twistax.expr.tables import BSpline, Linear
 from twistax.expr.tables.kinds import GridAxis
-from twistax.scalar.reader import scalarize
-from twistax.scalar.rewriting import emitted_form
+from twistax.scalar.reader import emitted_form, scalarize
 
 RNG = np.random.default_rng(3)
 

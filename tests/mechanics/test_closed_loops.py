@@ -76,9 +76,9 @@ class Both:
 
 
 KINDS = {
-    "point": lambda: Both(joints.Spherical("pin"), [loops.Point("c", "mount", "two")]),
-    "axis": lambda: Both(joints.Revolute("pin", AXIS), [loops.Axis("c", "mount", "two", AXIS)]),
-    "pose": lambda: Both(joints.Fixed("pin"), [loops.Pose("c", "mount", "two")]),
+    "point": lambda: Both(joints.Spherical("pin"), [loops.PointLoop("c", "mount", "two")]),
+    "axis": lambda: Both(joints.Revolute("pin", AXIS), [loops.AxisLoop("c", "mount", "two", AXIS)]),
+    "pose": lambda: Both(joints.Fixed("pin"), [loops.PoseLoop("c", "mount", "two")]),
 }
 
 
@@ -94,7 +94,7 @@ def test_a_closure_does_what_a_joint_does(kind: str) -> None:
 
 def test_closures_that_say_one_thing_twice() -> None:
     """Welded in two places: the motion is that of one weld, and the two carry together what it does."""
-    both = Both(joints.Fixed("pin"), [loops.Pose("c", "mount", "two"), loops.Pose("d", "far_one", "far_two")])
+    both = Both(joints.Fixed("pin"), [loops.PoseLoop("c", "mount", "two"), loops.PoseLoop("d", "far_one", "far_two")])
     tree, closed, forces, mechanism = both.compared()
     np.testing.assert_allclose(closed["qdd"][:6], tree["one"], rtol=1e-8, atol=1e-8)
     np.testing.assert_allclose(closed["qdd"][6:], tree["A"], rtol=1e-8, atol=1e-8)
@@ -133,7 +133,7 @@ def four_bar() -> Mechanism:
         Link(joints.Revolute("rocker", y), rod(ROCKER), along(GROUND)),
         Link(joints.Fixed("tip"), None, along(ROCKER), parent="rocker"),
     ]
-    return Mechanism(links, loops=[loops.Axis("closure", "pin", "tip", y)])
+    return Mechanism(links, loops=[loops.AxisLoop("closure", "pin", "tip", y)])
 
 
 @functools.cache
@@ -272,15 +272,15 @@ def test_bad_corrections_are_refused(make: Any, message: str, unchecked: None) -
 def test_bad_loops_are_refused(unchecked: None) -> None:
     links, y = four_bar().links, (0.0, 1.0, 0.0)
     for closure, message in (
-        ([loops.Point("a", "pin", "nowhere")], "no frame 'nowhere'"),
-        ([loops.Point("a", "pin", "coupler")], "two frames of one body"),
-        ([loops.Point("a", "pin", "tip"), loops.Point("a", "tip", "pin")], "two loops have one name"),
+        ([loops.PointLoop("a", "pin", "nowhere")], "no frame 'nowhere'"),
+        ([loops.PointLoop("a", "pin", "coupler")], "two frames of one body"),
+        ([loops.PointLoop("a", "pin", "tip"), loops.PointLoop("a", "tip", "pin")], "two loops have one name"),
         (["pin"], "expects loops"),
     ):
         with pytest.raises(tx.ModelError, match=message):
             Mechanism(links, loops=closure)
     with pytest.raises(tx.ModelError, match="two frames, got 'pin' twice"):
-        loops.Axis("a", "pin", "pin", y)
+        loops.AxisLoop("a", "pin", "pin", y)
     with pytest.raises(tx.ModelError, match="no loop 'b'"):
         mechanics.loop_wrench(four_bar(), "b")
     with pytest.raises(tx.ModelError, match="expects a mechanism with loops"):
@@ -321,7 +321,7 @@ def stewart() -> tuple[tx.System, dict[str, Any]]:
             Link(slide, rod, tx.pose(position=[0.0, 0.0, length]), parent=f"tube{i}", drive=drive),
             Link(joints.Fixed(f"ball{i}"), None, tx.pose(position=top), parent="plate"),
         ]
-        closures.append(loops.Point(f"closure{i}", f"leg{i}", f"ball{i}"))
+        closures.append(loops.PointLoop(f"closure{i}", f"leg{i}", f"ball{i}"))
         x, y, z = way / reach
         q += [-np.arctan2(y, z), np.arcsin(x), reach - length]
     platform = Mechanism(links, loops=closures, driven=[])

@@ -243,7 +243,7 @@ def test_a_copy_has_other_drives_and_the_rest_as_it_was() -> None:
         Link(joints.Fixed("tip"), None, tx.pose(position=(0.0, 0.0, -1.0)), parent="b"),
     ]
     whole = {"gravity": (0.0, 0.0, -1.6), "base": "moon", "keep": ["tip"], "notes": ["a file's"], "driven": ["b"]}
-    arm = Mechanism(links, loops=[loops.Point("shut", "tip", "moon")], **whole)  # type: ignore[arg-type]
+    arm = Mechanism(links, loops=[loops.PointLoop("shut", "tip", "moon")], **whole)  # type: ignore[arg-type]
     sprung = arm.replace(drives={"b": Drive(stiffness=5.0)})
     assert [link.drive.stiffness for link in sprung.links] == [0.0, 5.0, 0.0]
     assert sprung.links[0].drive == held

@@ -255,7 +255,7 @@ def test_equalities_are_loops_and_followers(driven: str, tmp_path: Path) -> None
     path.write_text(LINKAGE.format(rod=ROD, active="false", driven=driven))
     robot, model = mechanics.load(path), mujoco_model(path)
     assert [repr(loop) for loop in robot.loops] == [
-        "Point('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
+        "PointLoop('knuckle', 'knuckle on coupler', 'knuckle on rocker')",
         "Pose('tie', 'tie on raft', 'tie on gear')",
     ]
     assert robot.notes == (

@@ -100,7 +100,7 @@ def by_kkt(mechanism: Mechanism, x: dict[str, Any], length: float) -> tuple[np.n
 
 @pytest.mark.parametrize("closure", ["point", "axis"])
 def test_an_axis_that_is_a_little_off_changes_nothing(closure: str) -> None:
-    loop = loops.Point("c", "pin", "tip") if closure == "point" else loops.Axis("c", "pin", "tip", Y)
+    loop = loops.PointLoop("c", "pin", "tip") if closure == "point" else loops.AxisLoop("c", "pin", "tip", Y)
     straight = moving(four_bar(0.0, loop))
     qdd, found = straight(0.0, start())["qd"], straight.outputs(0.0, start())
     expected, multipliers, rank = by_kkt(four_bar(0.0, loop), start(), 0.775)
@@ -138,7 +138,7 @@ def test_a_four_bar_linkage_moves_as_pinocchio_says() -> None:
     pin.initConstraintDynamics(model, data, models, datas)
     x, settings = start(), pin.ProximalSettings(1e-12, 1e-12, 50)
     expected = pin.constraintDynamics(model, data, x["q"], x["qd"], np.zeros(3), models, datas, settings)
-    dynamics = moving(four_bar(0.0, loops.Point("c", "pin", "tip")))
+    dynamics = moving(four_bar(0.0, loops.PointLoop("c", "pin", "tip")))
     np.testing.assert_allclose(dynamics(0.0, x)["qd"], expected, rtol=1e-8)
     force = np.linalg.norm(dynamics.outputs(0.0, x)["F"])
     np.testing.assert_allclose(force, np.linalg.norm(datas[0].contact_force.linear), rtol=1e-8)
@@ -146,15 +146,15 @@ def test_a_four_bar_linkage_moves_as_pinocchio_says() -> None:
 
 def test_an_axis_that_is_off_locks_the_linkage() -> None:
     """What is no round-off counts: three rows on three freedoms leave no motion."""
-    found = moving(four_bar(1e-2, loops.Point("c", "pin", "tip"))).outputs(0.0, start())
+    found = moving(four_bar(1e-2, loops.PointLoop("c", "pin", "tip"))).outputs(0.0, start())
     assert int(found["redundant"]) == 0
     assert 1e-5 < float(found["reciprocal_condition"]) < 1e-2
-    loose = four_bar(1e-2, loops.Point("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
+    loose = four_bar(1e-2, loops.PointLoop("c", "pin", "tip"), loop_metric=loops.Metric(tolerance=0.1))
     assert int(moving(loose).outputs(0.0, start())["redundant"]) == 1
 
 
 def test_where_a_linkage_stands_is_no_length_of_it() -> None:
-    loop, far = loops.Point("c", "pin", "tip"), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
+    loop, far = loops.PointLoop("c", "pin", "tip"), np.asarray(tx.pose(position=[1e3, -2e3, 0.0]))
     near = four_bar(0.0, loop)
     links = [
         dataclasses.replace(each, mount=far @ each.mount.value) if each.parent is None else each for each in near.links
@@ -180,7 +180,7 @@ def door(tilt: float, aside: float, frames: tuple[str, str], size: float = 1.0) 
         Link(joints.Fixed("frame"), None, np.asarray(place) @ np.asarray(high) @ off),
     ]
     sideways = (0.0, 9.81 * np.sin(0.1) * size, -9.81 * size)
-    return Mechanism(links, loops=[loops.Axis("c", *frames, Z)], gravity=sideways)
+    return Mechanism(links, loops=[loops.AxisLoop("c", *frames, Z)], gravity=sideways)
 
 
 @pytest.mark.parametrize(
@@ -225,7 +225,7 @@ def bennett() -> Mechanism:
         Link(joints.Fixed("end"), None, place(A_LENGTH, ALPHA), parent="j3"),
         Link(joints.Fixed("ground"), None, np.linalg.inv(place(B_LENGTH, BETA))),
     ]
-    return Mechanism(links, loops=[loops.Axis("c", "end", "ground", Z)], gravity=(0.0, 0.0, 0.0))
+    return Mechanism(links, loops=[loops.AxisLoop("c", "end", "ground", Z)], gravity=(0.0, 0.0, 0.0))
 
 
 @functools.cache
@@ -282,7 +282,7 @@ def test_derivatives_and_batches_at_the_flat_posture() -> None:
 
 def test_slopes_are_those_of_differences() -> None:
     """On the manifold, along the motion of the straight linkage: what a wrench does as the crank turns."""
-    dynamics = moving(four_bar(0.0, loops.Axis("c", "pin", "tip", Y)))
+    dynamics = moving(four_bar(0.0, loops.AxisLoop("c", "pin", "tip", Y)))
     along = start()["qd"]
 
     def wrench(s: Any) -> Any:
@@ -297,7 +297,7 @@ def test_bad_metrics_are_refused(unchecked: None) -> None:
     for call, words in (
         (lambda: loops.Metric(length=0.0), "Metric: length"),
         (lambda: loops.Metric(tolerance=1.0), "Metric: tolerance"),
-        (lambda: four_bar(0.0, loops.Point("c", "pin", "tip"), loop_metric=1e-5), "loop_metric to be of Metric"),
+        (lambda: four_bar(0.0, loops.PointLoop("c", "pin", "tip"), loop_metric=1e-5), "loop_metric to be of Metric"),
         (lambda: mechanics.loop_diagnostics(Mechanism(bennett().links)), "expects a mechanism with loops"),
     ):
         with pytest.raises(tx.ModelError, match=words):

@@ -11,7 +11,7 @@ import twistax as tx
 from twistax.mechanics import screws
 from twistax.report.figures import identities, scalars, steps
 from twistax.report.harness.expected import Absent
-from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.measurement import MeasuredCase, explained
 from twistax.report.harness.page import texts
 from twistax.report.harness.timing import Race, Repeats
 from twistax.report.registry import FIGURES
@@ -35,7 +35,7 @@ def test_every_row_has_a_key_of_its_own() -> None:
 @pytest.mark.parametrize(
     "check", [c for section in FIGURES.values() for _, c in explained(section) if not c.slow], ids=lambda c: c.what
 )
-def test_what_is_quick_is_what_was_asked_for(check: Measurement) -> None:
+def test_what_is_quick_is_what_was_asked_for(check: MeasuredCase) -> None:
     row = check.run()
     assert row.holds is not False, f"{row.came}; asked for: {row.bar}"
 

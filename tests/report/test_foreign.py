@@ -14,8 +14,8 @@ import pytest
 import twistax as tx
 from twistax.report import command
 from twistax.report.foreign import FOREIGN, page, run
-from twistax.report.foreign.ipopt import Nlp, stated
-from twistax.report.foreign.page import Beside
+from twistax.report.foreign.ipopt import Nlp, nlp_of
+from twistax.report.foreign.page import ForeignReport
 from twistax.report.foreign.run import Side
 from twistax.report.foreign.statement import MATHS, Foreign, Phased, Points, RungeKutta, Var, coefficients
 
@@ -81,7 +81,7 @@ def test_both_statements_build_and_agree(name: str) -> None:
 
 
 def build(problem: Foreign | Phased) -> None:
-    nlp = stated(problem)
+    nlp = nlp_of(problem)
     at = nlp.opti.debug.value
     assert math.isfinite(float(at(nlp.cost, nlp.opti.initial())))
     assert np.isfinite(np.asarray(at(nlp.opti.g, nlp.opti.initial()), float)).all()
@@ -114,7 +114,7 @@ def test_both_have_one_optimum(rule: Any, linear: bool) -> None:
     """The transcriptions are the same: binding limits of states between substeps, of controls, mixed ones, a free
     final time, unequal intervals, a running cost and time in the rates."""
     problem = dataclasses.replace(GATE, rule=rule, linear=linear)
-    nlp = stated(problem)
+    nlp = nlp_of(problem)
     nlp.prepare(60.0)
     solved, cost, _, word = nlp.solve()
     assert solved, word
@@ -134,7 +134,7 @@ def made_up(monkeypatch: pytest.MonkeyPatch, mine: Side) -> list[str]:
     """What the report of one problem finds wrong where IPOPT has an optimum of 2 in 10 steps, 1 s and 0.1 s."""
     monkeypatch.setattr(page, "ipopt", lambda problem, seconds: Side(True, "Solve_Succeeded", 2.0, 10, 1.0, 0.1))
     monkeypatch.setattr(page, "ours", lambda problem, seconds: mine)
-    report = Beside({"gate": GATE}, options())
+    report = ForeignReport({"gate": GATE}, options())
     kept: dict[Any, Any] = {}
     report.store = SimpleNamespace(  # type: ignore[assignment]
         get=lambda *key: kept.get(key), add=lambda rows: kept.update({row.key: row for row in rows})
@@ -169,8 +169,8 @@ def test_worse_and_unsolved_are_told(monkeypatch: pytest.MonkeyPatch, mine: Side
 
 def test_a_larger_maximum_is_better() -> None:
     mine, theirs = Side(True, "SOLVED", 3.0), Side(True, "", 2.0)
-    assert run.apart(dataclasses.replace(GATE, maximise=True), mine, theirs) == -0.5
-    assert run.apart(GATE, mine, theirs) == 0.5
+    assert run.excess_cost(dataclasses.replace(GATE, maximise=True), mine, theirs) == -0.5
+    assert run.excess_cost(GATE, mine, theirs) == 0.5
 
 
 def test_a_side_that_hangs_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -20,7 +20,7 @@ from twistax.__main__ import main
 from twistax.report import command
 from twistax.report.command import run_report
 from twistax.report.harness.expected import Absent, EarlyEnd, at_most, between, either, ends, refused, simulated
-from twistax.report.harness.measurement import Measurement, explained, quick, table
+from twistax.report.harness.measurement import MeasuredCase, explained, quick, table
 from twistax.report.harness.page import PageFigure, render, renew, table_of, texts
 from twistax.report.harness.report import SectionReport, draw
 from twistax.report.harness.rows import ReportRow, duration, number, plain
@@ -172,28 +172,28 @@ def raising(error: Exception) -> Callable[[], float]:
     return measure
 
 
-def section(*more: Measurement) -> list[str | Measurement]:
+def section(*more: MeasuredCase) -> list[str | MeasuredCase]:
     lost = raising(EarlyEnd(tx.Result.NON_FINITE, 0.5))
     return [
         "Short steps.",
-        Measurement("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
+        MeasuredCase("a small error", "RK4", at_most(1e-8), lambda: 2e-9, place=("RK4", 1.0)),
         "Long steps.",
-        Measurement("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
+        MeasuredCase("a larger one", "RK4", at_most(1e-4), lambda: 2e-5, place=("RK4", 10.0)),
         "Too long steps.",
-        Measurement("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
+        MeasuredCase("too far | beyond", "RK4", ends(tx.Result.NON_FINITE), lost, slow=True, place=("RK4", 100.0)),
         "For a test.",
         *more,
     ]
 
 
-SILENT = Measurement("a silent one", "RK4", at_most(1.0), lambda: math.nan)
-ABSENT = Measurement("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
-BROKEN = Measurement("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
+SILENT = MeasuredCase("a silent one", "RK4", at_most(1.0), lambda: math.nan)
+ABSENT = MeasuredCase("needs a package", "none", at_most(1.0), raising(Absent("not run: it is not installed")))
+BROKEN = MeasuredCase("without a bar", "RK4", between(), raising(RuntimeError("DISAGREES by 1.0e-03")))
 
 
 def run(
     folder: Path,
-    *more: Measurement,
+    *more: MeasuredCase,
     quick: bool = False,
     again: bool = False,
     renew: Any = None,
@@ -268,7 +268,7 @@ def test_without_matplotlib_everything_but_the_figures_is_there(
 
 
 def test_the_figure_shows_numbers_and_ends() -> None:
-    placed = [(check.run(), check.place) for check in section() if isinstance(check, Measurement)]
+    placed = [(check.run(), check.place) for check in section() if isinstance(check, MeasuredCase)]
     text = draw(placed, {"title": "Made up", "axes": ["step", "error"]}).decode()
     assert "Made up" in text
     assert "x: ends by name" in text

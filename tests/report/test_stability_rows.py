@@ -2,7 +2,7 @@
 
 import pytest
 
-from twistax.report.harness.measurement import Measurement, explained
+from twistax.report.harness.measurement import MeasuredCase, explained
 from twistax.report.harness.page import texts
 from twistax.report.registry import STABILITY
 
@@ -20,7 +20,7 @@ CHECKS = [
 
 
 @pytest.mark.parametrize("check", CHECKS)
-def test_the_row_is_what_was_asked_for(check: Measurement) -> None:
+def test_the_row_is_what_was_asked_for(check: MeasuredCase) -> None:
     row = check.run()
     assert row.holds, f"{row.came}; asked for: {row.bar}"
 

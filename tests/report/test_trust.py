@@ -35,7 +35,7 @@ def test_a_restated_problem_is_the_same_in_other_units() -> None:
     objective = tx.Minimize(tx.Time() * x, running=u @ u)
     times = {"final_time": (1.0, 6.0), "final_time_guess": 2.0}
     plain = tx.trajectory.Problem(tx.compile(system), objective, nodes=2, **times, **ends)
-    found = trust.Restated(10.0, 100.0, {"x": 4.0, "v": 3.0, "u": 2.0})(plain).stated
+    found = trust.InOtherUnits(10.0, 100.0, {"x": 4.0, "v": 3.0, "u": 2.0})(plain).stated
     system = found["dynamics"].system
     rates = tx.lower([*system.rates.values()])(20.0, {"v": 0.7}, {"u": [40.0]})
     # In old units t = 2, x = 3, v = 7, u = 4.
@@ -88,7 +88,7 @@ def test_phases_are_restated_with_their_links() -> None:
     last = tx.trajectory.Phase(dynamics, tx.Maximize(m), nodes=3, final_time=2.0)
     first = tx.trajectory.Phase(dynamics, nodes=2, final_time=(1.0, 2.0), initial={m: 3.0})
     plain = tx.trajectory.Problem([first, last], links=[{m: m - 1.0}])
-    found = trust.Restated(10.0, 1.0, {"m": 4.0, "u": 2.0})(plain)
+    found = trust.InOtherUnits(10.0, 1.0, {"m": 4.0, "u": 2.0})(plain)
     (link,) = found.stated["links"]
     (left,) = tx.lower([*link.values()])(0.0, {"m": 20.0})
     assert float(left) == 10.0
@@ -124,7 +124,7 @@ def test_what_does_not_stay_is_counted() -> None:
     assert [each.cost for each in sweep.wrong] == [1.0]
     assert [each.cost for each in sweep.saddles] == [2.0]
     assert math.isclose(sweep.spread(), 1e-4 / 3.0)
-    assert sweep.apart() == 0.0
+    assert sweep.excess_of_best() == 0.0
 
 
 def test_a_sweep_that_fails_runs_once_and_fails_every_check() -> None:
@@ -135,7 +135,7 @@ def test_a_sweep_that_fails_runs_once_and_fails_every_check() -> None:
         raise tx.ModelError("no such problem")
 
     sweep = trust.StartSweep(Known(make, 1.0))
-    for measure in (sweep.apart, sweep.spread, lambda: sweep.wrong):
+    for measure in (sweep.excess_of_best, sweep.spread, lambda: sweep.wrong):
         with pytest.raises(tx.ModelError, match="no such problem"):
             measure()
     assert len(made) == 1

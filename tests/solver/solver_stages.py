@@ -122,3 +122,15 @@ class Staged:
         low = np.concatenate([np.zeros(sizes[0]), np.full(sizes[1], -np.inf), np.zeros(sizes[2])])
         found = solver(x0=start, lbx=self.lower, ubx=self.upper, lbg=low, ubg=np.zeros(sum(sizes)))
         return _flat(found["x"]), float(found["f"]), solver.stats()["iter_count"]
+
+
+def refusing(problem: Staged, first: int, last: int) -> list[int]:
+    """Values are not finite from one call to another; counts the calls."""
+    values, calls = problem._numbers, [0]
+
+    def numbers(z: Array) -> Any:
+        calls[0] += 1
+        return (np.nan, *values(z)[1:]) if first <= calls[0] <= last else values(z)
+
+    problem._numbers = numbers  # type: ignore[method-assign]
+    return calls

@@ -1,5 +1,6 @@
 """The interior-point core beside IPOPT, and where its answers are known."""
 
+import dataclasses
 import re
 import threading
 from typing import Any
@@ -7,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from solver_problems import NODES, PROBLEMS, least_time, too_fast
-from solver_stages import AS_IPOPT, Stage, Staged
+from solver_stages import AS_IPOPT, Stage, Staged, refusing
 
 import twistax as tx
 from twistax.solver import SOURCES, CoreStatus, Options
@@ -161,13 +162,7 @@ def test_threads_solve_side_by_side() -> None:
         np.testing.assert_array_equal(together[name], z)
 
 
-# ---- the sources -----------------------------------------------------------------------------------------------------
-
-
-def test_every_option_has_a_source() -> None:
-    assert list(SOURCES) == list(Options.__dataclass_fields__)
-    words = r"\[WB\]|\[BV\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding"
-    assert all(re.search(words, source) for source in SOURCES.values())
+# ---- how far the cost is above the minimum ---------------------------------------------------------------------------
 
 
 def test_a_unit_of_the_cost_that_is_far_too_large_is_no_optimum() -> None:
@@ -183,6 +178,57 @@ def test_a_unit_of_the_cost_that_is_far_too_large_is_no_optimum() -> None:
     assert 0.3 * above < early.statistics["excess"] < 10.0 * above
 
 
+def chain(cost: Any, lower: float, upper: float, count: int = 6) -> tuple[Staged, np.ndarray]:
+    """x_(k+1) = x_k + u_k from 0, with limits of u."""
+    step = Stage(1, 1, cost=cost, after=lambda x, u, p: [x[0] + u[0]], controls_within=(lower, upper))
+    first = dataclasses.replace(step, states_within=(0.0, 0.0))
+    return Staged([first, *[step] * (count - 1), Stage(1)]), np.linspace(0.1, 0.7, 2 * count + 1)
+
+
+def test_a_minimum_of_zero_is_solved() -> None:
+    """Where the cost and the multipliers of the dynamics vanish an excess relative to them does not."""
+    problem, start = chain(lambda x, u, p: u[0], 0.0, np.inf)
+    solution = problem.solve(start)
+    assert solution.status is CoreStatus.SOLVED
+    assert solution.statistics["cost"] < 1e-10
+    assert solution.statistics["iterations"] <= 30
+
+
+@pytest.mark.parametrize(("iterations", "known"), [(2, False), (200, True)])
+def test_the_excess_is_estimated_near_an_optimum(iterations: int, known: bool) -> None:
+    """Few iterations of a controller need no estimate, and it takes a factorisation."""
+    problem, start = PROBLEMS["swing_up"]()
+    statistics = problem.solve(start, iterations=iterations).statistics
+    assert np.isfinite(statistics["excess"]) == known
+    plain = problem.solve(start, iterations=iterations, excess=1e30).statistics
+    assert statistics["factorizations"] == plain["factorizations"]
+
+
+# ---- bounds ----------------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("bound", [0.0, 0.1, -3.0, 1e3])
+def test_bounds_are_relaxed_by_a_share_of_themselves(bound: float) -> None:
+    """One at zero is not: what is divided by keeps its sign."""
+    seen: list[float] = []
+    problem, start = chain(lambda x, u, p: u[0], bound, np.inf)
+    values = problem._numbers
+    problem._numbers = lambda z: (seen.append(z[1:-1:2].min()), values(z))[1]
+    solution = problem.solve(start + bound, bound_relaxation=1e-4)
+    assert solution.status is CoreStatus.SOLVED
+    np.testing.assert_allclose(solution.z[1:-1:2], bound - 1e-4 * abs(bound), atol=1e-6 * max(1.0, abs(bound)))
+    assert bound != 0.0 or min(seen[1:]) > 0.0
+
+
+# ---- the sources -----------------------------------------------------------------------------------------------------
+
+
+def test_every_option_has_a_source() -> None:
+    assert list(SOURCES) == list(Options.__dataclass_fields__)
+    words = r"\[WB\]|\[BV\]|IPOPT|1:|weight|largest count|residual|factor|Math\. Programming|rounding"
+    assert all(re.search(words, source) for source in SOURCES.values())
+
+
 # ---- what goes wrong -------------------------------------------------------------------------------------------------
 
 
@@ -196,18 +242,6 @@ def test_a_start_that_is_not_finite_returns_no_leftovers() -> None:
     np.testing.assert_array_equal(np.concatenate([solution.lam, solution.ye, solution.zl, solution.zu]), 0.0)
     assert np.isnan(solution.statistics["cost"])
     assert np.isnan(solution.statistics["error"])
-
-
-def refusing(problem: Staged, first: int, last: int) -> list[int]:
-    """Values are not finite from one call to another; counts the calls."""
-    values, calls = problem._numbers, [0]
-
-    def numbers(z: np.ndarray) -> Any:
-        calls[0] += 1
-        return (np.nan, *values(z)[1:]) if first <= calls[0] <= last else values(z)
-
-    problem._numbers = numbers
-    return calls
 
 
 def test_a_line_search_without_violation_ends() -> None:

@@ -10,25 +10,25 @@ from trajectory_systems import quick_jit
 
 from twistax.trajectory import Problem
 from twistax.trajectory.transcription.evaluation import Evaluated, moved
+from twistax.trajectory.transcription.iterate import Instance, Iterate, Step, Values
 from twistax.trajectory.transcription.jax_values import JaxValues
-from twistax.trajectory.transcription.points import Given, Point, Step, Values
 from twistax.trajectory.transcription.staged import Staged
 
 
-def staged_of(problem: Problem, given: Given) -> Staged:
+def staged_of(problem: Problem, given: Instance) -> Staged:
     return Staged(problem.shooting, problem.parts, given)
 
 
-def core_values(staged: Staged, point: Point, given: Given) -> Values:
+def core_values(staged: Staged, point: Iterate, given: Instance) -> Values:
     """Those of the core, by node and row."""
-    staged.set_given(given)
+    staged.set_instance(given)
     at = Evaluated(staged.transcription, staged.flat(point))
     v = staged.coordinates(staged.flat(point))
     lower, upper = staged.limits(v, given)
     return Values(at.cost[0], staged.padded(at.c), staged.all_rows(at.h, at.e, lower - v, v - upper))
 
 
-def assert_values(problem: Problem, point: Point, given: Given) -> None:
+def assert_values(problem: Problem, point: Iterate, given: Instance) -> None:
     """The core's are those of JAX."""
     values = core_values(staged_of(problem, given), point, given)
     expected = quick_jit(JaxValues(problem.shooting))(point, given)
@@ -38,7 +38,7 @@ def assert_values(problem: Problem, point: Point, given: Given) -> None:
     np.testing.assert_allclose(values.rows[exists], np.asarray(expected.rows)[exists], atol=1e-12)
 
 
-def assert_derivatives_of_the_core(problem: Problem, point: Point, given: Given) -> None:
+def assert_derivatives_of_the_core(problem: Problem, point: Iterate, given: Instance) -> None:
     """First ones along a random step, and the second of the Lagrangian, beside JAX's of the values.
 
     Rows of the dynamics count about where an interval ends: they are the left Jacobian of the defect times JAX's.
@@ -56,7 +56,7 @@ def assert_derivatives_of_the_core(problem: Problem, point: Point, given: Given)
     here = Step(np.zeros_like(along.d), point.us, point.border)
 
     def values_at(step: Step) -> Values:
-        return values(Point(point.xs, step.u, step.border), given, jnp.asarray(step.d))
+        return values(Iterate(point.xs, step.u, step.border), given, jnp.asarray(step.d))
 
     def lagrangian(step: Step) -> Any:
         at = values_at(step)
@@ -89,7 +89,7 @@ def assert_derivatives_of_the_core(problem: Problem, point: Point, given: Given)
     np.testing.assert_allclose(product, expected, atol=1e-9 * np.abs(expected).max())
 
 
-def assert_derivatives_by_differences(problem: Problem, point: Point, given: Given) -> None:
+def assert_derivatives_by_differences(problem: Problem, point: Iterate, given: Instance) -> None:
     """First and second ones of the core along random steps by differences of its values.
 
     Every other node rests: defects count about where intervals end.

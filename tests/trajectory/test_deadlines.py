@@ -36,6 +36,20 @@ def test_a_callback_ends_a_solve_at_the_best_iterate() -> None:
     assert "STOPPED" in result.message
 
 
+def test_a_callback_is_not_asked_again() -> None:
+    """Neither by a run in other units, nor by one that leaves a saddle."""
+    problem = swing_up()
+    for last in range(1, 16, 2):
+        seen: list[int] = []
+
+        def enough(iteration: int, cost: float, violation: float, last: int = last, seen: list[int] = seen) -> bool:
+            seen.append(iteration)
+            return iteration == last
+
+        assert problem.solve(callback=enough).status is Status.STOPPED
+        assert seen == list(range(last + 1))
+
+
 def test_a_comparison_of_numpy_ends_a_solve() -> None:
     result = swing_up().solve(callback=lambda iteration, cost, violation: np.abs(cost) < np.inf)
     assert result.status is Status.STOPPED

@@ -126,19 +126,22 @@ def test_a_maximum_is_reported_as_stated() -> None:
     assert result.replay(steps=10).violations["speed"] < 1e-6
 
 
-def test_a_turn_about_one_axis_is_left() -> None:
-    """Its 2 sqrt(pi) s meet the first-order conditions, but are no minimum; from a step away the search is back."""
-    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
+@pytest.mark.parametrize(("limit", "options"), [(np.inf, {"nodes": 11, "substeps": 1}), (3.0, {"nodes": 21})])
+def test_a_turn_about_one_axis_is_left(limit: float, options: dict[str, Any]) -> None:
+    """Its 2 sqrt(pi) s meet the first-order conditions, but are no minimum; from a step away the search is back.
+
+    By symmetry the other axes move by rounding alone, which says nothing of their units.
+    """
+    R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,), min=-limit, max=limit)
     u, rest = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
     ends: dict[str, Any] = {"initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
     dynamics = tx.compile(tx.System(rates={R: w, w: u}))
-    problem = Problem(dynamics, tx.Minimize(tx.Time()), nodes=11, final_time=(1.0, 6.0), **ends, substeps=1)
-    result = problem.solve()
+    result = Problem(dynamics, tx.Minimize(tx.Time()), final_time=(1.0, 6.0), **ends, **options).solve()
     assert result.solved
     assert result.cost < 3.4
+    assert result.optimality.gap < 1e-5
 
 
-@pytest.mark.slow
 def test_a_turn_about_one_axis_is_left_for_the_fastest() -> None:
     """The half turn about one axis takes 2 sqrt(pi) s and meets the first-order conditions; the fastest 3.24308 s.
 
@@ -149,9 +152,9 @@ def test_a_turn_about_one_axis_is_left_for_the_fastest() -> None:
     ends: dict[str, Any] = {"initial": {R: np.eye(3), w: rest}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: rest}}
     dynamics = tx.compile(tx.System(rates={R: w, w: u}))
     problem = Problem(dynamics, tx.Minimize(tx.Time()), nodes=51, final_time=(1e-4, 6e4), **ends)
-    result = problem.solve(seed=3)
-    assert result.solved
-    assert result.cost < 3.2435
+    results = [problem.solve(seed=seed) for seed in (1, 2, 3)]
+    assert all(result.solved for result in results)
+    assert min(result.cost for result in results) < 3.2435
 
 
 def test_free_entries_of_the_start_are_chosen_too() -> None:

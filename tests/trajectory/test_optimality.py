@@ -354,7 +354,7 @@ def test_an_objective_may_vanish_at_the_optimum() -> None:
         for options in ({}, {"warm": first}):
             result = problem.solve(initial={p: start, v: 0.0}, **options)
             assert result.solved
-            assert result.cost == pytest.approx(first.cost * (start / 1e-3) ** 2, rel=1e-6, abs=1e-30)
+            assert result.cost == pytest.approx(first.cost * (start / 1e-3) ** 2, rel=1e-6, abs=1e-16 * first.cost)
 
 
 def test_running_out_of_iterations_is_never_solved() -> None:

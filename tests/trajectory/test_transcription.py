@@ -10,7 +10,7 @@ from trajectory_systems import double_integrator, spinning_ball
 
 import twistax as tx
 from twistax.trajectory import Collocation, MultipleShooting, Problem
-from twistax.trajectory.transcription.points import Given, Point
+from twistax.trajectory.transcription.iterate import Instance, Iterate
 
 
 def tumbling(transcription: Any, nodes: int = 3, final_time: float = 0.8) -> Problem:
@@ -32,11 +32,11 @@ def tumbling(transcription: Any, nodes: int = 3, final_time: float = 0.8) -> Pro
     )
 
 
-def point_of(problem: Problem, final_time: float) -> Point:
+def point_of(problem: Problem, final_time: float) -> Iterate:
     rng = np.random.default_rng(0)
     nodes = problem.nodes
     xs = {"R": np.array(jax.vmap(tx.SO3.exp)(0.2 * rng.normal(size=(nodes, 3)))), "w": rng.normal(size=(nodes, 3))}
-    return Point(xs, rng.normal(size=(nodes - 1, 3)), np.array([final_time]))
+    return Iterate(xs, rng.normal(size=(nodes - 1, 3)), np.array([final_time]))
 
 
 @pytest.mark.parametrize(
@@ -50,7 +50,7 @@ def point_of(problem: Problem, final_time: float) -> Point:
 def test_the_order_of_an_interval_and_of_its_cost(tableau: Any, order: int) -> None:
     """Against the same system with its cost as a state, integrated to round-off."""
     problem, errors = tumbling(Collocation(tableau), nodes=2), []
-    given = Given({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
+    given = Instance({}, {"R": np.eye(3), "w": np.zeros(3)}, problem.border.limits)
     staged = staged_of(problem, given)
     R, w, u, t = *problem.dynamics.states, problem.dynamics.controls[0], tx.Time()
     spent = tx.State("spent")

@@ -82,10 +82,10 @@ newton_metre = tx.kinds.Unit.of("N m")
 newton_metre, newton_metre == tx.kinds.Unit.of("J"), newton_metre / tx.kinds.Unit.of("s")
 
 # tx.kinds.Fixed
-from twistax.expr.operations.elementwise import Function
+from twistax.expr.operations.elementwise import ElementwiseFunction
 
 
-class Thinning(Function):
+class Thinning(ElementwiseFunction):
     """The density of air over that at sea level, from the height in m."""
 
     function = staticmethod(lambda h: jnp.exp(-h / 8500.0))
@@ -110,7 +110,7 @@ class Reciprocal(tx.kinds.Rule):
         return None if units[0] is None else tx.kinds.Unit.of("1") / units[0]
 
 
-class Inverse(Function):
+class Inverse(ElementwiseFunction):
     function = staticmethod(lambda x: 1.0 / x)
     kinds = Reciprocal()
 

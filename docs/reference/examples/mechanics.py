@@ -29,7 +29,7 @@ tx.mechanics.frame_twist(arm, last).shape, tx.mechanics.frame_jacobian_rate(arm,
 arm = tx.mechanics.chain_models.equal_links(2)
 [part.shape for part in tx.mechanics.inverse_dynamics_derivatives(arm)]
 
-# tx.mechanics.closed_dynamics tx.mechanics.loops.Pose tx.mechanics.loops.Loop tx.mechanics.loops.Metric
+# tx.mechanics.closed_dynamics tx.mechanics.loops.PoseLoop tx.mechanics.loops.Loop tx.mechanics.loops.Metric
 from twistax import mechanics
 from twistax.mechanics import Link, Mechanism, SpatialInertia, joints, loops
 
@@ -41,7 +41,7 @@ links = [
     Link(joints.Fixed("tip"), None, along, parent="lower"),
     Link(joints.Prismatic("slider", [1.0, 0.0, 0.0]), rod, np.eye(4)),
 ]
-tied = Mechanism(links, loops=[loops.Point("pin", "tip", "slider")])
+tied = Mechanism(links, loops=[loops.PointLoop("pin", "tip", "slider")])
 qdd, wrenches = mechanics.closed_dynamics(tied)
 qdd.shape, list(wrenches)
 

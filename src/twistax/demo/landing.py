@@ -77,7 +77,6 @@ def run(arguments: argparse.Namespace) -> int:
 
 
 def _say(word: str, *lines: str) -> None:
-    """Lines of what was done, the first after a word."""
     for number, line in enumerate(lines):
         print(f"{'' if number else word:<9} {line}".rstrip(), flush=True)
 

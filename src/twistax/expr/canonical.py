@@ -1,7 +1,7 @@
-"""The driver of `canonicalize`: one pass over the graph, children first, sharing kept.
+"""`canonicalize`: one pass over the expression graph, children first; shared nodes stay shared.
 
 A node class contributes `simplify()`, which sees canonical children. Sums and products are flattened here, because
-only the driver knows who else uses an inner sum: splicing a shared one would compute it again in every user.
+only this pass knows the other users of an inner sum: a shared one that is absorbed would be computed in each of them.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def canonicalize_all(roots: Sequence[Any]) -> list[Any]:
                 children.extend(new.children())
             else:
                 children.append(new)
-        # What its only user splices is simplified there, once, instead of at every level.
+        # A nested sum or product that its only user absorbs is simplified there, once, not at every level.
         if id(node) in absorbed:
             operands[id(node)] = children
         else:
@@ -64,8 +64,8 @@ def _settled(node: Any) -> Any:
 def fold(node: Any) -> Any:
     """The Constant a node amounts to when all its children are constants; else the node itself.
 
-    Folding is done in float64, whatever the switch says, so that a folded number is as good as one typed in.
-    A result that is not finite is not folded: the run shall show it where it happens.
+    Folding computes in float64 whether or not x64 is on, so that a folded number is as exact as a literal one.
+    A result that is not finite is not folded, so that an evaluation reports it where it occurs.
     """
     children, Constant = node.children(), NODES["Constant"]
     if node.is_leaf or not children or not all(isinstance(child, Constant) for child in children):
@@ -82,7 +82,7 @@ def fold(node: Any) -> Any:
     if not np.isfinite(result).all():
         return node
     constant = Constant(result)
-    # The transpose and the inverse of such a matrix are such matrices again.
+    # The transpose and the inverse of a structured matrix are structured again.
     known = any(isinstance(child, Constant) and child.folded_from is not None for child in children)
     origin = node.simplify() if known else node
     if origin.structured:

@@ -58,6 +58,12 @@ def leaves_of(*roots: Node) -> Iterator[Any]:
     return (node for node in postorder(*roots) if node.is_leaf)
 
 
+def other_leaves(root: Node, placeholders: Sequence[Node]) -> list[Any]:
+    """The leaves below a root that are none of the placeholders, each key once."""
+    keys = {placeholder.key() for placeholder in placeholders}
+    return [leaf for key, leaf in {leaf.key(): leaf for leaf in leaves_of(root)}.items() if key not in keys]
+
+
 def substitute(root: N, exchange: Mapping[str, N]) -> N:
     """The tree with every leaf whose key is in `exchange` replaced; parts without such a leaf stay the same objects."""
     done: dict[int, N] = {}
@@ -165,6 +171,16 @@ def evaluate_all(roots: Sequence[Node], read: Callable[[Any], jax.Array]) -> lis
         return value
 
     return values(roots, None, 0)
+
+
+def function_of(root: Node, placeholders: Sequence[Node], known: Mapping[str, Any]) -> Callable[..., jax.Array]:
+    """The value of a root as a function of the values of placeholders; `known` has those of other leaves by key."""
+
+    def value(*values: jax.Array) -> jax.Array:
+        by_key = {**known, **{leaf.key(): value for leaf, value in zip(placeholders, values, strict=True)}}
+        return evaluate_all([root], lambda leaf: by_key[leaf.key()])[0]
+
+    return value
 
 
 def _shared_by_branches(roots: Sequence[Node], order: Sequence[Node]) -> tuple[list[Node], dict[Hashable, int]]:

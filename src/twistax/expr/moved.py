@@ -62,7 +62,11 @@ MOVED = {
 }
 #: Classes that have another name now, or whose module is a package now.
 _CLASSES = {
+    "expr.operations.elementwise.Function": "expr.operations.elementwise.ElementwiseFunction",
     "integrators.tableaus.Rows": "integrators.tableaus.StageRows",
+    "mechanics.loops.Axis": "mechanics.loops.AxisLoop",
+    "mechanics.loops.Point": "mechanics.loops.PointLoop",
+    "mechanics.loops.Pose": "mechanics.loops.PoseLoop",
     "trajectory.hessians.GaussNewton": "trajectory.hessians.options.GaussNewton",
     "trajectory.hessians.QuasiNewton": "trajectory.hessians.options.QuasiNewton",
     "trajectory.transcription.Collocation": "trajectory.transcription.methods.Collocation",

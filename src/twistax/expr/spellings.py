@@ -138,7 +138,7 @@ def _rank(expr: Any) -> int:
 
 def _bound(name: str) -> property:
     def read(leaf: Any) -> Any:
-        if _reads_a_method(sys._getframe(1)):
+        if _reads_a_method(inspect.currentframe()):
             raise AttributeError(name)  # so that Python asks `__getattr__`
         return leaf.__dict__[name]
 
@@ -158,9 +158,10 @@ class Bounded:
         min, max = _bound("min"), _bound("max")
 
 
-def _reads_a_method(frame: FrameType) -> bool:
-    """Whether a frame reads an attribute in order to call it: the instructions of CPython say so."""
-    code, at = frame.f_code.co_code, frame.f_lasti
+def _reads_a_method(getter: Any) -> bool:
+    """Whether the caller of a getter reads the attribute in order to call it, by the instructions of CPython."""
+    caller: FrameType = getter.f_back
+    code, at = caller.f_code.co_code, caller.f_lasti
     if sys.version_info < (3, 12):
         return code[at] == dis.opmap["LOAD_METHOD"]
     return code[at] == dis.opmap["LOAD_ATTR"] and bool(code[at + 1] & 1)
@@ -175,7 +176,7 @@ def for_jax() -> property:
     def refuse(expr: Any) -> NoReturn:
         from ..jax_inside import makes_an_array
 
-        if not makes_an_array(sys._getframe(1)):
+        if not makes_an_array(inspect.currentframe()):
             raise AttributeError("__jax_array__", name="__jax_array__", obj=expr)
         _refuse(expr)
 

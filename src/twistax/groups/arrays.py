@@ -1,4 +1,4 @@
-"""What the numeric maps accept, the one place where it becomes arrays, and formulas of small vectors.
+"""Arguments of the numeric maps as arrays, and formulas of small vectors.
 
 Small vectors are tuples of their components: XLA turns scalar arithmetic into a few instructions, while products of 3x3
 arrays inside a loop become calls. The public maps unpack their arguments here and pack the result once.
@@ -35,7 +35,7 @@ def floats(*values: Input, names: Sequence[str] = ()) -> tuple[Array, ...]:
         value if isinstance(value, Array) and jnp.issubdtype(value.dtype, jnp.floating) else real_array(name, value)
         for name, value in zip(names or ["a group's map"] * len(values), values, strict=True)
     ]
-    canonical = jax.dtypes.canonicalize_dtype  # of float64 without x64: float32, which JAX would warn of
+    canonical = jax.dtypes.canonicalize_dtype  # float64 becomes float32 where x64 is off, without a warning
     dtypes = [
         canonical(value.dtype) if isinstance(value, _TYPED) and jnp.issubdtype(value.dtype, jnp.floating) else None
         for value in values
@@ -56,16 +56,16 @@ def of_shape(function: str, shapes: Mapping[str, tuple[int, ...]], *values: Inpu
 
 
 def known(a: Array) -> np.ndarray | None:
-    """The numbers of an array; None while JAX traces it and there are none."""
+    """The array as one of NumPy; None where it is traced."""
     from twistax.jax_inside import is_traced  # not at import: it loads much of JAX that `import jax` does not
 
     return None if is_traced(a) else np.asarray(a)
 
 
 def element(function: str, name: str, g: Array, drift: float = 0.1) -> Array:
-    """A rotation (3, 3) or a pose (4, 4) as it came. Where it is traced and not an element, NaN in its place.
+    """Check a rotation (3, 3) or a pose (4, 4), and return it; a traced matrix that is no element becomes NaN.
 
-    A map of a reflection or of zeros has no meaning, and would look plausible. Raises InputError.
+    The maps of a reflection or of zeros would give plausible numbers without meaning. Raises InputError.
     """
     numbers = known(g)
     if numbers is None:
@@ -95,7 +95,7 @@ def determinant(g: Array) -> Array:
 
 def element_defect(value: np.ndarray) -> float:
     """`defect` of an array of NumPy, without JAX; NaN where it is not finite."""
-    # Python's numbers: of so few NumPy's operations take twice as long.
+    # Python's floats: NumPy takes twice as long for so few entries.
     rows = value.tolist()
     (a, b, c), (d, e, f), (g, h, i) = (row[:3] for row in rows[:3])
     off = [a * a + d * d + g * g - 1.0, b * b + e * e + h * h - 1.0, c * c + f * f + i * i - 1.0]
@@ -154,7 +154,7 @@ def scale(s: Array | float, a: Components) -> Components:
 
 
 def rigid_polynomial(w: Components, a: Array | float, b: Array) -> Array:
-    """I + a W + b W^2 with W = hat(w), from W^2 = w w^T - |w|^2 I: diagonal entries never see |w|^2 itself."""
+    """I + a W + b W^2 with W = hat(w) and W^2 = w w^T - |w|^2 I, whose diagonal is formed without |w|^2."""
     x, y, z = w
     bx, by, bz = scale(b, w)
     return matrix(turn_rows(scale(a, w), (bx * x, by * y, bz * z, bx * y, bx * z, by * z)))

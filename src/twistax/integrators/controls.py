@@ -16,7 +16,7 @@ from ..checks import callable_with, real_array, short
 from ..errors import InputError, ShapeError
 from ..jax_inside import is_traced, of_one_device
 from ..system.dynamics import Arrays, Dynamics
-from ..system.inputs import is_finite, need_held, read_values
+from ..system.inputs import is_finite, need_representable, read_values
 from ..units import same_unit, seconds
 
 #: Tables of more times are searched by halving.
@@ -88,7 +88,7 @@ class ControlTable(ABC):
         if self.ts.dtype == dtype and self.values.dtype == dtype:
             return self
         for place, array in (("times", self.ts), ("values", self.values)):
-            need_held(f"{place} of a table of controls", array, dtype)
+            need_representable(f"{place} of a table of controls", array, dtype)
         return self._of(None, (self.ts.astype(dtype), self.values.astype(dtype)))
 
     @property

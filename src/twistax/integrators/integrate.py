@@ -1,6 +1,6 @@
 """Integration of a compiled system over time.
 
-The way down: `integrate` reads its options into a `Plan` (options.py): a `Stepper`, a method on a system (method.py),
+`integrate` reads its options into a `Plan` (options.py): a `Stepper`, a method on a system (method.py),
 and `Steps` (loop/), which `rollout` compiles (loop/rollout.py). A step of `RKMK` (methods/rkmk.py) is one loop over
 stages in a chart (charts/).
 """
@@ -116,7 +116,7 @@ def integrated(dynamics: Dynamics, x0: Mapping[str, Any], options: Options) -> S
 
 
 def _inside(result: RolloutResult, start: jax.Array, end: jax.Array, ts: jax.Array) -> RolloutResult:
-    """The result for traced times: NON_FINITE and NaN for times that would be refused if they were known."""
+    """The result for traced times: NON_FINITE and NaN for times that are refused where they are known."""
     room = 1e-6 * (end - start) + 8.0 * float(jnp.finfo(ts.dtype).eps) * jnp.maximum(jnp.abs(start), jnp.abs(end))
     ordered = (start <= end) & (ts[:-1] <= ts[1:]).all()
     inside = ordered & (ts >= start - room) & (ts <= end + room)
@@ -157,7 +157,7 @@ def solution_of(
         elif watching:
             ts = jnp.where(outcome.code == Result.SUCCESS.value, ts[-1], t_end)[None]
     else:
-        # Known rows are cut and joined by NumPy: JAX would compile that for each number of them.
+        # NumPy cuts and joins known rows: JAX would compile that for each number of rows.
         unknown = is_traced((rolled, ts))
         array: Any = jnp if unknown else np
         kept = len(ts)

@@ -14,7 +14,7 @@ from ..errors import ModelError
 from ..jax_inside import spread
 from ..scalar.array_primitive import on_any_mesh
 from ..scalar.backends import JAX
-from ..scalar.small_call import held
+from ..scalar.small_call import stored_once
 from ..system.dynamics import Arrays, Dynamics
 from .charts.chart import compensated
 from .charts.coordinates import Blocks, StateCoordinates, StoredState
@@ -61,17 +61,17 @@ class StepAttempt:
 
 
 class Method(ABC):
-    """A one-step method. A value: methods are equal, with equal hashes, if they mean the same.
+    """A one-step method. Methods with equal coefficients are equal, and have equal hashes.
 
-    A new method subclasses this; `tx.integrate` takes any with fixed steps. One that estimates its own error also gives
-    `error_order` and `attempt`, and chooses its own steps. One that learns from the step before gives `before` and
-    `follow`, or `begin` and `resume` where steps are chosen.
+    A new method subclasses this; `tx.integrate` takes any with fixed steps. A method with an error estimate also
+    defines `error_order` and `attempt`, for adaptive steps. One that reads data of the step before defines `before` and
+    `follow`, or `begin` and `resume` for adaptive steps.
     """
 
     @property
     @abstractmethod
     def name(self) -> str:
-        """How tables call it."""
+        """The name in tables."""
 
     @property
     @abstractmethod
@@ -95,12 +95,12 @@ class Method(ABC):
         """How the states of a system are stored, with coordinates around the start of a step.
 
         Raises:
-            ModelError: the method has no such coordinates; then it says with `stored` how states are stored.
+            ModelError: the method has no such coordinates; it defines `stored` instead.
         """
         raise ModelError(f"{self.name} has no coordinates around the start of a step")
 
     def stored(self, dynamics: Dynamics, params: Arrays) -> StoredState:
-        """How the states of a system are stored between steps: by their coordinates, unless a method knows better."""
+        """How the states of a system are stored between steps: by their coordinates, unless a method overrides this."""
         return self.coordinates(dynamics)
 
     @abstractmethod
@@ -160,7 +160,7 @@ class Method(ABC):
         """One step of length h with its error. Pure and traceable.
 
         Args:
-            tolerances: what is allowed, for methods that solve equations no better than that.
+            tolerances: of the error, for methods that solve equations only as exactly as these ask.
         """
         raise NotImplementedError
 
@@ -257,9 +257,9 @@ class Stepper:
         return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.run_by(JAX())))
 
     @property
-    def beside_loops(self) -> Stepper:
+    def outside_loops(self) -> Stepper:
         """This stepper for functions outside the kernel of a loop."""
-        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.beside_loops()))
+        return dataclasses.replace(self, dynamics=Dynamics(self.dynamics.functions.outside_loops()))
 
     def clock(self, t: Any) -> Any:
         """A time of the clock of the loop from one in s, or the other way round; lengths of time alike."""
@@ -272,7 +272,7 @@ class Stepper:
             return VectorField(self.dynamics, during, self.params)
 
         def clock(time: jax.Array) -> jax.Array:
-            # A few units of round-off inside of the step where it is one of its ends.
+            # The ends of the step are moved inside of it by a few units of round-off.
             small = 4.0 * jnp.finfo(time.dtype).eps
             hair = jax.lax.stop_gradient(jnp.maximum(small * jnp.abs(t), small * jnp.abs(t + h)))
             first, last = jnp.where(h < 0.0, t + h, t) + hair, jnp.where(h < 0.0, t, t + h) - hair
@@ -307,7 +307,7 @@ class Stepper:
         return self.method.resume(field, t, y, carry)
 
     def attempt(self, t: jax.Array, y: Blocks, carry: Carry, h: jax.Array, tolerances: Tolerances) -> StepAttempt:
-        """A step of length h that may be taken back, with its error."""
+        """A step of length h that may be rejected, with its error."""
         field, t, h = self._in_s(t, h)
         return self.method.attempt(field, t, y, carry, h, tolerances)
 
@@ -330,14 +330,14 @@ class Stepper:
         def size(e: Blocks) -> jax.Array:
             return jnp.sqrt(tolerances.mean_square(local, e, y, y))
 
-        slope = held(local.first_slope(y, rate))
+        slope = stored_once(local.first_slope(y, rate))
         reach, speed = tolerances.reach(local, y), size(slope)
         short = jnp.where((reach > 1e-5) & (speed > 1e-5), 0.01 * reach / speed, fallback)
         # Controls beyond the end may not be defined.
         short = jnp.minimum(jnp.where(jnp.isfinite(short), short, fallback), room)
         z = jax.tree.map(lambda k: self.clock(short) * k, slope)
-        moved = held(local.move(y, z))
-        later = local.slope(z, moved, held(self.rate(t + short, moved, 1e-3 * short)))
+        moved = stored_once(local.move(y, z))
+        later = local.slope(z, moved, stored_once(self.rate(t + short, moved, 1e-3 * short)))
         bend = size(jax.tree.map(jnp.subtract, later, slope)) / short
         largest = jnp.maximum(speed, bend)
         h = jnp.where(largest > 1e-15, (0.01 / largest) ** (1.0 / order), jnp.maximum(fallback, 1e-3 * short))
@@ -356,9 +356,9 @@ def flattened(
 ) -> tuple[Callable[..., Any], list[Any], Any]:
     """The jitted function on the arrays of its arguments, those arrays, and their structure.
 
-    JAX keeps what it traced of a function for as long as the function is there: so each system has its own, which goes
-    with it. What is traced reads a twin of the system, so that it does not keep the system itself. JAX keeps structures
-    of arguments longer still: so the function takes their arrays, and has their structure inside.
+    JAX caches the traces of a function as long as the function lives: each system has its own functions, which go with
+    it. Traces read a twin of the system, so that they do not keep the system alive. JAX caches structures of arguments
+    longer still: so the function takes arrays, and has their structure inside.
     """
     functions = stepper.dynamics.functions
     twin = functions.loops.get(Dynamics, lambda: Dynamics(functions.twin()))
@@ -366,7 +366,7 @@ def flattened(
 
     def flat() -> Callable[..., Any]:
         function = make()
-        # Where jit is disabled arrays of NumPy would come in as they are.
+        # With jit disabled arrays of NumPy are not converted.
         return jax.jit(lambda *leaves: function(*jax.tree.unflatten(structure, map(jnp.asarray, leaves))))
 
     return functions.loops.get((make, structure), flat), leaves, structure

@@ -20,26 +20,26 @@ from ..expr import Inputs, State
 from ..groups import Group
 from ..jax_inside import is_traced, is_tracing
 from ..system.dynamics import Dynamics, need_compiled
-from ..system.inputs import cast, is_finite, need_held, precision
+from ..system.inputs import cast, is_finite, need_representable, precision
 from .charts.chart import Ambient
 from .controls import ByName, OfTime, Signals, controls_of
 from .events.conditions import EventConditions, event_conditions
 from .loop.adaptive_steps import AdaptiveSteps
-from .loop.fixed_steps import FixedSteps
+from .loop.fixed_steps import FixedSteps, equal_steps
 from .method import Method, Stepper
 from .methods.interpolant import Between
 from .methods.projected import need_start_on_manifold, projected
 from .methods.rkmk import RKMK
-from .step_control import FINEST, StepControl, Tolerances
+from .step_control import FINEST, StepControl, Stops, Tolerances, direction_of, limits_of, span_of
 from .tableaus import DOP853, RK4
-from .times import Stops, check_saves, direction_of, filled, fixed_steps, limits_of, span_of
+from .times import check_saves, filled, with_saves
 
 First = TypeVar("First")
 Second = TypeVar("Second")
 Result = TypeVar("Result")
 P = ParamSpec("P")
 
-#: The methods of fixed and of adaptive steps, and the step control, unless given.
+#: The default methods of fixed and of adaptive steps, and the default step control.
 _FIXED, _ADAPTIVE, _CONTROL = RKMK(RK4), RKMK(DOP853, Ambient()), StepControl()
 
 
@@ -138,7 +138,8 @@ class Plan(NamedTuple):
 
 def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     """Read and check the arguments of `integrate`. Raises its errors before anything is integrated."""
-    need_compiled("integrate", dynamics)
+    if not isinstance(dynamics, Dynamics):
+        need_compiled("integrate", dynamics)
     method = _method_of(dynamics, options)
     need_flag("dense", options.dense)
     instance("between", options.between, Between, "tx.Between.STEP or tx.Between.POLYNOMIAL", InputError)
@@ -148,7 +149,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     inputs = _inputs_of(dynamics, x0, options, controls)
     dtype = inputs.dtype
     if span is not None:
-        need_held("t1", np.asarray(span[1]), dtype)
+        need_representable("t1", np.asarray(span[1]), dtype)
         if isinstance(controls, ByName):
             controls.check_span(min(span), max(span))
     signals, x = controls.prepared(inputs.u, dtype), dict(inputs.x)
@@ -172,7 +173,7 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
     limits = limits_of(start, end, options.jumps, signals, direction)
     steps: AdaptiveSteps | FixedSteps
     if options.adaptive:
-        steps = _adaptive_steps(dynamics, method, options, Stops.given(limits, start, saves, count), start, events)
+        steps = _adaptive_steps(dynamics, method, options, Stops.of(limits, start, saves, count), start, events)
     else:
         polynomial = options.between if options.between is Between.POLYNOMIAL else None
         for name, value in (("control", options.control), ("between", polynomial)):
@@ -180,9 +181,8 @@ def plan_of(dynamics: Any, x0: Any, options: Options) -> Plan:
                 raise InputError(
                     f"{name} is for steps chosen by tolerances: give rtol and atol in place of dt or steps"
                 )
-        steps = fixed_steps(
-            start, end, span, options, saves, limits, count=count, bounded=traced or options.dense, events=events
-        )
+        steps, number = equal_steps(start, end, span, options, limits, traced or options.dense, events)
+        steps = steps if saves is None else with_saves(steps, number, saves, span, count)
     ends = [options.t1] if options.save_at is None else options.save_at
     ts = (jnp if is_traced(ends) else np).asarray(ends, dtype)
     return Plan(stepper, steps, x, inputs.t, ts, traced)
@@ -227,12 +227,12 @@ def _saves_of(options: Options, span: Any, direction: Any, end: Any, width: int 
     """The saved times on the clock of the loop; with the width of a row, known ones are padded."""
     known = check_saves(options.save_at, None if span is None else (float(options.t0), float(options.t1)))
     saves = (jnp if is_traced((direction, options.save_at)) else np).asarray(options.save_at)
-    # In the precision they came in, which says how exact they are.
+    # In the precision of the argument, which says how exact they are.
     saves = saves if saves.dtype.kind == "f" else saves.astype(end.dtype)
     saves = direction.astype(saves.dtype) * saves
     if not known or width is None:
         return saves
-    # A polynomial is evaluated as far as the time has come: never for the padding.
+    # Polynomials are evaluated up to the time of the loop: never at infinity, the padding.
     return filled(saves, np.inf if options.between is Between.POLYNOMIAL else end, width)
 
 
@@ -246,7 +246,7 @@ def _adaptive_steps(
         method.need_polynomial()
     dt, dtype = options.dt, start.dtype
     if dt is not None:
-        need_held("dt", real_array("dt", dt), dtype)
+        need_representable("dt", real_array("dt", dt), dtype)
     first = (jnp if is_traced(dt) else np).asarray(0.0 if dt is None else dt, dtype)
     tolerances = tolerances_of(dynamics, options.rtol, options.atol, dtype)
     control = options.control or _CONTROL
@@ -260,7 +260,7 @@ def need_flag(name: str, value: Any) -> None:
 
 
 def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: Any) -> Mapping[str, Any]:
-    """The controls at t0, to check names and shapes with. A function that was checked is not called again."""
+    """The controls at t0, for the check of names and shapes; those of a function are cached."""
     if isinstance(controls, ByName):
         return controls.sample(t0)
     plain = not controls.inputs and jax.tree_util.all_leaves([controls.function])
@@ -271,7 +271,7 @@ def _controls_at_start(dynamics: Dynamics, controls: Signals, t0: Any, dtype: An
 
 
 def _check_start(dynamics: Dynamics, inputs: Inputs, places: Sequence[str]) -> None:
-    """What is known of the prepared start must be finite, rotations and poses in their groups. Raises InputError."""
+    """Raise InputError where known values of the start are not finite, or rotations and poses not in their groups."""
     for place, values in zip(places[1:], (inputs.x, inputs.u, inputs.params), strict=True):
         for name, value in values.items():
             if not is_finite(value):
@@ -286,7 +286,7 @@ def need_element(name: str, group: Group, value: Any) -> None:
         return
     defect = group.known_defect(np.asarray(value))
     tolerance = 1e-6
-    if defect > tolerance:  # what is known of the type takes long to find
+    if defect > tolerance:  # jnp.finfo takes long
         tolerance = max(tolerance, 1e3 * float(jnp.finfo(value.dtype).eps))
     if defect > tolerance:
         raise InputError(
@@ -335,7 +335,7 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
         relative,
         {state.name: _absolute(state, by_state[state.name], dtype) for state in dynamics.states},
         {
-            s.name: _held(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
+            s.name: _by_deviation(s, _numbers(f"scale of state {s.name!r}", s.scale, dtype))
             for s in dynamics.states
             if s.scale is not None
         },
@@ -345,25 +345,29 @@ def tolerances_of(dynamics: Dynamics, rtol: Any, atol: Any, dtype: Any) -> Toler
 def _absolute(state: State, value: Any, dtype: Any) -> Any:
     """The allowed error of one state; a pair for one with a rotation and a position is (rotation, position)."""
     place, group = f"atol of state {state.name!r}", state.group
-    is_pose = {part.unit for part in group.parts} == {"rad", "m"}
-    if isinstance(value, (tuple, list)) and is_pose and len(value) == 2 and not any(map(np.ndim, value)):
+    is_pair = isinstance(value, (tuple, list)) and len(value) == 2 and not any(map(np.ndim, value))
+    if is_pair and _is_pose(group):
         rotation, position = (_numbers(place, part, dtype) for part in value)
         stack: Any = jnp.stack if is_traced(value) else np.stack
-        array = _held(state, stack([rotation if angular else position for angular in group.angular]))
+        array = _by_deviation(state, stack([rotation if angular else position for angular in group.angular]))
     else:
         array = _numbers(place, value, dtype)
         shape = group.tangent_shape
         if array.shape not in ((), shape):
-            pair = ", or the pair (rotation, position)" if is_pose else ""
+            pair = ", or the pair (rotation, position)" if _is_pose(group) else ""
             raise InputError(f"{place} expects a number or shape {shape}{pair}, got shape {array.shape}")
-        array = _held(state, array) if array.shape else array
+        array = _by_deviation(state, array) if array.shape else array
     # Not < 0, so that NaN is refused too.
     if not is_traced(array) and not (np.asarray(array) >= 0.0).all():
         raise InputError(f"{place} must not be negative, got {array}")
     return array
 
 
-def _held(state: State, array: Any) -> Any:
+def _is_pose(group: Group) -> bool:
+    return {part.unit for part in group.parts} == {"rad", "m"}
+
+
+def _by_deviation(state: State, array: Any) -> Any:
     """Values by tangent entry, in the order of the state's deviations."""
     return state.group.to_linear_first(array.reshape(-1))
 

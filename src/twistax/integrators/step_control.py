@@ -1,4 +1,4 @@
-"""Step-size control: the allowed error of a step, and the length of the next step."""
+"""Step-size control: times at which steps must end, the allowed error of a step, and the length of the next step."""
 
 from __future__ import annotations
 
@@ -11,14 +11,17 @@ import jax.numpy as jnp
 import numpy as np
 from jax.flatten_util import ravel_pytree
 
-from ..checks import number
-from ..errors import ModelError
-from ..units import same_unit, seconds
+from ..checks import number, real_array
+from ..errors import InputError, ModelError
+from ..jax_inside import is_traced
+from ..system.inputs import is_finite, need_representable
+from ..units import Quantity, same_unit, seconds
 from .charts.coordinates import Blocks, StateCoordinates
+from .controls import Signals
 
 #: A step that would leave less than this share of its length to the next limit is extended to the limit.
 _STRETCH = 0.01
-#: ErrorHistory below this many tolerances count as this: the next step grows by the most anyway.
+#: Errors below this many tolerances count as this: the next step grows by the most anyway.
 _LEAST = 1e-12
 
 
@@ -105,7 +108,7 @@ class StepControl:
         planned = jnp.maximum(h, least)
         if self.dtmax is not None:
             planned = jnp.minimum(planned, self.dtmax)
-        # No crumbs before a limit: the last two steps share what is left.
+        # No tiny step before a limit: the last two steps are equal.
         shared = jnp.where(2.0 * planned > room, 0.5 * room, planned)
         step = jnp.where((1.0 + _STRETCH) * planned >= room, room, shared)
         return Length(jnp.where(step == room, limit, t + step), step, planned, least)
@@ -140,7 +143,7 @@ class Tolerances(NamedTuple):
     """The allowed error atol + rtol * size, size the state's own or its declared scale, but not less than round-off."""
 
     rtol: Any  # ()
-    atol: Any  # name -> () or (n,), in the order in which the state's deviations are held
+    atol: Any  # name -> () or (n,), in the order of the state's deviations
     scale: Any  # name -> (n,), the sizes that states declare
 
     def scaled(self, local: StateCoordinates, e: Blocks, before: Blocks, after: Blocks) -> jax.Array:
@@ -185,3 +188,90 @@ class Tolerances(NamedTuple):
 
 def _flat(tree: Any) -> jax.Array:
     return ravel_pytree(tree)[0]
+
+
+# ---- times at which steps must end ----------------------------------------------------------------------------------
+
+
+def span_of(t0: Any, t1: Any, dt: Any) -> tuple[float, float] | None:
+    """(t0, t1) as plain numbers, None where they are traced. Raises InputError for times or a dt that make no sense."""
+    for name, value in (("t0", t0), ("t1", t1), ("dt", dt)):
+        if isinstance(value, Quantity):
+            same_unit(name, value, seconds)
+    for name, value in (("t0", t0), ("t1", t1)):
+        number(name, value, "a finite time in s")
+    if dt is not None:
+        number("dt", dt, "a positive number of s", lambda h: 0.0 < h < np.inf)
+    if is_traced((t0, t1)):
+        return None
+    return float(t0), float(t1)
+
+
+def direction_of(t0: Any, t1: Any, dtype: Any) -> Any:
+    """1.0, or -1.0 where the end lies before the start: times by it grow along the integration."""
+    array: Any = jnp if is_traced((t0, t1)) else np
+    return array.where(array.asarray(t1, dtype) < array.asarray(t0, dtype), -1.0, 1.0).astype(dtype)
+
+
+class Stops(NamedTuple):
+    """The saved times, which steps may pass, and the limits, where steps must end."""
+
+    limits: Any  # (m,) times in order, the last one the end; rates may jump there
+    ts: Any  # (n,) the saved times in order, with infinity as padding; None if no times are saved
+    count: Any  # how many of these are asked for; the padding is at the end
+
+    @classmethod
+    def of(cls, limits: Any, t0: Any, save_at: Any, count: Any) -> Stops:
+        """The stops of limits, the last one the end, and of saved times."""
+        if save_at is None:
+            return cls(limits, None, 0)
+        array: Any = jnp if is_traced((limits, t0, save_at)) else np
+        saves, t1 = array.asarray(save_at, t0.dtype), limits[-1]
+        return cls(limits, array.where(saves < t0, t0, array.where((saves > t1) & (saves < np.inf), t1, saves)), count)
+
+    def next_limit(self, t: jax.Array) -> jax.Array:
+        """The next limit after a time."""
+        return jnp.where(self.limits > t, self.limits, self.limits[-1]).min()
+
+    def leg(self, t0: Any, number: jax.Array) -> tuple[jax.Array, jax.Array]:
+        """Start and length of the leg between two limits, the first one from t0."""
+        start = jnp.where(number == 0, t0, self.limits[jnp.maximum(number - 1, 0)])
+        return start, self.limits[number] - start
+
+
+def limits_of(t0: Any, t1: Any, jumps: Any, signals: Signals, direction: Any) -> Any:
+    """(m,) the times at which a step must end, in order: jumps that a user named, those of tables, and the end.
+
+    Args:
+        t0, t1: start and end, on the clock of the loop over steps: times in s by the direction.
+    Raises:
+        InputError: jumps that are no sorted, finite times.
+    """
+    if jumps is not None:
+        same_unit("jumps", jumps, seconds)
+        array_of_jumps = real_array("jumps", jumps)
+        falls = (
+            not is_traced(array_of_jumps)
+            and array_of_jumps.ndim == 1
+            and bool((np.diff(np.asarray(array_of_jumps)) < 0).any())
+        )
+        if array_of_jumps.ndim != 1 or not is_finite(array_of_jumps) or falls:
+            raise InputError(f"jumps expects finite, sorted times with shape (n,), got {jumps!r}")
+        need_representable("jumps", array_of_jumps, t0.dtype)
+    known = [*signals.jumps, *([] if jumps is None else [jumps])]
+    # NumPy sorts known times: in JAX each of these operations takes tens of microseconds.
+    array: Any = jnp if is_traced((t0, t1, known)) else np
+    t1 = array.asarray(t1, t0.dtype)
+
+    def inside(ts: Any) -> Any:
+        # Not jnp.clip, whose derivative is halved where a time is exactly an end. A jump there moves with the end.
+        ts = direction * array.asarray(ts, t0.dtype)
+        return array.where(ts <= t0, t0, array.where(ts >= t1, t1, ts))
+
+    if not known:
+        return t1[None]
+    limits = array.append(array.sort(array.concatenate([inside(ts) for ts in known])), t1)
+    # Limits that coincide move together: none of the legs between them has a step, so that the derivatives of
+    # the two ends of each must be the same. Half of what both do goes to the first, half to the last.
+    first, last = (array.searchsorted(limits, limits, side=side) for side in ("left", "right"))
+    return 0.5 * (limits[first] + limits[last - 1])

@@ -135,8 +135,9 @@ class ButcherTableau(Coefficients):
             raise self._error("a second embedded solution needs a first one")
         n = int(np.flatnonzero(b)[-1]) + 1
         self._set(counted=StageRows(self.a[:n, :n], self.c[:n]))
+        _ = self.to_the_end, self.is_pair and self.error_order  # every step reads them
 
-    @property
+    @functools.cached_property
     def to_the_end(self) -> StageRows:
         """All stages, and as the last one the end of the step: the tableau's own where it has one, else one more."""
         if self.b[-1] == 0.0 and np.array_equal(self.a[-1], self.b):

@@ -1,4 +1,4 @@
-"""The inside of JAX that traces: jaxprs and their equations, whether JAX traces, and the types of arrays on meshes.
+"""The inside of JAX that traces and compiles: jaxprs, whether JAX traces, types of arrays on meshes, options of XLA.
 
 What an equation holds that is not known here makes `Unread`: the caller then leaves that equation to JAX, which gives
 the same numbers, and tells the user once.
@@ -8,11 +8,16 @@ from __future__ import annotations
 
 import contextlib
 import importlib
+import os
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from types import FrameType
 from typing import Any, TypeVar
 
 import jax
-from jax.extend.core import ClosedJaxpr, Jaxpr, jaxpr_as_fun
+import jax.numpy as jnp
+import jaxlib
+from jax.extend.backend import backends
+from jax.extend.core import ClosedJaxpr, Jaxpr, Primitive, jaxpr_as_fun
 
 T = TypeVar("T")
 
@@ -28,6 +33,9 @@ def undocumented(module: str, name: str, otherwise: Any = None) -> Any:
 _weak_types = undocumented("jax._src.util", "weakref_cache_key_types", set())
 _nothing_traced = undocumented("jax._src.core", "trace_state_clean")
 _varying_checked = undocumented("jax._src.config", "_check_vma")
+_set_xla_metadata = undocumented("jax.experimental.xla_metadata", "set_xla_metadata")
+_argument_handlers = undocumented("jax._src.dtypes", "canonicalize_value_handlers", {})
+_need_devices = undocumented("jax._src.dispatch", "prim_requires_devices_during_lowering", set())
 
 
 class Unread(Exception):
@@ -239,3 +247,101 @@ def placed_as(aval: Any, depth: int, shared: Collection[int], arguments: Sequenc
     batch = [next((axis for axis in axes if axis is not None), None) for axes in zip(*specs, strict=True)]
     spec = jax.sharding.PartitionSpec(*batch, *(None for _ in aval.shape[len(batch) :]))
     return like.update(shape=aval.shape, dtype=aval.dtype, weak_type=False, sharding=like.sharding.update(spec=spec))
+
+
+# ---- what is compiled ------------------------------------------------------------------------------------------------
+
+
+def jax_versions() -> tuple[str, str]:
+    """Those of JAX and of what it is compiled in."""
+    return jax.__version__, jaxlib.__version__
+
+
+def small_calls_exist() -> bool:
+    """Whether this JAX can attach to a function the attributes that make XLA compile it as one small function."""
+    return _set_xla_metadata is not None
+
+
+def xla_metadata(**attributes: str) -> contextlib.AbstractContextManager[Any]:
+    """Attach attributes to what is traced inside; nothing where this JAX cannot."""
+    return contextlib.nullcontext() if _set_xla_metadata is None else _set_xla_metadata(**attributes)
+
+
+def quick_compile(level: int = 1) -> dict[str, bool | str]:
+    """XLA's options for programs of small arrays: half the time to compile on JAX 0.10, and as fast.
+
+    What the variable XLA_FLAGS sets stays.
+
+    Args:
+        level: of optimisation; 0 takes half of that once more, for programs that run seldom or do little.
+    """
+    options: dict[str, bool | str] = {"xla_backend_optimization_level": str(level)}
+    if jax.__version_info__ < (0, 11):
+        options["xla_cpu_use_fusion_emitters"] = False
+    flags = os.environ.get("XLA_FLAGS", "")
+    return {name: value for name, value in options.items() if name not in flags}
+
+
+def accelerators_exist() -> bool:
+    """Whether this process has devices beside the CPU, on which a computation may run too."""
+    return any(name != "cpu" for name in backends())
+
+
+@contextlib.contextmanager
+def in_double() -> Iterator[None]:
+    """Double precision, on the CPU; and values at once, also in a function that is being traced."""
+    with jax.enable_x64(True), contextlib.ExitStack() as stack:
+        if accelerators_exist():
+            stack.enter_context(jax.default_device(jax.local_devices(backend="cpu")[0]))
+        # Only there: checks at run time, as diffrax makes them, do not work in it.
+        if is_tracing() and is_traced(jnp.zeros(())):
+            stack.enter_context(jax.ensure_compile_time_eval())
+        yield
+
+
+def batched_branches_transpose() -> bool:
+    """Whether the linear part of `cond` under `vmap`, as the rule of a `custom_root` has it, can be transposed."""
+    return jax.__version_info__ >= (0, 11)
+
+
+def makes_an_array(getter: Any) -> bool:
+    """Whether the caller of a getter of `__jax_array__` is a function of JAX that needs an array.
+
+    The operators of JAX's arrays read it too. They leave the operation to the other operand where it is missing.
+    """
+    caller: FrameType = getter.f_back
+    module = str(caller.f_globals.get("__name__", ""))
+    return module.startswith("jax.") and not module.endswith(".array_methods")
+
+
+def refuse_as_argument(cls: type, refuse: Callable[[Any], Any]) -> None:
+    """Have JAX call `refuse`, which raises, where an operation gets an object of a class, or of one below it."""
+    _argument_handlers[cls] = refuse
+
+
+def any_of_batch(condition: jax.Array) -> jax.Array:
+    """Whether a condition holds for any member of a batch: one truth value also under vmap."""
+    from equinox.internal import unvmap_any
+
+    return unvmap_any(condition)
+
+
+def wrapped_terms() -> tuple[Any, Any]:
+    """diffrax's term that turns time around, and its term of an adjoint."""
+    from diffrax._term import AdjointTerm, WrapTerm
+
+    return WrapTerm, AdjointTerm
+
+
+def needs_devices(primitive: Primitive) -> None:
+    """Have JAX say on which devices an equation runs where it is lowered."""
+    _need_devices.add(primitive)
+
+
+def by_one_device(context: Any) -> Any:
+    """The context of a lowering to operations of one device: what varies between devices is of no concern there."""
+
+    def plain(avals: Sequence[Any]) -> list[Any]:
+        return [shaped_array(a.shape, a.dtype) if isinstance(a, jax.core.ShapedArray) else a for a in avals]
+
+    return context.replace(avals_in=plain(context.avals_in), avals_out=plain(context.avals_out))

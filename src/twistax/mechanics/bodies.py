@@ -86,10 +86,10 @@ class SpatialInertia:
                 "  fix: rates={...: 0.0} for each state in a mass that stays as it is"
             )
         has_moving_part = mass_leaves is not True and changing(self.center_of_mass, self.inertia)
-        #: The parts whose centre or inertia changes; those of bodies that are merged stand side by side.
-        self._parts: tuple[MovingMass, ...] = (part,) if has_moving_part else ()
-        #: The poses that `in_frame` has brought it by.
-        self._poses: tuple[Expr, ...] = ()
+        #: The parts whose centre or inertia changes, of merged bodies those of both.
+        self.changing_parts: tuple[MovingMass, ...] = (part,) if has_moving_part else ()
+        #: The poses of all calls of `in_frame`.
+        self.poses: tuple[Expr, ...] = ()
 
     @classmethod
     def about_origin(
@@ -124,7 +124,9 @@ class SpatialInertia:
         """A body computed from this one. Constants are folded, so that they are checked and printed as numbers."""
         m, c, tensor = canonicalize_all(parts)
         described = {"mass": m, "center_of_mass": c, "inertia": tensor}
-        return cls(**described, physical=physical, mass_leaves=True)._changed(_parts=changing_parts, _poses=poses)
+        return cls(**described, physical=physical, mass_leaves=True)._changed(
+            changing_parts=changing_parts, poses=poses
+        )
 
     def _changed(self, **attributes: Any) -> SpatialInertia:
         body = copy.copy(self)
@@ -138,12 +140,12 @@ class SpatialInertia:
             rates: as of the constructor.
         Raises: ModelError for keys that are neither states nor names.
         """
-        return self._changed(_parts=tuple(part.knowing(rates_by_name(rates)) for part in self._parts))
+        return self._changed(changing_parts=tuple(part.knowing(rates_by_name(rates)) for part in self.changing_parts))
 
     @property
     def _moving(self) -> tuple[MovingMass, ...]:
         """The masses that move inside the body: parts that change at constant mass."""
-        return tuple(part for part in self._parts if part.mass_stays)
+        return tuple(part for part in self.changing_parts if part.mass_stays)
 
     @property
     def inner_motion(self) -> InnerMotion | None:
@@ -151,7 +153,7 @@ class SpatialInertia:
 
         Raises: ModelError for rates that are not known, or a body that `in_frame` brought by a pose that changes.
         """
-        for T in self._poses:
+        for T in self.poses:
             constant("in_frame", "T", T)
         return motion_of(self._moving)
 
@@ -252,9 +254,9 @@ class SpatialInertia:
         def moved(c: Expr, tensor: Expr) -> tuple[Expr, Expr]:
             return Act(T_ab, c), R @ tensor @ R.T
 
-        masses = tuple(MovingMass(p.mass, *moved(p.center_of_mass, p.inertia), p.rates) for p in self._parts)
+        masses = tuple(MovingMass(p.mass, *moved(p.center_of_mass, p.inertia), p.rates) for p in self.changing_parts)
         described = (self.mass, *moved(self.center_of_mass, self.inertia))
-        return self._derived(described, self.physical, masses, (*self._poses, T_ab))
+        return self._derived(described, self.physical, masses, (*self.poses, T_ab))
 
     def merge(self, other: SpatialInertia) -> SpatialInertia:
         """The rigid union of two bodies described in one frame (see `in_frame`); also written `a + b`.
@@ -263,8 +265,8 @@ class SpatialInertia:
         """
         if not isinstance(other, SpatialInertia):
             raise ModelError(f"merge expects another SpatialInertia, got {other!r}")
-        physical, poses = self.physical and other.physical, self._poses + other._poses
-        changing_parts = self._parts + other._parts
+        physical, poses = self.physical and other.physical, self.poses + other.poses
+        changing_parts = self.changing_parts + other.changing_parts
         for body, massless in ((self, other), (other, self)):
             if isinstance(massless.mass, Constant) and not massless.mass.value:  # two of them have no centre
                 parts = body.mass, body.center_of_mass, self.inertia + other.inertia

@@ -23,10 +23,13 @@ from ..errors import ModelError
 from ..expr import Concat, Constant, Cross, Expr
 from ..expr.lie import SO3Log
 from ..expr.lie.base import unit_vector
+from ..expr.moved import earlier_classes
 from .arguments import of_kind
 from .joints import complement
 
-__all__ = ["Axis", "Loop", "Metric", "Point", "Pose"]
+__all__ = ["AxisLoop", "Loop", "Metric", "PointLoop", "PoseLoop"]
+
+__getattr__ = earlier_classes(__name__)
 
 
 @dataclasses.dataclass(frozen=True)
@@ -88,7 +91,7 @@ class Loop(ABC):
         """The closure residual (m,), m and rad."""
 
 
-class Point(Loop):
+class PointLoop(Loop):
     """A ball-and-socket between two frames: their origins coincide. The closure residual is $R^T p$ (3,), m.
 
     Args:
@@ -103,7 +106,7 @@ class Point(Loop):
         return T[:3, :3].T @ T[:3, 3]
 
 
-class Axis(Loop):
+class AxisLoop(Loop):
     """A hinge between two frames: their origins coincide, and an axis of one is parallel to that of the other.
 
     With U (3, 2) two directions perpendicular to the axis a, the closure residual is $[R^T p; U^T (R^T a x a)]$ (5,).
@@ -117,7 +120,7 @@ class Axis(Loop):
     """
 
     def __init__(self, name: str, frame: str, other: str, axis: Any) -> None:
-        self.axis = unit_vector(f"Axis {name!r}", "axis", axis)
+        self.axis = unit_vector(f"AxisLoop {name!r}", "axis", axis)
         self._across = complement(self.axis[:, None])
         turning = np.concatenate([np.zeros((3, 2)), self._across])
         super().__init__(name, frame, other, np.concatenate([np.eye(6)[:, :3], turning], axis=1))
@@ -127,7 +130,7 @@ class Axis(Loop):
         return Concat(T[:3, :3].T @ T[:3, 3], self._across.T @ turned)
 
 
-class Pose(Loop):
+class PoseLoop(Loop):
     """A weld between two frames: they coincide. The closure residual is $[R^T p; Log R]$ (6,).
 
     Args:
@@ -151,7 +154,7 @@ def check_loops(loops: Iterable[Any], metric: Any, segment: Callable[[str], int]
     of_kind("Mechanism", "loop_metric", metric, Metric)
     for loop in loops:
         if not isinstance(loop, Loop):
-            raise ModelError(f"Mechanism expects loops, such as loops.Point, got {short(loop)}")
+            raise ModelError(f"Mechanism expects loops, such as loops.PointLoop, got {short(loop)}")
         if segment(loop.frame) == segment(loop.other):
             raise ModelError(f"{loop!r} joins two frames of one body, which do not move against each other")
     names = [loop.name for loop in loops]

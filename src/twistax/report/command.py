@@ -163,7 +163,6 @@ def _tables(folder: Path, name: str, complete: bool) -> dict[str, Table]:
 
 
 def _command(arguments: argparse.Namespace) -> str:
-    """The command line that repeats this run."""
     words = ["python -m twistax report"]
     words += [f"--{name}" for name in (*_REPORTS, "quick") if getattr(arguments, name, False)]
     for name in ("scene", "method", "case", "only"):

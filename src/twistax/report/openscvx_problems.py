@@ -27,7 +27,7 @@ _POINTS = 20
 
 
 @dataclasses.dataclass(frozen=True)
-class Stated:
+class StatedProblem:
     """What `openscvx.Problem` takes; `value` is the state whose end is the objective, `time` a duration or its guess
     and longest."""
 
@@ -53,45 +53,44 @@ def _cost(high: float) -> Any:
 
 
 def _control(name: str, nodes: int, low: Any, high: Any, guess: Any = None) -> Any:
-    """A control, whose guess is the middle of its limits by default."""
     control = ox.Control(name, shape=np.shape(np.atleast_1d(low)))
     control.min, control.max = np.atleast_1d(low).astype(float), np.atleast_1d(high).astype(float)
     control.guess = np.tile(0.5 * (control.min + control.max) if guess is None else guess, (nodes, 1))
     return control
 
 
-def fastest(nodes: int) -> Stated:
+def fastest(nodes: int) -> StatedProblem:
     """Least time of p'' = u."""
     p, v = _state("p", -1.0, 2.0, 0.0, 1.0), _state("v", -2.0, 2.0, 0.0, 0.0)
     u = _control("u", nodes, -1.0, 1.0)
-    return Stated([p, v], [u], {"p": v, "v": u}, (3.25, 6.0), "time")
+    return StatedProblem([p, v], [u], {"p": v, "v": u}, (3.25, 6.0), "time")
 
 
-def brachistochrone(nodes: int) -> Stated:
+def brachistochrone(nodes: int) -> StatedProblem:
     """Fastest slide."""
     x, y = _state("x", 0.0, 15.0, 0.0, 10.0), _state("y", 0.0, 10.0, 10.0, 5.0)
     v, angle = _state("v", 0.0, 15.0, 0.0, _FREE), _control("angle", nodes, 0.01, 3.13)
     rates = {"x": v * ox.Sin(angle), "y": -v * ox.Cos(angle), "v": 9.80665 * ox.Cos(angle)}
-    return Stated([x, y, v], [angle], rates, (5.25, 10.0), "time")
+    return StatedProblem([x, y, v], [angle], rates, (5.25, 10.0), "time")
 
 
-def bryson_denham(nodes: int) -> Stated:
+def bryson_denham(nodes: int) -> StatedProblem:
     """Least effort below a ceiling."""
     x, v = _state("x", -0.2, 1.0 / 9.0, 0.0, 0.0), _state("v", -1.5, 1.5, 1.0, -1.0)
     u = _control("u", nodes, -10.0, 10.0)
-    return Stated([x, v, _cost(8.0)], [u], {"x": v, "v": u, _COST: 0.5 * u**2}, 1.0)
+    return StatedProblem([x, v, _cost(8.0)], [u], {"x": v, "v": u, _COST: 0.5 * u**2}, 1.0)
 
 
-def goddard(nodes: int) -> Stated:
+def goddard(nodes: int) -> StatedProblem:
     """How high a rocket climbs."""
     h, v = _state("h", 1.0, 1.1, 1.0, ("maximize", 1.0)), _state("v", 0.0, 0.5, 0.0, _FREE)
     m, thrust = _state("m", 0.6, 1.0, 1.0, 0.6), _control("T", nodes, 0.0, 3.5)
     force = thrust - 310.0 * v**2 * ox.Exp(-500.0 * (h - 1.0))
     rates = {"h": v, "v": force / m - 1.0 / h**2, "m": -thrust / 0.5}
-    return Stated([h, v, m], [thrust], rates, (0.2, 0.6), "h")
+    return StatedProblem([h, v, m], [thrust], rates, (0.2, 0.6), "h")
 
 
-def cart_pole(nodes: int) -> Stated:
+def cart_pole(nodes: int) -> StatedProblem:
     """Swing-up by least squared force."""
     cart, pole, g, length = 1.0, 0.3, 9.81, 0.5
     q, a = _state("q", -2.0, 2.0, 0.0, 1.0), _state("a", -5.0, 5.0, 0.0, np.pi)
@@ -105,28 +104,28 @@ def cart_pole(nodes: int) -> Stated:
         "da": -(length * pole * cosine * sine * da**2 + u * cosine + (cart + pole) * g * sine) / (length * mass),
         _COST: u**2,
     }
-    return Stated([q, a, dq, da, _cost(120.0)], [u], rates, 2.0)
+    return StatedProblem([q, a, dq, da, _cost(120.0)], [u], rates, 2.0)
 
 
-def rendezvous(nodes: int) -> Stated:
+def rendezvous(nodes: int) -> StatedProblem:
     """Least fuel to rest: |u| <= s <= 1."""
     x = _state("x", -6.0, 6.0, [4.0, -2.0, 1.0], [0.0, 0.0, 0.0])
     v = _state("v", -1.0, 1.0, [0.0, 0.5, -0.2], [0.0, 0.0, 0.0])
     u, s = _control("u", nodes, [-1.0] * 3, [1.0] * 3), _control("s", nodes, 0.0, 1.0)
     limit = (ox.linalg.Norm(u) <= s[0]).convex()
-    return Stated([x, v, _cost(2.5)], [u, s], {"x": v, "v": u, _COST: s}, 8.0, constraints=[limit])
+    return StatedProblem([x, v, _cost(2.5)], [u, s], {"x": v, "v": u, _COST: s}, 8.0, constraints=[limit])
 
 
-def reorientation(nodes: int) -> Stated:
+def reorientation(nodes: int) -> StatedProblem:
     """Fastest half turn of a ball; its guess turns at a constant rate."""
     q = _state("q", -1.1, 1.1, [1.0, 0.0, 0.0, 0.0], [0.0, 0.0, 0.0, 1.0])
     w, u = _state("w", -2.5, 2.5, [0.0] * 3, [0.0] * 3), _control("u", nodes, [-1.0] * 3, [1.0] * 3)
     half = np.linspace(0.0, 0.5 * np.pi, nodes)
     q.guess = np.stack([np.cos(half), 0.0 * half, 0.0 * half, np.sin(half)], axis=1)
-    return Stated([q, w], [u], {"q": 0.5 * ox.spatial.SSMP(w) @ q, "w": u}, (3.5, 6.0), "time")
+    return StatedProblem([q, w], [u], {"q": 0.5 * ox.spatial.SSMP(w) @ q, "w": u}, (3.5, 6.0), "time")
 
 
-def quadrotor(nodes: int) -> Stated:
+def quadrotor(nodes: int) -> StatedProblem:
     """A quadrotor past three spheres."""
     mass, J, arm, twist = 0.8, np.array([5e-3, 5e-3, 9e-3]), 0.17, 0.016
     mixer = np.array([[1, 1, 1, 1], [0, arm, 0, -arm], [-arm, 0, arm, 0], [twist, -twist, twist, -twist]])
@@ -144,10 +143,10 @@ def quadrotor(nodes: int) -> Stated:
     }
     spheres = (((2.0, 0.4, 0.3), 0.9), ((4.2, -0.5, -0.2), 1.0), ((6.3, 0.2, 0.5), 0.8))
     past = [(p - np.array(place)).T @ (p - np.array(place)) >= radius**2 for place, radius in spheres]
-    return Stated([p, q, v, w], [rotors], rates, (4.25, 8.0), "time", past)
+    return StatedProblem([p, q, v, w], [rotors], rates, (4.25, 8.0), "time", past)
 
 
-_PROBLEMS: dict[str, Callable[[int], Stated]] = {
+_PROBLEMS: dict[str, Callable[[int], StatedProblem]] = {
     statement.__name__: statement
     for statement in (fastest, brachistochrone, bryson_denham, goddard, cart_pole, rendezvous, reorientation, quadrotor)
 }
@@ -178,7 +177,7 @@ def solved(name: str, nodes: int, uniform: bool = False, **settings: Any) -> dic
     }
 
 
-def _read(problem: Any, statement: Stated) -> dict[str, Any]:
+def _read(problem: Any, statement: StatedProblem) -> dict[str, Any]:
     """Ends, limits and rates as the problem has them, rates and constraints at random points."""
     rng, where = np.random.default_rng(0), problem.slices
     x, u = (np.zeros((_POINTS, len(vector.max))) for vector in (problem.x_unified, problem.u_unified))

@@ -1,4 +1,4 @@
-"""A function of arrays as one equation of JAX: what the types of arrays say of meshes ends there."""
+"""A function of arrays as one equation of JAX, inside of which the types of arrays say nothing of meshes."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ import jax.numpy as jnp
 import numpy as np
 
 from ..jax_inside import ClosedJaxpr, Primitive, jaxpr_as_fun, of_one_device, spread, weakly_kept
-from .batch import Rows
 from .jax_primitive import Differentiable, Shapes, call_program, differentiable
+from .program import Rows
 
 Result = TypeVar("Result")
 
 
 @weakly_kept
-class Written(Differentiable):
+class ArrayProgram(Differentiable):
     """A function of arrays that JAX runs, with JAX's derivatives.
 
     Args:
@@ -35,7 +35,7 @@ class Written(Differentiable):
 
     @property
     def real(self) -> list[int]:
-        """Complex results too."""
+        """All inexact results, complex ones too."""
         return [k for k, (_, dtype) in enumerate(self.results) if jnp.issubdtype(dtype, jnp.inexact)]
 
     @functools.cached_property
@@ -44,28 +44,28 @@ class Written(Differentiable):
         return lambda *a: [jnp.asarray(value) for value in run(*a)]
 
     def primitive(self, inside: bool) -> Primitive:
-        return _written_p
+        return _array_program_p
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
         return None
 
-    def made(self, program: ClosedJaxpr) -> Written:
-        """Another function that runs in the same way."""
-        return Written(program)
+    def made(self, program: ClosedJaxpr) -> ArrayProgram:
+        """A derived function of the same class."""
+        return ArrayProgram(program)
 
-    def _tangent(self, active: tuple[int, ...]) -> Written:
+    def _tangent(self, active: tuple[int, ...]) -> ArrayProgram:
         def tangent(arguments: list[Any], tangents: list[Any]) -> list[Any]:
             return list(jax.jvp(self._of(active, arguments), [arguments[k] for k in active], tangents)[1])
 
         return self._derivative(tangent, [self.program.jaxpr.invars[k].aval for k in active])
 
-    def _cotangent(self, active: tuple[int, ...]) -> Written:
+    def _cotangent(self, active: tuple[int, ...]) -> ArrayProgram:
         def cotangent(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
             return list(jax.vjp(self._of(active, arguments), *(arguments[k] for k in active))[1](cotangents))
 
         return self._derivative(cotangent, [jax.ShapeDtypeStruct(*self.results[k]) for k in self.real])
 
-    def transposed(self, linear: tuple[int, ...]) -> Written:
+    def transposed(self, linear: tuple[int, ...]) -> ArrayProgram:
         def back(arguments: list[Any], cotangents: list[Any]) -> list[Any]:
             shapes = [jax.ShapeDtypeStruct(arguments[k].shape, arguments[k].dtype) for k in linear]
             return list(jax.linear_transpose(self._of(linear, arguments), *shapes)(cotangents))
@@ -84,7 +84,7 @@ class Written(Differentiable):
 
         return function
 
-    def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> Written:
+    def _derivative(self, derivative: Callable[[list[Any], list[Any]], list[Any]], more: Sequence[Any]) -> ArrayProgram:
         avals: list[Any] = [v.aval for v in self.program.jaxpr.invars]
         count = len(avals)
         shapes = [jax.ShapeDtypeStruct(a.shape, a.dtype) for a in [*avals, *more]]
@@ -94,34 +94,28 @@ class Written(Differentiable):
 
 
 #: A function, or one that runs in parts.
-_written_p = Primitive("whole_function")
-differentiable(_written_p)
+_array_program_p = Primitive("whole_function")
+differentiable(_array_program_p)
 
 
-def is_written(eqn: Any) -> bool:
+def is_array_program(eqn: Any) -> bool:
     """Whether an equation of a jaxpr is such a function."""
-    return eqn.primitive is _written_p
+    return eqn.primitive is _array_program_p
 
 
 def on_any_mesh(function: Callable[..., Result], *arguments: Any) -> Result:
-    """function(*arguments): as one equation where the types of arrays say how they lie on a mesh.
+    """function(*arguments), as one equation if the types of arrays have shardings over a mesh.
 
-    Else loops inside of the function would have to say it too. What the function closes over must not be traced.
+    Otherwise loops inside of the function would need these shardings too. It must not close over traced values.
     Arguments and result are pytrees of arrays.
     """
-    leaves, structure = jax.tree.flatten(arguments)
+    leaves = jax.tree.leaves(arguments)
     if not spread(leaves):
         return function(*arguments)
-    shapes: list[Any] = []
-
-    def flat(*leaves: jax.Array) -> list[jax.Array]:
-        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        shapes.append(shape)
-        return results
-
+    structs = jax.tree.map(lambda a: jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)), arguments)
     with of_one_device():
-        closed = jax.make_jaxpr(flat)(*(jax.ShapeDtypeStruct(jnp.shape(a), jnp.result_type(a)) for a in leaves))
+        closed, shape = jax.make_jaxpr(function, return_shape=True)(*structs)
     if closed.effects:
         return function(*arguments)
-    result: Result = jax.tree.unflatten(shapes[0], call_program(Written(closed), *leaves))
+    result: Result = jax.tree.unflatten(jax.tree.structure(shape), call_program(ArrayProgram(closed), *leaves))
     return result

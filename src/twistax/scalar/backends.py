@@ -23,24 +23,23 @@ from .jax_primitive import Derived, call_program
 from .loops import MakeKernel, Repeated, Ring
 from .primitives.table import entry_of
 from .program import ScalarProgram, called_names
-from .reader import scalarize
-from .rewriting import emitted_form
+from .reader import emitted_form, scalarize
 from .small_call import is_key, known_inside
 
-#: A step of arrays to arrays, and what it takes.
+#: A step from arrays to arrays, and the shapes of its arguments.
 Step: TypeAlias = Callable[..., list[jax.Array]]
 Shapes: TypeAlias = Sequence[jax.ShapeDtypeStruct]
 
-#: Steps of more operations on scalars are left to XLA as arrays where they are differentiated.
+#: Steps of more scalar operations are differentiated as arrays, by XLA.
 _LARGEST_STEP = 10_000
-#: Numbers that a step closes over become scalars one by one: reading a longer table takes minutes.
+#: The most numbers that a step may close over: they become scalars one by one, and a longer table takes minutes.
 _MOST_CONSTANTS = 1000
 #: XLA recurses along chains of operations; at three times this length its stack overflows.
 _LONGEST_CHAIN = 30_000
-#: Matrices are mostly zeros where scalars take at most such a part of the operations of arrays. Where those are more
-#: than so many times the most scalars it is not tried.
+#: A function with wide intermediate arrays runs as scalars if these take at most this share of the array operations,
+#: as where matrices are mostly zeros. It is tried up to this many times `largest` array operations.
 _MOSTLY, _MOST_WORK = 0.25, 10
-#: What became scalars has derivatives of any order, and nothing else to fall back on.
+#: The bound of derivatives of scalar programs, which have no other form.
 ANY_SIZE = 10**9
 
 
@@ -54,24 +53,24 @@ class Emission:
 
 
 class StepCompiler:
-    """Makes programs and kernels of steps of loops; this one makes none. A step is a function of arrays to arrays."""
+    """Compiles steps of loops, functions from arrays to arrays; this base class compiles none."""
 
     def repeated(self, step: Step, shapes: Shapes, state: int, row: Step | None = None) -> Repeated | None:
-        """A step as `Repeated` takes it, that one kernel takes again and again; None: an ordinary loop.
+        """A step that one kernel repeats; None: it runs in an ordinary loop.
 
         Args:
             shapes: of its arguments.
             state: how many arguments are the state.
-            row: what makes a row of what the step leaves for it, where it leaves something.
+            row: makes a saved row from the further results of the step, if it has any.
         """
         return None
 
     def looped(self, step: Step, shapes: Shapes, ring: Ring) -> MakeKernel | None:
-        """What makes a kernel that takes all iterations of a loop of JAX; None: it has none.
+        """A maker of the kernel that runs all iterations of a loop of JAX; None: it has no kernel.
 
         Args:
             step: one iteration.
-            ring: how its arguments and results go round.
+            ring: which results of an iteration are which arguments of the next.
         """
         return None
 
@@ -80,14 +79,14 @@ class StepCompiler:
         return None
 
     def shared(self, function: Step, shapes: Shapes) -> Derived | None:
-        """A function beside loops in kernels as a kernel too, however small; None: it runs as it is."""
+        """A function outside of loops in kernels as a kernel too, however small; None: it runs as it is."""
         return None
 
 
 class Backend(ABC):
-    """Turns a function of arrays into the function that runs. A value: equal if it does the same."""
+    """Turns a function of arrays into the function that runs. Hashable; equal backends give equal functions."""
 
-    #: Operations on scalars from which on a call runs as a kernel; None: never.
+    #: The least number of scalar operations of a call that runs as a kernel; None: no call does.
     least: int | None = None
 
     def __str__(self) -> str:
@@ -98,7 +97,7 @@ class Backend(ABC):
 
     @property
     def runner(self) -> Any:
-        """What runs programs as kernels; None where this backend makes none."""
+        """Runs programs as kernels; None where this backend makes none."""
         return None
 
     @abstractmethod
@@ -106,7 +105,7 @@ class Backend(ABC):
         """The function of a jaxpr.
 
         Args:
-            fixed: arguments that stay the same where the function is called again and again, as parameters do.
+            fixed: arguments that stay the same over many calls, such as parameters.
         """
 
     def derived(self, program: ScalarProgram) -> Derived:
@@ -118,13 +117,13 @@ class Backend(ABC):
         return self
 
     def steps(self) -> StepCompiler:
-        """What it makes of steps that are taken again and again."""
+        """The compiler of steps of loops."""
         return StepCompiler()
 
 
 @dataclasses.dataclass(frozen=True)
 class JAX(Backend):
-    """Runs every function as it is written, as operations of JAX on small arrays."""
+    """Runs every function as written, as operations of JAX on small arrays."""
 
     def emit(self, closed: ClosedJaxpr, fixed: Collection[int] = ()) -> Emission:
         return Emission(as_arrays(closed), None, "arrays, as written")
@@ -170,7 +169,7 @@ class XLA(Backend):
         changing = program.depending([k for k in range(len(program.inputs)) if k not in fixed])
         count = sum(program.graph.input_of(i) is None for i in changing)
         if count < self.least:
-            # What parameters alone determine XLA computes once, before a loop, as long as it is in arrays.
+            # XLA computes what depends on parameters alone once, before a loop, if it is in arrays.
             kind = "change with time and state, " if fixed else ""
             return Emission(arrays, None, f"arrays: {count} scalar operations {kind}fewer than {self.least}")
         calls = emitted_form(program).calls if program.calls else []
@@ -237,10 +236,9 @@ def chosen(backend: Backend | OneOf["auto"], auto: Backend) -> Backend:
 
 
 def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
-    """The jaxpr of a function; None where it has no good program.
+    """The jaxpr of a function; None where it must not become a program.
 
-    Programs would lose effects and traced values that it closes over. They have no random keys. Long tables that it
-    closes over take minutes to read.
+    Programs have no effects, closed-over traced values or random keys. Long closed-over tables take minutes to read.
     """
     closed = jax.make_jaxpr(function)(*shapes)
     keys = any(map(is_key, [*closed.jaxpr.constvars, *_variables(closed.jaxpr)]))
@@ -250,13 +248,14 @@ def pure(function: Step, shapes: Shapes) -> ClosedJaxpr | None:
 
 
 def _steady(jaxpr: Jaxpr) -> bool:
-    """Whether a call runs inside of a small function and has a derivative in reverse: none of its loops is open."""
+    """Whether a call can be part of a small function and has a reverse derivative: none of its loops is a `while`."""
     return known_inside(jaxpr) and all(eqn.primitive.name != "while" for eqn in all_equations(jaxpr))
 
 
 def array_operations(jaxpr: Any) -> Counter[str]:
-    """Operations by name, with all entries of arrays and all iterations of loops; factorisations count by the cube of
-    their size.
+    """The number of scalar operations by name, over all entries of arrays and all iterations of loops.
+
+    Factorisations count as the cube of their size.
     """
     counts: Counter[str] = Counter()
     for eqn in jaxpr.eqns:

@@ -1,4 +1,4 @@
-"""Derivatives on the graph: what is structurally zero in them is never computed."""
+"""Derivatives on the graph, without entries that are structurally zero."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import ClosedJaxpr, jaxpr_as_fun
-from .graph import Call, ScalarGraph
+from .graph import OpaqueCall, ScalarGraph
 from .primitives.cotangents import Cotangent, Cotangents
 from .primitives.interface import Nodes, flat, nodes
 from .program import ScalarProgram
@@ -136,7 +136,7 @@ def columns_of(
 
 
 def reached(program: ScalarProgram, seeds: Mapping[int, Mapping[int, int]]) -> dict[int, int]:
-    """node -> the tangents on which it may depend, as bits of a number."""
+    """node -> the tangents on which it may depend, as a bit mask."""
     tangents_of = {node: sum(1 << tangent for tangent in row) for node, row in seeds.items()}
     for i in program.live:
         if i not in tangents_of:
@@ -184,7 +184,7 @@ def _carried(
 
 
 def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[int, int] | None) -> list[int]:
-    """The columns that some of the nodes may carry."""
+    """The bit mask of the columns of some nodes."""
     if wanted is None:
         return sorted(columns)
     mask = functools.reduce(operator.or_, (wanted.get(i, 0) for i in reached_nodes), 0)
@@ -192,7 +192,7 @@ def _allowed(columns: set[int], reached_nodes: Sequence[int], wanted: Mapping[in
 
 
 def _carry_call(
-    g: ScalarGraph, call: Call, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
+    g: ScalarGraph, call: OpaqueCall, carried: dict[int, dict[int, int]], wanted: Mapping[int, int] | None
 ) -> None:
     """The derivatives of the results of a call, column by column."""
     inputs = flat(*call.arguments)
@@ -240,7 +240,7 @@ def _pull(g: ScalarGraph, live: Sequence[int], cotangents: Cotangents, depending
 
 
 def _pulled_call(
-    g: ScalarGraph, call: Call, known_cotangents: Mapping[int, int], depending: Collection[int]
+    g: ScalarGraph, call: OpaqueCall, known_cotangents: Mapping[int, int], depending: Collection[int]
 ) -> list[tuple[int, Cotangent]]:
     """The arguments of a call and their cotangents."""
     real = [k for k, r in enumerate(call.results) if jnp.issubdtype(g.dtype_of(r), jnp.inexact)]
@@ -280,7 +280,7 @@ class _Called:
     jaxpr: ClosedJaxpr = dataclasses.field(compare=False)
 
 
-def _function(g: ScalarGraph, call: Call) -> _Called:
+def _function(g: ScalarGraph, call: OpaqueCall) -> _Called:
     arguments, results = (tuple(_shape(g, a) for a in arrays) for arrays in (call.arguments, call.results))
     return _Called(call.key, arguments, results, call.jaxpr)
 

@@ -17,13 +17,13 @@ from ..jax_inside import ClosedJaxpr, all_equations, is_key, is_traced, jaxpr_as
 from .array_primitive import on_any_mesh
 from .backends import XLA, Backend, chosen
 from .jax_primitive import call_program
-from .segments import Whole, has_loops
+from .segments import Segmented, has_loops
 from .targets.llvm.backend import Native, installed
 
 P = ParamSpec("P")
 R = TypeVar("R")
 
-#: Variables of functions are changed for a while.
+#: For one thread at a time: variables of functions are replaced temporarily.
 _LOCK = threading.RLock()
 
 
@@ -76,7 +76,7 @@ class Fast(Generic[P, R]):
         if any(dtypes.canonicalize_dtype(t) != t for t in (leaf.dtype for leaf in [*over, *leaves] if is_traced(leaf))):
             # Of these JAX decides operation by operation.
             return self._function(*args, **kwargs), ["arrays, as written: 64-bit arrays where jax_enable_x64 is off"]
-        # Elsewhere JAX itself makes inputs of what a function closes over.
+        # Else JAX makes closed-over values inputs.
         over = over if spread([*over, *leaves]) else []
         shapes: list[Any] = []
 
@@ -104,8 +104,6 @@ class Fast(Generic[P, R]):
 
 
 class _Bound(functools.partial[Any]):
-    """A bound method."""
-
     def explain(self, *args: Any, **kwargs: Any) -> str:
         text: str = self.func.explain(*self.args, *args, **kwargs)  # type: ignore[attr-defined]
         return text
@@ -120,7 +118,7 @@ def _compiled(closed: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list
     if not has_loops(closed):
         emission = backend.emit(closed)
         return emission.function, [emission.reason]
-    program = Whole(closed, backend)
+    program = Segmented(closed, backend)
     return functools.partial(call_program, program), program.parts[1]
 
 

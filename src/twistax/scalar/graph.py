@@ -1,4 +1,4 @@
-"""Scalars as the nodes of a graph in which equal nodes are one, and zeros and ones disappear.
+"""A graph of scalars, in which equal nodes are one node, and operations with zeros and ones are removed.
 
 A node is a number, the place of its entry in a list; an array is a NumPy array of such numbers. Arguments come before
 results, so that the list is in an order in which nodes can be computed.
@@ -36,7 +36,7 @@ class TooLarge(ModelError):
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Call:
+class OpaqueCall:
     """A function that the graph treats as opaque, with its arguments.
 
     Attributes:
@@ -88,19 +88,19 @@ class ScalarGraph:
         self.largest = largest
         self.limits = limits
         self.signed_zeros = signed_zeros
-        #: Whether derivatives are being added, in which the sign of a zero means nothing.
+        #: Whether derivatives are being added, in which the sign of a zero has no effect.
         self.differentiating = False
-        #: Held while derivatives are added, which several threads may ask for.
+        #: The lock of threads that add derivatives.
         self.lock = threading.RLock()
         self.nodes: list[tuple[Any, ...]] = []
         self.dtypes: list[np.dtype[Any]] = []
         #: The number where a node is one, else None.
         self.numbers: list[Any] = []
-        self.calls: list[Call] = []
+        self.calls: list[OpaqueCall] = []
         #: The nodes that an operation reads; none for numbers, inputs and results of calls.
         self._arguments: list[tuple[int, ...]] = []
         self._known: dict[tuple[Any, ...], int] = {}
-        self._called: dict[Any, Call] = {}
+        self._called: dict[Any, OpaqueCall] = {}
         #: Whether an operation is a power: products with one may take other factors.
         self._has_powers = False
         self.zero: int = self.constant(0.0)
@@ -126,7 +126,7 @@ class ScalarGraph:
         dtype = values.dtype
         return nodes([self.constant(value, dtype) for value in values.reshape(-1)], values.shape)
 
-    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> Call:
+    def call(self, jaxpr: ClosedJaxpr, key: Any, arguments: Iterable[Nodes], inline: bool) -> OpaqueCall:
         """A call of a function, once for each set of arguments."""
         arguments = tuple(arguments)
         called = (key, *(a.tobytes() for a in arguments), *(a.shape for a in arguments))
@@ -136,7 +136,7 @@ class ScalarGraph:
                 dtype = np.dtype(aval.dtype)
                 entries = [self._intern((_RESULT, number, k, place), dtype) for place in range(aval.size)]
                 results.append(nodes(entries, aval.shape))
-            self._called[called] = Call(jaxpr, key, arguments, tuple(results), inline)
+            self._called[called] = OpaqueCall(jaxpr, key, arguments, tuple(results), inline)
             self.calls.append(self._called[called])
         return self._called[called]
 
@@ -145,7 +145,7 @@ class ScalarGraph:
         numbers = [self.numbers[a] for a in arguments]
         dtype = operation.result or self.dtypes[arguments[-1]]
         if None not in numbers:
-            # The same few numbers meet again and again.
+            # The same few numbers are combined many times.
             known = self._known.get((operation, *arguments))
             if known is None:
                 # As the emitter would: in the types of the arguments.
@@ -299,13 +299,13 @@ class ScalarGraph:
         call = self.call_of(node)
         return self._arguments[node] if call is None else call.sources
 
-    def call_of(self, node: int) -> Call | None:
+    def call_of(self, node: int) -> OpaqueCall | None:
         """The call whose result a node is."""
         entry = self.nodes[node]
         return self.calls[entry[1]] if entry[0] is _RESULT else None
 
     def known(self, operation: Operation, *arguments: int) -> int | None:
-        """The node of an operation on other nodes, if there is one."""
+        """The node of an operation on nodes if the graph has it, else None."""
         return self._known.get((operation, *arguments))
 
     def input_of(self, node: int) -> tuple[int, int] | None:
@@ -314,7 +314,7 @@ class ScalarGraph:
         return (entry[1], entry[2]) if entry[0] is _INPUT else None
 
     def reciprocal_of(self, node: int) -> int | None:
-        """b where a node is 1 / b; x^n where it is x^-n and that is a node."""
+        """b of a node 1 / b; x^n of a node x^-n if the graph has it; else None."""
         entry = self.nodes[node]
         if entry[0] is _POW and (n := self.numbers[entry[2]]) is not None and n < 0.0:
             return self.known(_POW, entry[1], self.constant(-n))
@@ -325,7 +325,7 @@ class ScalarGraph:
         return entry[0] if isinstance(entry[0], Operation) else None
 
     def values(self, array: Nodes) -> NDArray[Any] | None:
-        """The numbers of an array of nodes where all are numbers."""
+        """The numbers of an array of nodes; None unless all are numbers."""
         numbers = [self.numbers[i] for i in flat(array)]
         if any(n is None for n in numbers):
             return None

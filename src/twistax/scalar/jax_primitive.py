@@ -29,15 +29,14 @@ from ..jax_inside import (
     varying_alike,
     weakly_kept,
 )
-from .batch import Batch, Rows
 from .derivatives import cotangent_program, is_real, tangent_program
-from .program import ScalarProgram
-from .small_call import apart, inside_small_call, small_call
+from .program import Batch, Rows, ScalarProgram
+from .small_call import inside_small_call, not_inlined, small_call
 from .targets.xla import as_function, without_barriers
 
-#: Of each result of a program.
+#: Shape and type of each result of a program.
 Shapes: TypeAlias = "list[tuple[tuple[int, ...], np.dtype[Any]]]"
-#: The platforms of JAX that kernels are made for. Which one an equation runs on is known where it is lowered.
+#: The platforms of JAX with kernels. An equation is lowered for one of them.
 PLATFORMS = ("cpu", "cuda")
 
 
@@ -49,10 +48,10 @@ class Runner(Protocol):
 
     @property
     def alone(self) -> bool:
-        """Whether it runs them also in what would be one small function without them."""
+        """Whether it runs programs also inside of what could be one small function."""
 
     def prepare(self, program: ScalarProgram, single: bool, platform: str = "cpu") -> Rows | None:
-        """What runs the program; None: XLA does. Asked once for each program and platform.
+        """A function that runs the program; None: XLA does. Called once for each program and platform.
 
         Args:
             single: for one row; else for many.
@@ -76,7 +75,7 @@ class Computed(ABC):
 
     @abstractmethod
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What runs a batch of that many members on a platform instead."""
+        """A function that runs a batch of that many members on a platform in place of XLA; None: there is none."""
 
 
 class Differentiable(Computed):
@@ -164,34 +163,34 @@ class Derived(Differentiable):
         return as_function(self.program)
 
     @functools.cached_property
-    def _apart(self) -> Any:
-        return as_function(self.program, apart)
+    def _in_pieces(self) -> Any:
+        return as_function(self.program, not_inlined)
 
     def kernel(self, rows: int, platform: str) -> Rows | None:
-        """What the runner runs for a batch of that many members on a platform; None: XLA does."""
+        """The kernel for a batch of that many members on a platform; None: XLA runs it."""
         if self.runner is None or self.program.operations * rows < self.runner.least:
             return None
         return self.native(rows == 1, platform)
 
     def native(self, single: bool, platform: str = "cpu") -> Rows | None:
-        """What the runner runs, for one member or for more, however many operations there are."""
+        """The kernel for one member or for several, whatever the number of operations."""
         if self.runner is not None and (single, platform) not in self._prepared:
             self._prepared[single, platform] = self.runner.prepare(self.program, single, platform)
         return self._prepared.get((single, platform))
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
-        """On the CPU member after member, each loop compiled as one function, or `inside` of one."""
+        """On the CPU one member after the other, as small functions, or `inside` of one."""
         if platform != "cpu":
             return super().by_xla(arguments, batch, inside, platform)
         empty = not any(jnp.size(a) for a in arguments)
         if batch.depth == 0:
-            return self._apart(*arguments) if inside or empty else small_call(self._apart, *arguments)
+            return self._in_pieces(*arguments) if inside or empty else small_call(self._in_pieces, *arguments)
         if empty:
             return batch.each(self.function, arguments)
 
         def every(*flat: jax.Array) -> list[jax.Array]:
             def one(row: dict[int, jax.Array]) -> list[jax.Array]:
-                return self._apart(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
+                return self._in_pieces(*(row[k] if k in row else flat[k][0] for k in range(len(flat))))
 
             return jax.lax.map(one, {k: a for k, a in enumerate(flat) if k not in batch.shared})
 
@@ -202,7 +201,7 @@ class Derived(Differentiable):
         return _program_p if joins else _native_p
 
     def _tangent(self, active: tuple[int, ...]) -> Derived:
-        # Made when it runs: what is only transposed need not have a forward derivative at all.
+        # Made when it runs: a program that is only transposed may have no forward derivative.
         results = [self.results[k] for k in self.real]
         return Derived(lambda: tangent_program(self.program, active), results, self.runner)
 
@@ -220,11 +219,11 @@ class Derived(Differentiable):
 
 #: A program that XLA runs; it may be part of a small call.
 _program_p = Primitive("scalar_program")
-#: One that a runner runs where that is faster. Under a name of its own: it must not become part of a small call.
+#: A program that a runner runs where that is faster. It has another name, and never becomes part of a small call.
 _native_p = Primitive("native_program")
 
 
-#: What JAX's transformations say of a function that they take for a linear one.
+#: JAX's error for a function that is not linear as a transformation expects.
 NOT_LINEAR = (
     "a compiled function cannot be transposed: it is not linear in the arguments that are asked for.\n"
     "  fix: jax.vjp and jax.grad differentiate functions that are not linear"
@@ -236,7 +235,7 @@ _ONE = Batch()
 
 def call_program(program: Differentiable, *arguments: Any, batch: Batch = _ONE) -> list[Any]:
     """The results of a program, of one member or of many; differentiable and batched as any JAX function."""
-    # A loop that is compiled as one small function needs no other one inside.
+    # A loop compiled as one small function needs no further ones inside.
     inside = inside_small_call()
     return program.primitive(inside).bind(*varying_alike(arguments), program=program, batch=batch, inside=inside)
 
@@ -288,7 +287,7 @@ def _transpose(
 ) -> list[Any]:
     """The cotangents of the arguments that JAX asks for, in which the program is linear."""
     linear = [k for k, a in enumerate(arguments) if ad.is_undefined_primal(a)]
-    # A tangent has the shape of its argument: what it transposes to is a derivative of the program it came from.
+    # A tangent has the shape of its argument: its transpose is a derivative of the program it came from.
     count = 0 if program.origin is None else len(arguments) - len(program.origin[1])
     if program.origin is not None and min(linear) >= count:
         origin, active = program.origin
@@ -306,14 +305,14 @@ def _transpose(
     return result
 
 
-class _Held:
+class _KeepsAlive:
     """Keeps a program alive as long as compiled code; pickled it is empty."""
 
     def __init__(self, program: Computed | None = None) -> None:
         self.program = program
 
-    def __reduce__(self) -> tuple[type[_Held], tuple[()]]:
-        return _Held, ()
+    def __reduce__(self) -> tuple[type[_KeepsAlive], tuple[()]]:
+        return _KeepsAlive, ()
 
 
 def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms: Sequence[str] = PLATFORMS) -> None:
@@ -331,19 +330,19 @@ def define(primitive: Primitive, run: Callable[..., list[jax.Array]], platforms:
         debugging: Any = jax.config
         if debugging.jax_debug_nans and debugging.jax_disable_jit:  # JAX looks for the operation that made a NaN
             return _elsewhere(*arguments, **params)
-        # As every operation of JAX: compiled also where functions are not.
+        # Compiled also where jit is disabled, as every operation of JAX is.
         with jax.disable_jit(False):
             results: list[jax.Array] = compiled(**params)(*arguments)
         return results
 
     def lower(function: Callable[..., list[jax.Array]]) -> Callable[..., Any]:
         def lowered(context: Any, *arguments: Any, **params: Any) -> Any:
-            # A kernel goes with its program, and what is compiled here calls it. Exported code knows it by name alone.
+            # A kernel lives as long as its program: keep that alive with the compiled code, but not in exported code.
             module = context.module_context
             if not module.lowering_parameters.for_export:
-                module.add_keepalive(_Held(params["program"]))
+                module.add_keepalive(_KeepsAlive(params["program"]))
 
-            # JAX keeps what it traced as long as the function: a new one each time.
+            # JAX caches the trace as long as the function lives: a new function each time.
             def once(*a: Any) -> list[jax.Array]:
                 return function(*a, **params)
 

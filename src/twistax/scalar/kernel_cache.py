@@ -1,4 +1,4 @@
-"""Machine code of kernels on disk, a file each, for later processes; read only if it belongs to this user alone."""
+"""The cache of machine code on disk, a file for each kernel, which only this user may write."""
 
 from __future__ import annotations
 
@@ -12,26 +12,26 @@ from pathlib import Path
 
 from ..progress import say_once
 
-#: A directory, or "off". Read whenever a kernel is needed.
+#: The environment variable with the directory, or "off". Read for each kernel.
 _VARIABLE = "TWISTAX_CACHE"
 
-#: Bytes that all files may have together. The Panda's step takes 0.1 MB, its Jacobian 0.7 MB.
+#: The largest size of all files together, bytes. The Panda's step takes 0.1 MB, its Jacobian 0.7 MB.
 _MOST = 2**28
 
-#: What the names of all files begin with: nothing else in the directory is ever touched.
+#: The prefix of the names of all files. Other files in the directory are left alone.
 _NAME = "kernel_"
 
-#: Bytes of the checksum that each file begins with.
+#: The length of the checksum at the start of each file, bytes.
 _SUM = hashlib.sha256().digest_size
 
 
 def version() -> str:
-    """The version of this package, `twistax.__version__`; that module stands above, and is there when this runs."""
+    """`twistax.__version__`, from the loaded package, which this layer must not import."""
     return str(sys.modules[__name__.partition(".")[0]].__version__)
 
 
 def kept(key: str) -> bytes | None:
-    """The machine code of a key; None if there is no file, or none that can be trusted."""
+    """The machine code of a key; None if there is no file, or one that others may have written."""
     folder = _folder()
     if folder is None:
         return None
@@ -40,8 +40,8 @@ def kept(key: str) -> bytes | None:
         with open(folder / (_NAME + key), "rb", opener=_opened) as file:
             _check_owner(os.fstat(file.fileno()), f"a file in {folder}")
             content = file.read()
-            with contextlib.suppress(OSError):  # where files may only be read none is dropped either
-                os.utime(file.fileno())  # those that were not read for longest go first
+            with contextlib.suppress(OSError):  # read-only files are never dropped
+                os.utime(file.fileno())  # the least recently read files are dropped first
     except FileNotFoundError:
         return None
     except OSError as error:
@@ -52,7 +52,7 @@ def kept(key: str) -> bytes | None:
 
 
 def keep(key: str, code: bytes) -> None:
-    """Keep machine code under a key: whole or not at all, however many processes do so at once."""
+    """Write machine code under a key, atomically, also where several processes do so at once."""
     folder = _folder()
     if folder is None:
         return
@@ -80,7 +80,7 @@ def _folder() -> Path | None:
         return None
     if named:
         return Path(os.path.expanduser(named)).absolute()  # shells leave "~" within quotes
-    # The rule for this variable is that relative paths do not count; nor does a home that the system does not know.
+    # By its specification relative paths are ignored; so is a home directory that the system does not know.
     usual = usual if os.path.isabs(usual) else os.path.expanduser("~/.cache")
     return Path(usual, "twistax") if os.path.isabs(usual) else None
 

@@ -13,24 +13,23 @@ import jax
 import jax.numpy as jnp
 
 from ..jax_inside import Primitive, varying_alike, weakly_kept
-from .batch import Batch, Rows
 from .jax_primitive import Computed, Shapes, by_kernel, define
-from .program import ScalarProgram
+from .program import Batch, Rows, ScalarProgram
 from .small_call import need_outside
 from .targets.xla import as_function
 
-#: From what an iteration left for rows, and a mark, to the row.
+#: From the record of an iteration and a mark to a row.
 Row: TypeAlias = Callable[[Any, jax.Array], jax.Array]
 
-#: From whether it is for one body, and the platform, to a kernel; None: there is none.
+#: From whether it is for one batch member, and the platform, to a kernel; None: there is none.
 MakeKernel: TypeAlias = Callable[[bool, str], "Rows | None"]
 
 #: A table, and the number of the next row.
 _Filled: TypeAlias = tuple[jax.Array, jax.Array]
 
-#: Of a batch the rows of each member are filled some at once: as many as one of so many steps would pass.
+#: In batches a member fills several rows at once: its number of rows divided by this,
 _STEPS = 64
-#: But no more than these, of which those that are not due yet are computed in vain.
+#: but at most this many, since rows that are not due yet are computed in vain.
 _AT_ONCE = 16
 
 
@@ -49,12 +48,12 @@ class _Rolled(Computed):
 
 
 class Filling(NamedTuple):
-    """Rows that are filled one after the other, each as soon as what is computed has come to its mark.
+    """Saved rows that are filled in order, each as soon as the loop has reached its mark.
 
     Attributes:
-        marks: (n,) in order, n > 0; infinite for rows that stay as they are.
+        marks: (n,) in order, n > 0, such as times; infinite for padding.
         table: (n, width) the rows.
-        number: that of the next row.
+        number: the index of the next row to fill.
     """
 
     marks: Any
@@ -62,7 +61,7 @@ class Filling(NamedTuple):
     number: Any
 
     def up_to(self, reach: jax.Array, row: Row, record: Any) -> Filling:
-        """With all rows whose marks are not beyond `reach`, each row(record, mark).
+        """Fill all rows whose marks are not beyond `reach`, each with row(record, mark).
 
         Args:
             row: reads nothing that is traced but its arguments.
@@ -70,7 +69,7 @@ class Filling(NamedTuple):
         return self.filled(*_filled(row)(reach, self, record))
 
     def filled(self, table: jax.Array, number: jax.Array) -> Filling:
-        """With other rows, up to a number."""
+        """The same marks with another table and the index of its next row."""
         return self._replace(table=table, number=number)
 
 
@@ -121,19 +120,19 @@ def _filled(row: Row) -> Callable[[jax.Array, Filling, Any], _Filled]:
 
         return jax.lax.while_loop(due, fill_all, (rows.table, rows.number))
 
-    def whole(size: int, mapped: Any, arguments: Any) -> Any:
-        """All arguments with the batch axis."""
+    def with_batch_axis(size: int, mapped: Any, arguments: Any) -> Any:
+        """All arguments broadcast to the batch axis."""
         return jax.tree.map(
             lambda batched, a: a if batched else jnp.broadcast_to(a, (size, *jnp.shape(a))), tuple(mapped), arguments
         )
 
     @one.def_vmap
     def of_one(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        return many(*whole(size, mapped, arguments)), (True, True)
+        return many(*with_batch_axis(size, mapped, arguments)), (True, True)
 
     @many.def_vmap
     def of_many(size: int, mapped: Any, *arguments: Any) -> tuple[_Filled, tuple[bool, bool]]:
-        batched = whole(size, mapped, arguments)
+        batched = with_batch_axis(size, mapped, arguments)
         shape = batched[0].shape
         results = many(*jax.tree.map(lambda a: a.reshape(math.prod(shape), *a.shape[2:]), batched))
         table, number = (a.reshape(*shape, *a.shape[1:]) for a in results)
@@ -170,7 +169,7 @@ class Repeated(_Rolled):
     ) -> None:
         super().__init__(kernel)
         self._step, self._state, self.row, self._length = step, state, row, length
-        # Every number of rows is another program: it lasts as long as what was traced with it.
+        # Each number of rows is another program, which lives as long as the traces that use it.
         self._others: weakref.WeakValueDictionary[int, Repeated] = weakref.WeakValueDictionary()
 
     def of_length(self, length: int) -> Repeated:
@@ -234,11 +233,11 @@ class Repeated(_Rolled):
 
 @dataclasses.dataclass(frozen=True)
 class Ring:
-    """The order of the arguments and results of one iteration.
+    """Which results of an iteration are which arguments of the next.
 
-    A scan takes (*fixed, *state, *rows) and gives (*state, *rows): the rows of an iteration are parts of longer arrays.
-    A `while_loop` takes (*fixed, *state) and gives (going, *state): it ends, with the state that came in, where it is
-    not going.
+    An iteration of a scan takes (*fixed, *state, *rows) and returns (*state, *rows), with rows of longer arrays. One of
+    a `while_loop` takes (*fixed, *state) and returns (going, *state); where it is not going, the loop ends with the
+    state before.
 
     Attributes:
         fixed, state: how many arguments stay the same, and how many are carried.
@@ -282,11 +281,11 @@ def repeat(
 ) -> tuple[list[jax.Array], jax.Array, Filling | None]:
     """state = step(k, fixed, state) for k = first, ..., stop - 1.
 
-    A step that says whether another iteration follows may end that early. One that does not ends it where the new state
-    would not be finite, and the state before is kept. Traceable, batched by vmap, not differentiable.
+    A step with the result `more` may end the loop early. Other loops end where the new state is not finite, with the
+    state before. Traceable, batched by vmap, not differentiable.
 
     Args:
-        rows: of a step that leaves something for them.
+        rows: for a step that returns records.
     Returns:
         The state, the number of the next iteration, and the rows.
     """

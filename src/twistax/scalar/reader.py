@@ -1,10 +1,11 @@
-"""Jaxprs read into a graph of scalars, every equation on arrays of nodes."""
+"""Jaxprs read into a graph of scalars, every equation on arrays of nodes; and programs rewritten in another graph."""
 
 from __future__ import annotations
 
 import functools
 import os
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections import Counter
+from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +26,7 @@ from ..jax_inside import (
     on_key_data,
     source_of,
 )
-from .graph import LIMITS, Call, ScalarGraph
+from .graph import LIMITS, OpaqueCall, ScalarGraph
 from .primitives.interface import Limits, Nodes, flat, nodes
 from .primitives.table import OPERATIONS, WHERE, entry_of, say_unread
 from .program import ScalarProgram
@@ -36,7 +37,7 @@ _DIV = OPERATIONS["div"]
 _PACKAGE = str(Path(__file__).parents[2]) + os.sep
 
 
-class _OwnDerivative:
+class _CustomDerivative:
     """A key for functions with a custom derivative. Equal if both do the same; derivatives are traced only to compare.
 
     Those of this package, by name and place, have one derivative, which is not traced for it.
@@ -45,19 +46,21 @@ class _OwnDerivative:
     def __init__(self, name: str, body: ClosedJaxpr, equation: ClosedJaxpr) -> None:
         self._alone = equation
         source = source_of(body) or ""
-        self._key = (name, source, _fingerprint(equation))
+        self.key = (name, source, _fingerprint(equation))
         self._named = f" at {_PACKAGE}" in source
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.key)
 
     def __eq__(self, other: object) -> bool:
         return (
-            isinstance(other, _OwnDerivative) and self._key == other._key and (self._named or self._back == other._back)
+            isinstance(other, _CustomDerivative)
+            and self.key == other.key
+            and (self._named or self.transpose == other.transpose)
         )
 
     @functools.cached_property
-    def _back(self) -> Any:
+    def transpose(self) -> Any:
         avals = [jax.ShapeDtypeStruct(v.aval.shape, v.aval.dtype) for v in self._alone.jaxpr.invars]
 
         def real(*values: Any) -> Any:
@@ -121,8 +124,8 @@ class JaxprReader:
         """
         distinct = {v: a for v, a in zip(eqn.invars, arrays, strict=True) if not isinstance(v, Literal)}
         equation = on_key_data(alone(self._reading[-1], eqn, list(distinct)))
-        # What is unrolled for its derivative only has no effects, and is the same wherever it is the same.
-        key = object() if body is None else _OwnDerivative(eqn.primitive.name, body, equation)
+        # A function that is unrolled for its derivative alone has no effects: equal functions are one call.
+        key = object() if body is None else _CustomDerivative(eqn.primitive.name, body, equation)
         return list(self.graph.call(equation, key, distinct.values(), body is not None).results)
 
     def copy(
@@ -160,9 +163,9 @@ class JaxprReader:
                 else:
                     known[i] = operation.on(new)(*arguments)
 
-    def _copy_call(self, call: Call, known: dict[int, int]) -> None:
+    def _copy_call(self, call: OpaqueCall, known: dict[int, int]) -> None:
         arguments = [renamed(known, array) for array in call.arguments]
-        # What was a call for its size may fit a graph that unrolls more.
+        # A call that was too large to unroll may fit a graph with larger limits.
         if not self.keeps_calls and (call.inline or self.graph.limits != LIMITS):
             results = self.read(call.jaxpr, arguments)
         else:
@@ -209,7 +212,7 @@ def _fingerprint(program: ClosedJaxpr) -> Any:
     head = tuple((name(v), v.aval) for v in (*jaxpr.constvars, *jaxpr.invars))
     body = []
     for eqn in jaxpr.eqns:
-        # Callables are the rules of a function with a derivative of its own, which `_OwnDerivative` compares.
+        # Callables are the rules of a function with a derivative of its own, which `_CustomDerivative` compares.
         # Elsewhere, as in a callback, they are the operation itself.
         rules = eqn.primitive.name in ("custom_jvp_call", "custom_vjp_call")
         moved = _MOVED if eqn.primitive.name == "jit" else ()
@@ -258,7 +261,7 @@ def scalarize(
     avals = [v.aval for v in closed.jaxpr.invars]
     types = (np.dtype(a.dtype) for a in [*avals, *(v.aval for v in closed.jaxpr.outvars)])
     precision = next((t for t in types if t.kind == "f"), np.dtype(jax.dtypes.canonicalize_dtype(float)))
-    # Of the operations on scalars only the angle of a point distinguishes signed zeros.
+    # Only atan2 distinguishes signed zeros.
     signed_zeros = any(eqn.primitive.name == "atan2" for eqn in all_equations(closed.jaxpr))
     graph = ScalarGraph(precision, checked, largest, limits, signed_zeros)
     inputs = tuple(
@@ -266,3 +269,114 @@ def scalarize(
     )
     outputs = JaxprReader(graph).read(closed, inputs)
     return ScalarProgram(graph, inputs, tuple(outputs), tuple(np.dtype(v.aval.dtype) for v in closed.jaxpr.outvars))
+
+
+# ---- rewritten programs: in the form of emitters, in another order, or with a part computed before -------------------
+
+
+def emitted_form(program: ScalarProgram, limits: Limits = LIMITS) -> ScalarProgram:
+    """The program that an emitter writes: calls that are functions of scalars are unrolled, and x / d, y / d, ...
+    become products with one 1 / d, unless the program is checked.
+
+    A shared reciprocal costs one more rounding, half a unit in the last place.
+
+    Args:
+        limits: the sizes up to which parts are unrolled; larger for emitters that cannot call a library.
+    """
+    unrolled = program.calls or any(o.written for i in program.live if (o := program.graph.operation(i)) is not None)
+    expanded = rebuilt(program, set(), keep_calls=False, limits=limits) if unrolled else program
+    if program.graph.checked:
+        return expanded
+    g = expanded.graph
+    uses = Counter(g.arguments(i)[1] for i in expanded.live if g.operation(i) is _DIV and g.dtypes[i] == g.dtype)
+    shared = {divisor for divisor, count in uses.items() if count > 1}
+    return rebuilt(expanded, shared, keep_calls=False, limits=limits) if shared else expanded
+
+
+def one_by_one(
+    program: ScalarProgram, first: Iterable[int] = (), substitutes: Mapping[int, Nodes] | None = None
+) -> ScalarProgram:
+    """The program in another order: result by result, each with the nodes that it needs in addition.
+
+    In the original order derivatives along many tangents are interleaved. In this one fewer numbers are live at a time,
+    and pieces of the program share fewer.
+
+    Args:
+        first: nodes that come before the results, in their order.
+        substitutes: arguments that are no inputs any more -> nodes that stand for them and do not depend on them.
+    """
+    order = program.graph.one_by_one([*first, *program.flat])
+    return rebuilt(program, set(), True, program.graph.limits, order, substitutes)
+
+
+def rebuilt(
+    program: ScalarProgram,
+    shared: set[int],
+    keep_calls: bool,
+    limits: Limits,
+    order: Sequence[int] | None = None,
+    substitutes: Mapping[int, Nodes] | None = None,
+) -> ScalarProgram:
+    """The program in a new graph.
+
+    Args:
+        shared: divisors of which the reciprocal is taken once.
+        keep_calls: whether calls stay calls.
+        order: of the nodes; as they are if None.
+        substitutes: arguments that are no inputs any more -> nodes that stand for them, computed first.
+    """
+    old, substitutes = program.graph, substitutes or {}
+    new = ScalarGraph(old.dtype, old.checked, old.largest, limits, old.signed_zeros)
+    inputs: list[Nodes] = []
+    known: dict[int, int] = {}
+    for array in (a for k, a in enumerate(program.inputs) if k not in substitutes):
+        entries = [new.input(len(inputs), j, old.dtypes[i]) for j, i in enumerate(flat(array))]
+        known.update(zip(flat(array), entries, strict=True))
+        inputs.append(nodes(entries, array.shape))
+    reader = JaxprReader(new, keep_calls)
+    if substitutes:
+        reader.copy(program.restricted(list(substitutes.values())), known, shared)
+    for k, array in substitutes.items():
+        known.update(zip(flat(program.inputs[k]), (known[i] for i in flat(array)), strict=True))
+    reader.copy(program, known, shared, order)
+    outputs = tuple(renamed(known, array) for array in program.outputs)
+    return ScalarProgram(new, tuple(inputs), outputs, program.types)
+
+
+def computed_before(program: ScalarProgram, argument: int) -> tuple[ScalarProgram, ScalarProgram]:
+    """What depends on one argument alone as a program, and the program that takes its results in that argument's place.
+
+    Quotients by such numbers become products with their inverses.
+
+    Args:
+        program: one without calls.
+    """
+    divisors = _alone(program, argument)
+    divided = (program.graph.arguments(i) for i in program.live if program.graph.operation(i) is _DIV)
+    shared = {b for a, b in divided if b in divisors and a not in divisors}
+    program = rebuilt(program, shared, True, program.graph.limits) if shared else program
+    old, alone = program.graph, _alone(program, argument)
+    rest = [i for i in program.live if i not in alone]
+    read = {a for i in rest for a in old.arguments(i)} | set(program.flat)
+    ends = nodes(sorted(alone & read), (len(alone & read),))
+    before = rebuilt(program.restricted([ends]), set(), True, old.limits)
+    new = ScalarGraph(old.dtype, old.checked, old.largest, old.limits, old.signed_zeros)
+    sources = [*program.inputs[:argument], ends, *program.inputs[argument + 1 :]]
+    inputs, known = list[Nodes](), dict[int, int]()
+    for k, array in enumerate(sources):
+        inputs.append(nodes([new.input(k, j, old.dtypes[i]) for j, i in enumerate(flat(array))], array.shape))
+        known.update(zip(flat(array), flat(inputs[k]), strict=True))
+    JaxprReader(new).copy(program, known, order=rest)
+    outputs = tuple(renamed(known, array) for array in program.outputs)
+    return before, ScalarProgram(new, tuple(inputs), outputs, program.types)
+
+
+def _alone(program: ScalarProgram, argument: int) -> set[int]:
+    """The needed nodes that depend on one argument and on no other."""
+    g, dependent = program.graph, set[int]()
+    for i in program.live:
+        place = g.input_of(i)
+        sources = [j for j in g.sources(i) if g.operation(j) is not None or g.input_of(j) is not None]
+        if (place is not None and place[0] == argument) or (sources and dependent.issuperset(sources)):
+            dependent.add(i)
+    return dependent

@@ -1,4 +1,4 @@
-"""A function of arrays with loops, in parts: straight parts as scalars, loops as kernels."""
+"""A function of arrays with loops, in segments: straight code as scalars, loops as kernels."""
 
 from __future__ import annotations
 
@@ -26,11 +26,11 @@ from ..jax_inside import (
     scan_parts,
     weakly_kept,
 )
-from .array_primitive import Written, is_written
+from .array_primitive import ArrayProgram, is_array_program
 from .backends import Backend, array_operations
-from .batch import Batch
 from .loops import Looped, Ring, loop
 from .primitives.table import say_unread
+from .program import Batch
 from .small_call import small_call
 
 #: Loops of fewer operations on scalars, all iterations together, are unrolled.
@@ -38,7 +38,7 @@ _UNROLLED = 2000
 _LOOPS = ("scan", "while")
 #: Constants of more entries are arguments of the parts.
 _LARGEST = 1000
-#: Calls of which nothing but the function matters, once derivatives are taken.
+#: Calls that are inlined once derivatives are taken.
 _CALLS = {"jit": "jaxpr", "remat2": "jaxpr", "custom_jvp_call": "call_jaxpr", "custom_vjp_call": "call_jaxpr"}
 
 
@@ -59,7 +59,7 @@ class Part:
 
 
 @weakly_kept
-class Whole(Written):
+class Segmented(ArrayProgram):
     """A function of arrays that runs in parts. It is differentiated before it is split.
 
     Args:
@@ -74,16 +74,16 @@ class Whole(Written):
     @functools.cached_property
     def parts(self) -> tuple[Callable[..., list[jax.Array]], list[str]]:
         """The function for platforms with kernels, and a reason for each part."""
-        return emit_whole(self.program, self.backend)
+        return emit_segments(self.program, self.backend)
 
     def by_xla(self, arguments: Sequence[Any], batch: Batch, inside: bool, platform: str) -> list[jax.Array]:
         return batch.each(self.parts[0], arguments)
 
-    def made(self, program: ClosedJaxpr) -> Whole:
-        return Whole(program, self.backend)
+    def made(self, program: ClosedJaxpr) -> Segmented:
+        return Segmented(program, self.backend)
 
 
-# ---- parting ---------------------------------------------------------------------------------------------------------
+# ---- segments --------------------------------------------------------------------------------------------------------
 
 
 def has_loops(program: ClosedJaxpr) -> bool:
@@ -91,7 +91,7 @@ def has_loops(program: ClosedJaxpr) -> bool:
     return any(map(_loops, _opened(program).jaxpr.eqns))
 
 
-def emit_whole(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
+def emit_segments(program: ClosedJaxpr, backend: Backend) -> tuple[Callable[..., list[jax.Array]], list[str]]:
     """The function that runs a jaxpr, and a sentence for each of its parts."""
     program = _opened(program)
     jaxpr = program.jaxpr
@@ -127,7 +127,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 
     for eqn in jaxpr.eqns:
         name = eqn.primitive.name
-        if is_written(eqn) and not eqn.params["batch"].depth:
+        if is_array_program(eqn) and not eqn.params["batch"].depth:
             inside: ClosedJaxpr | None = eqn.params["program"].program
         else:
             inside = closed(eqn.params[_CALLS[name]]) if name in _CALLS else expansion(eqn)
@@ -144,7 +144,7 @@ def _evaluate(program: ClosedJaxpr, *arguments: Any) -> list[Any]:
 def _loops(eqn: Any) -> bool:
     """Whether an equation is a loop that is not unrolled, or has one in its branches."""
     inside = [equation for inner in inner_jaxprs(eqn) for equation in all_equations(inner.jaxpr)]
-    if eqn.primitive.name == "while" or any(is_written(e) or e.primitive.name == "while" for e in inside):
+    if eqn.primitive.name == "while" or any(is_array_program(e) or e.primitive.name == "while" for e in inside):
         return eqn.primitive.name in (*_LOOPS, "cond")
     if eqn.primitive.name == "cond":
         return any(_loops(equation) for inner in inner_jaxprs(eqn) for equation in inner.jaxpr.eqns)
@@ -175,7 +175,7 @@ class _Constants:
                 self.known.update(dict.fromkeys(eqn.outvars))
 
     def close(self, eqns: Sequence[Any], outputs: Sequence[Any]) -> ClosedJaxpr:
-        """The jaxpr of equations, with those of the constants that they read; its inputs are what else they read."""
+        """The jaxpr of equations with the constants that they read; its inputs are the other variables they read."""
         wanted = _read(eqns) | dict.fromkeys(v for v in outputs if not isinstance(v, Literal))
         before: list[Any] = []
         for eqn in reversed(self.made):
@@ -194,7 +194,7 @@ def _read(eqns: Iterable[Any]) -> dict[Any, None]:
 
 
 def _parts(program: ClosedJaxpr, backend: Backend) -> list[Part]:
-    """The parts in order: equations that wait for no loop, loops, equations that wait for these, and so on."""
+    """The segments in order: equations before all loops, loops, equations that depend on these, and so on."""
     jaxpr, constants = program.jaxpr, _Constants(program)
     made = set(map(id, constants.made))
     after: dict[Any, int] = {}
@@ -244,7 +244,7 @@ class _Operands:
 
 def _branches(operands: _Operands, eqn: Any, backend: Backend) -> Part:
     """A branch with loops in it."""
-    branches = [emit_whole(closed(branch), backend) for branch in eqn.params["branches"]]
+    branches = [emit_segments(closed(branch), backend) for branch in eqn.params["branches"]]
 
     def switched(*values: Any) -> Any:
         index, *arguments = operands.joined(values)
@@ -298,7 +298,7 @@ def _loop(constants: _Constants, eqn: Any, backend: Backend) -> Part:
     if ring.length is None:
         run, reasons = _while_around(eqn, backend) if around else (as_it_is, [f"{name}, as JAX has it"])
         return Part(inputs, eqn.outvars, lambda *values: small_call(run, *joined(values)), reasons)
-    body, reasons = emit_whole(inside, backend if around else backend.in_loops())
+    body, reasons = emit_segments(inside, backend if around else backend.in_loops())
     run = functools.partial(_scanned, body, inner)
     reasons = [f"{name}: {reason}" for reason in reasons]
     return Part(inputs, eqn.outvars, lambda *values: small_call(run, *arguments(values)), reasons)
@@ -320,8 +320,8 @@ def _while_around(eqn: Any, backend: Backend) -> tuple[Callable[..., list[jax.Ar
     """A `while_loop` that contains other loops, and the reasons of these."""
     asking = eqn.params["cond_nconsts"]
     fixed = asking + eqn.params["body_nconsts"]
-    going, reasons_of_condition = emit_whole(closed(eqn.params["cond_jaxpr"]), backend)
-    body, reasons_of_body = emit_whole(closed(eqn.params["body_jaxpr"]), backend)
+    going, reasons_of_condition = emit_segments(closed(eqn.params["cond_jaxpr"]), backend)
+    body, reasons_of_body = emit_segments(closed(eqn.params["body_jaxpr"]), backend)
 
     def run(*values: Any) -> list[jax.Array]:
         return jax.lax.while_loop(

@@ -1,4 +1,4 @@
-"""A function compiled as one small function, so that loops inside it run fast under default settings.
+"""A function compiled by XLA as one small function, in which loops run fast under default settings.
 
 XLA on the CPU runs a loop as a chain of small kernels, some 50 ns each, unless the loop is compiled as one function.
 The attribute that asks for it is not documented, so it is set only on the CPU, for functions made of operations known
@@ -25,7 +25,7 @@ from .primitives.table import entry_of
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 
-#: Whether a function is being traced to become a small one, or a kernel, which needs none inside.
+#: Whether a small function, or a kernel, which needs no small functions, is being traced.
 _INSIDE = contextvars.ContextVar("inside a small call", default=False)
 _IN_KERNEL = contextvars.ContextVar("inside a kernel", default=False)
 
@@ -35,7 +35,7 @@ class _Outside(Exception):
 
 
 def need_outside() -> None:
-    """End a trace as part of a small function, for something that cannot be part of one."""
+    """End the trace of a small function, for an operation that cannot be part of one."""
     if _INSIDE.get():
         raise _Outside
 
@@ -46,29 +46,28 @@ def inside_small_call() -> bool:
 
 
 @contextlib.contextmanager
-def whole_kernel() -> Iterator[None]:
-    """Functions that are traced within this context are compiled as kernels, which include small calls."""
-    before = _IN_KERNEL.set(True)
+def _setting(variable: contextvars.ContextVar[bool], value: bool) -> Iterator[None]:
+    before = variable.set(value)
     try:
         yield
     finally:
-        _IN_KERNEL.reset(before)
+        variable.reset(before)
 
 
-@contextlib.contextmanager
-def no_small_call() -> Iterator[None]:
-    """Functions that are traced within this context are not compiled as small functions."""
-    inside = _INSIDE.set(False)
-    try:
-        yield
-    finally:
-        _INSIDE.reset(inside)
+def tracing_kernel() -> contextlib.AbstractContextManager[None]:
+    """A context in which functions are traced to become kernels, which need no small calls."""
+    return _setting(_IN_KERNEL, True)
 
 
-def held(tree: Tree) -> Tree:
-    """The same numbers, stored in one array: inside a small function XLA would compute scalars again at every reader.
+def no_small_call() -> contextlib.AbstractContextManager[None]:
+    """A context in which traced functions are not part of a small function."""
+    return _setting(_INSIDE, False)
 
-    Whole numbers are small, so that they are floating-point numbers too.
+
+def stored_once(tree: Tree) -> Tree:
+    """The same numbers, computed once: inside a small function XLA computes scalars again wherever they are read.
+
+    They are packed into one array behind a barrier. Integers are small enough to be floating-point numbers in it.
     """
     if not inside_small_call():
         return tree
@@ -89,24 +88,6 @@ def fits(function: Callable[..., Any], *arguments: Any) -> bool:
     return known_inside(jax.make_jaxpr(function)(*arguments).jaxpr)
 
 
-def on_leaves(
-    function: Callable[..., Any], arguments: Any
-) -> tuple[Callable[..., list[Any]], list[jax.Array], Callable[[Any], Any]]:
-    """A function of pytrees as one of arrays, with lists of results; its arguments; what makes results pytrees again.
-
-    The last once the function was traced.
-    """
-    leaves, structure = jax.tree.flatten(arguments)
-    shapes: list[Any] = []
-
-    def flat(*leaves: jax.Array) -> list[Any]:
-        results, shape = jax.tree.flatten(function(*jax.tree.unflatten(structure, leaves)))
-        shapes.append(shape)
-        return results
-
-    return flat, [jnp.asarray(leaf) for leaf in leaves], lambda results: jax.tree.unflatten(shapes[0], results)
-
-
 def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool = False) -> Result:
     """function(*arguments), compiled as one small function where that is known to work.
 
@@ -114,33 +95,30 @@ def small_call(function: Callable[..., Result], *arguments: Any, trusted: bool =
     it. Pure and traceable. Arguments and result are pytrees of arrays.
 
     Args:
-        trusted: take the caller's word that it works. XLA ends the process where it does not.
+        trusted: do not check that it works. XLA ends the process where it does not.
     """
     if _INSIDE.get() or _IN_KERNEL.get() or not small_calls_exist():
         return function(*arguments)
     debugging: Any = jax.config
     if debugging.jax_disable_jit:  # operations one by one would have the attribute
         return function(*arguments)
-    flat, leaves, unflatten = on_leaves(function, arguments)
-    outside = _INSIDE.set(True)
+    arguments = jax.tree.map(jnp.asarray, arguments)
     try:
-        jaxpr = jax.make_jaxpr(flat)(*leaves)
+        with _setting(_INSIDE, True):
+            jaxpr, shape = jax.make_jaxpr(function, return_shape=True)(*arguments)
     except _Outside:
-        jaxpr = None
-    finally:
-        _INSIDE.reset(outside)
-    if jaxpr is None:
         return function(*arguments)
-    if not trusted and not known_inside(jaxpr.jaxpr):
+    if not (trusted or known_inside(jaxpr.jaxpr)):
         return function(*arguments)
     run, traced = opened(jaxpr)
     # Constants must not be moved inside: an argument that is one then counts as never read.
-    result: Result = unflatten(_outlined(run)(*jax.lax.optimization_barrier([*traced, *leaves])))
+    results = _outlined(run)(*jax.lax.optimization_barrier([*traced, *jax.tree.leaves(arguments)]))
+    result: Result = jax.tree.unflatten(jax.tree.structure(shape), results)
     return result
 
 
-def apart(function: Callable[..., Result]) -> Callable[..., Result]:
-    """The same, for the CPU, where XLA keeps it a function: inside of loops it would be inlined."""
+def not_inlined(function: Callable[..., Result]) -> Callable[..., Result]:
+    """The same function, which XLA on the CPU does not inline into loops."""
 
     def call(*arguments: Any) -> Result:
         with xla_metadata(xla_cpu_small_call="false", inlineable="false"):
@@ -150,7 +128,7 @@ def apart(function: Callable[..., Result]) -> Callable[..., Result]:
 
 
 def _reading(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
-    """The same with one more result, which reads every argument: XLA ends the process where one is never read."""
+    """The same with a further result that reads every argument: XLA ends the process where one is not read."""
 
     def small_function(*values: jax.Array) -> list[jax.Array]:
         read = [jnp.real(value).reshape(-1)[0].astype(jnp.float32) for value in values if value.size]
@@ -160,7 +138,7 @@ def _reading(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Arra
 
 
 def _outlined(run: Callable[..., list[jax.Array]]) -> Callable[..., list[jax.Array]]:
-    """A function of arrays as one small function; under vmap as it is: XLA has no such functions for large arrays."""
+    """A function of arrays as one small function; under vmap an ordinary one, as XLA has none for large arrays."""
 
     @jax.custom_batching.custom_vmap
     def outlined(*leaves: jax.Array) -> list[jax.Array]:

@@ -1,4 +1,4 @@
-"""The one way through a graph: every node once, what stands below first, without recursion; and time to build one."""
+"""Traversal of a graph, operands first and without recursion; and a context in which Python collects no garbage."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ N = TypeVar("N")
 
 
 def walk(roots: Iterable[N], below: Callable[[N], Sequence[N]], name: Callable[[N], Hashable] = id) -> Iterator[N]:
-    """Every node below the roots once, after all that stand below it.
+    """The roots and every node below them once, in postorder.
 
     Args:
-        below: what must come before a node; asked once, when the node is met.
-        name: equal for nodes that count as one.
+        below: the operands of a node; called once for each.
+        name: a key, equal for nodes that count as one.
     """
     seen: set[Hashable] = set()
     stack = [(root, False) for root in reversed(list(roots))]
@@ -37,10 +37,10 @@ _state = {"within": 0, "was_on": False}
 
 @contextlib.contextmanager
 def uncollected() -> Iterator[None]:
-    """Python does not look for garbage in cycles meanwhile, in any thread; afterwards all is as it was.
+    """Pause the collector of cyclic garbage in all threads; restore it afterwards.
 
-    Large graphs are millions of objects that stay. The search looks through all of them again and again, an eighth of
-    the time of compiling a humanoid, and finds next to nothing. What is in no cycle is freed as always.
+    Large graphs are millions of objects that stay alive. The collector visits all of them again and again, an eighth
+    of the time to compile a humanoid, and frees next to nothing. Objects in no cycle are freed as always.
     """
     with _LOCK:
         if _state["within"] == 0:

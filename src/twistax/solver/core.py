@@ -51,6 +51,7 @@ class StageFunctions:
     Attributes:
         values, jacobians, hessians, retract, transport, stop: addresses; 0 where there is no such function.
         user: what they get as first argument.
+        flat: where points have the entries of v themselves, -1 for those of manifolds; none if left out.
         owner: what must live as long as the functions; its `check`, if it has one, is called after a solve.
     """
 
@@ -61,6 +62,7 @@ class StageFunctions:
     transport: int = 0
     stop: int = 0
     user: int = 0
+    flat: Array | None = None
     owner: Any = None
 
     def check(self) -> None:
@@ -97,7 +99,8 @@ class CoreSolution:
         lam: multipliers of the dynamics.
         ye: multipliers of e.
         zl, zu: multipliers of lower and upper bounds.
-        statistics: counts and measures, by name; SOLVED means that `error`, scaled, is at most the tolerance.
+        statistics: counts and measures, by name; SOLVED means that `error`, scaled, is at most the tolerance, and
+            `excess` over `worth` at most the option `excess`.
         log: (iterations, 10) cost, violation, stationarity, barrier, multiple of the identity, lengths of both steps,
             size of the step, trials, and a character's code that tells the kind of step.
     """
@@ -125,7 +128,7 @@ class ProblemStructure(ctypes.Structure):
             (name, ctypes.c_void_p)
             for name in (
                 *("states", "controls", "inequalities", "equalities", "point_states"),
-                *("lower", "upper", "size", "row_size", "equality_size"),
+                *("flat", "lower", "upper", "size", "row_size", "equality_size"),
             )
         ),
         ("cost_size", ctypes.c_double),
@@ -195,6 +198,8 @@ def as_problem(
         for name in ("states", "controls", "inequalities", "equalities", "point_states")
         if getattr(stages, name) is not None
     }
+    if functions.flat is not None:
+        arrays["flat"] = np.ascontiguousarray(functions.flat, np.int32)
     structure = ProblemStructure(len(stages.states) - 1, stages.parameters, cost_size=units.cost)
     for name, address in ({name: a.ctypes.data for name, a in arrays.items()} | functions.addresses).items():
         setattr(structure, name, address or None)

@@ -20,7 +20,7 @@ from ..groups import Product
 from ..jax_inside import ClosedJaxpr, in_double, jaxpr_as_fun
 from ..scalar.backends import ANY_SIZE, XLA
 from ..scalar.program import ScalarProgram
-from ..scalar.rewriting import computed_before
+from ..scalar.reader import computed_before
 from ..scalar.targets.llvm.backend import KERNEL_EVENT
 from ..scalar.targets.llvm.code import NotNative
 from ..scalar.targets.llvm.kernel import HostKernel
@@ -28,7 +28,7 @@ from ..scalar.targets.llvm.kernel_body import NATIVE_LIMITS, Straight, by_numpy,
 from ..scalar.targets.llvm.machine_code import BuildError, Processor
 from ..scalar.targets.llvm.self_test import check_kernel
 from ..scalar.walk import uncollected
-from ..system.functions import Kept
+from ..system.functions import Cache
 from ..system.hessian import REFUSALS, WeightedHessian, hessian_in_arrays
 from ..system.jacobian import Differentiated, RateJacobian
 
@@ -63,7 +63,7 @@ class SmoothStructure(ctypes.Structure):
     _fields_ = [*((name, KernelStructure) for name in ("value", "slopes", "bends")), ("rows", ctypes.c_int32)]
 
 
-class Written(NamedTuple):
+class ScalarForm(NamedTuple):
     """A kernel as a program of scalars, for writers of other languages."""
 
     program: ScalarProgram
@@ -89,7 +89,7 @@ class BatchKernel:
         reads: list[Argument],
         owner: Any,
         numbers: Array | None = None,
-        written: Callable[[], Written] | None = None,
+        written: Callable[[], ScalarForm] | None = None,
     ) -> None:
         self.owner, self._numbers, self.written = owner, numbers, written
         self._reads, self._address = reads, address
@@ -152,7 +152,8 @@ class _Unbound:
                 before, form = computed_before(form, place)
             body = Straight(form, processor.lanes(np.dtype(float)))
             kernel = HostKernel(body, processor, threads=1)
-            check_kernel(kernel)
+            if not kernel.handle.checked:
+                check_kernel(kernel)
         jax.monitoring.record_event_duration_secs(KERNEL_EVENT, time.perf_counter() - started)
         return cls(kernel.symbol[1], [arguments[k] for k in body.read], kernel, before, place)
 
@@ -164,7 +165,7 @@ class _Unbound:
         callback = Callback(function, shapes)
         return cls(callback.address, arguments, callback)
 
-    def bound(self, numbers: Array, written: Callable[[], Written] | None = None) -> BatchKernel:
+    def bound(self, numbers: Array, written: Callable[[], ScalarForm] | None = None) -> BatchKernel:
         if self._before is not None:
             inputs = [np.zeros((1, a.size)) for a in self._before.inputs]
             inputs[self._place] = numbers[None]
@@ -223,7 +224,7 @@ class SmoothKernels:
         numbers = np.zeros(0) if numbers is None else numbers
         sizes = dict(arguments) | ({Argument.NUMBERS: len(numbers)} if len(numbers) else {})
         make = functools.partial(_Made, function, sizes, order)
-        made = make() if key is None else _KEPT.get((key, tuple(sizes.items()), order), make)
+        made = make() if key is None else _CACHE.get((key, tuple(sizes.items()), order), make)
         self.rows = made.rows
         self._made, self._numbers = made, numbers
 
@@ -245,7 +246,7 @@ class SmoothKernels:
 _COMPILING = threading.Lock()
 
 #: Functions that were traced, by their keys, those of some twenty problems.
-_KEPT = Kept(200)
+_CACHE = Cache(200)
 
 
 class _Made:
@@ -307,14 +308,14 @@ class _Pending:
             self._function = None
             return self._kernel
 
-    def written(self, numbers: Array) -> Written:
+    def written(self, numbers: Array) -> ScalarForm:
         """The function as a program of scalars, made anew.
 
         Raises:
             ModelError, NotNative: it has no form in scalars.
         """
         with in_double():
-            return Written(native_form(self._maker(self._closed)), self._arguments, numbers)
+            return ScalarForm(native_form(self._maker(self._closed)), self._arguments, numbers)
 
 
 def _value(closed: ClosedJaxpr) -> ScalarProgram:

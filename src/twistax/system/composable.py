@@ -1,4 +1,4 @@
-"""What composing systems asks of one: its leaves by name, its outputs as expressions, the same under other names."""
+"""The part of `System` that `tx.join` needs: leaves by name, outputs as expressions, copies with other names."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The expressions of a system as they are compiled: outputs that are kept, parameters that are baked, simplified."""
+"""The expressions of a system as they are compiled: with chosen outputs and baked parameters, simplified."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Expressions that are not finite whatever the states are."""
+"""Expressions that are not finite for any state."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import numpy as np
 from ..errors import ModelError
 from ..expr import Add, Block, Concat, Constant, Constraint, Div, Expr, Hstack, Mul, Neg, Stack, Sub, Vstack, find_path
 
-#: Nodes whose value is NaN where an entry of an operand is.
+#: Nodes whose value has a NaN if an operand has one.
 _PASSING = (Add, Sub, Mul, Div, Neg, Stack, Concat, Block, Hstack, Vstack)
 
 
@@ -30,7 +30,7 @@ def _not_finite(root: Expr) -> Constant | None:
         node = waiting.pop()
         if isinstance(node, Constant) and np.isnan(node.value).any():
             return node
-        # Others may leave an entry out, or choose another branch.
+        # Other nodes may drop the entry, or choose another branch.
         if isinstance(node, _PASSING) and id(node) not in seen:
             seen.add(id(node))
             waiting.extend(node.children())

@@ -1,4 +1,4 @@
-"""The functions of a system on prepared arguments, each made when it is first needed, and cached."""
+"""The functions of a system on prepared arguments, each compiled at its first use and cached."""
 
 from __future__ import annotations
 
@@ -40,55 +40,56 @@ from .system import System, entry_names
 
 Arrays = dict[str, jax.Array]
 Made = TypeVar("Made")
-#: What the numbers of a trace depend on beyond its arguments.
+#: Settings of JAX on which the numbers of a traced function depend.
 _SETTINGS = ("jax_enable_x64", "jax_default_matmul_precision")
 
 
-class Kept:
-    """A cache by key, and by the settings of JAX on which numbers depend.
+class Cache:
+    """A cache by key, and by the settings of JAX on which numbers depend. The least recently used entries are dropped.
 
-    Beyond `most` entries that which was used longest ago is dropped.
+    Args:
+        most: the largest number of entries.
     """
 
     def __init__(self, most: int) -> None:
         self._most = most
-        self._found: dict[Any, Any] = {}
+        self._entries: dict[Any, Any] = {}
         self._lock = threading.Lock()
 
     def get(self, key: Any, make: Callable[[], Made]) -> Made:
         """The cached value of a key; made by `make` if there is none."""
         key = (*(getattr(jax.config, name) for name in _SETTINGS), key)
-        kept = self._found.get(key, self)
+        kept = self._entries.get(key, self)
         if kept is self:
             with watched("compile"), uncollected():
                 made: Any = make()
         else:
             made = kept
         with self._lock:
-            self._found.pop(key, None)
-            self._found[key] = made
-            while len(self._found) > self._most:
-                del self._found[next(iter(self._found))]
+            self._entries.pop(key, None)
+            self._entries[key] = made
+            while len(self._entries) > self._most:
+                del self._entries[next(iter(self._entries))]
         return made
 
     def values(self) -> list[Any]:
-        """All that is kept, what was used last at the end."""
-        return list(self._found.values())
+        """All cached values, the last used one at the end."""
+        return list(self._entries.values())
 
 
 class Functions:
     """The functions of a system on prepared arguments: traceable, unchecked.
 
-    For integrators, solvers and filters, which check arguments once: `prepare` makes these.
+    For integrators, solvers and filters, which check arguments once, by `prepare`.
 
     Attributes:
         system, states, controls, parameters, group, baked, backend: those of `Dynamics`.
         families: the simplified expressions of "rates", "outputs", "constraints" and "corrections", by name.
         constraints: the simplified residuals of "inequality" and "equality", by name.
-        steps: what integrators made of steps of this system, by keys of their own; the 32 that were used last.
-        hessians: likewise the programs of Hessians.
+        steps: a cache of what integrators compile of steps of this system, of 32 entries.
+        hessians: a cache of the programs of Hessians.
         jitted: `evaluate`, in the form for calls.
-        loops: likewise functions of integrators, jitted, that take a `twin` of this.
+        loops: a cache of jitted functions of integrators, which take a `twin` of this.
     """
 
     def __init__(self, system: System, outputs: Iterable[str] | None, bake: Mapping[str, Any], backend: Backend):
@@ -111,32 +112,32 @@ class Functions:
             "corrections": {name: [expr] for name, expr in canonical(system.corrections, constants).items()},
         }
         self._constants, self._arguments = constants, CallArguments((*self.states, *self.controls, *self.parameters))
-        self.steps, self.hessians, self.loops = Kept(32), Kept(32), Kept(32)
-        self._made, self._beside = Kept(64), False
+        self.steps, self.hessians, self.loops = Cache(32), Cache(32), Cache(32)
+        self._made, self._outside = Cache(64), False
         self.without_kernel = _without_kernel(self.families["rates"], backend)
         self.jitted, self._called = _for_calls(self), set[str]()
 
-    # ---- the same functions otherwise --------------------------------------------------------------------------------
+    # ---- copies with other options -----------------------------------------------------------------------------------
 
     def run_by(self, backend: Backend) -> Functions:
         """The same functions with another backend."""
         return self._changed(backend=backend)
 
-    def beside_loops(self) -> Functions:
-        """The same for what stands beside loops in kernels: large rates are kernels of their own there too."""
-        return self._changed(_beside=True)
+    def outside_loops(self) -> Functions:
+        """A copy for functions outside of loops in kernels, where large rates are kernels of their own too."""
+        return self._changed(_outside=True)
 
     def with_outputs(self, names: Iterable[str]) -> Functions:
         """A copy with some of the outputs."""
         known, wanted = self.families["outputs"], set(names)
         outputs = {name: exprs for name, exprs in known.items() if name in wanted}
-        twin = self._changed(families={**self.families, "outputs": outputs}, loops=Kept(32), _made=Kept(64))
+        twin = self._changed(families={**self.families, "outputs": outputs}, loops=Cache(32), _made=Cache(64))
         twin.__dict__.pop("reads", None)
         return twin
 
     def twin(self) -> Functions:
-        """The same, which knows nothing of `loops`: what JAX keeps of them for as long as they are there reads it."""
-        return self._changed(loops=Kept(32))
+        """A copy with another cache `loops`: functions in the cache read the copy, and do not keep this alive."""
+        return self._changed(loops=Cache(32))
 
     def _changed(self, **changes: Any) -> Functions:
         twin = object.__new__(Functions)
@@ -163,9 +164,9 @@ class Functions:
         """Check and cast the arguments once, before a loop; defaults of parameters are filled in.
 
         Args:
-            reads: which of "rates", "outputs", "constraints" will be evaluated: what they read must be there.
-            names: what messages call the arguments.
-            on_host: leave arrays of NumPy what they are, for a jitted function.
+            reads: which of "rates", "outputs", "constraints" will be evaluated: the leaves that they read are required.
+            names: of the arguments, for messages.
+            on_host: leave arrays of NumPy as they are, for a jitted function.
         Raises:
             InputError: as a call of the dynamics.
         """
@@ -173,7 +174,7 @@ class Functions:
         return self._arguments.prepare(required, t, x, u, params, names=names, on_host=on_host)
 
     def zeros(self) -> Inputs:
-        """Zeros for all leaves that anything reads, in JAX's default precision."""
+        """Zeros for all leaves that any function reads, in JAX's default precision."""
         read = set().union(*self.reads.values())
         x = {leaf.name: np.zeros(leaf.shape) for leaf in self.states}
         u, params = (
@@ -184,7 +185,7 @@ class Functions:
 
     @functools.cached_property
     def slopes(self) -> dict[str, list[tuple[Expr, Expr]]]:
-        """The derivatives of rates that the system knows, simplified: by state, pairs of an argument and a matrix."""
+        """The declared derivatives of rates, simplified: by state, pairs of an argument and a matrix."""
         known = [(name, pair) for name, pairs in self.system.slopes.items() for pair in pairs]
         flat = {f"{k} {part}": expr for k, (_, pair) in enumerate(known) for part, expr in enumerate(pair)}
         simple, slopes = canonical(flat, self._constants) if flat else {}, dict[str, list[tuple[Expr, Expr]]]()
@@ -212,15 +213,15 @@ class Functions:
     # ---- values ------------------------------------------------------------------------------------------------------
 
     def call(self, family: str, t: Any, x: Values, u: Values | None, params: Values | None) -> Arrays:
-        """Rates, outputs or constraints from arguments as users give them, jitted."""
+        """Rates, outputs or constraints from unchecked arguments, jitted."""
         inputs = self.prepare(t, x, u, params, reads=(family,), on_host=True)
         first, self._called = family not in self._called, self._called | {family}
         with watched("compile") if first else contextlib.nullcontext():
             return self.jitted(family, inputs.t, inputs.x, inputs.u, inputs.params)
 
     def vector_field(self, t: jax.Array, x: Arrays, u: Arrays, params: Arrays) -> Arrays:
-        """The rates; what an integrator puts into its loop, or beside it."""
-        return self.evaluate("rates", t, x, u, params, in_loop=not self._beside)
+        """The rates, for the loop of an integrator, or for functions outside of it."""
+        return self.evaluate("rates", t, x, u, params, in_loop=not self._outside)
 
     def evaluate(
         self, family: str, t: jax.Array, x: Arrays, u: Arrays, params: Arrays, *, in_loop: bool = True
@@ -228,16 +229,16 @@ class Functions:
         """Rates, outputs or constraints, not jitted.
 
         Args:
-            in_loop: in the form that suits an integrator's loop; else in the one for calls and batches.
+            in_loop: in the form for the loop of an integrator; else in that for calls and batches.
         """
         leaves, structure = jax.tree.flatten((t, x, u, params))
         types = tuple((jnp.shape(a), jnp.result_type(a)) for a in leaves)
         emission, shape = self.emission(family, structure, types, in_loop=in_loop)
-        with no_small_call() if self._apart(emission) else contextlib.nullcontext():
+        with no_small_call() if self._runs_as_kernel(emission) else contextlib.nullcontext():
             return jax.tree.unflatten(shape, emission.function(*leaves))
 
-    def _apart(self, emission: Emission) -> bool:
-        least, program = self.backend.least if self._beside else None, emission.program
+    def _runs_as_kernel(self, emission: Emission) -> bool:
+        least, program = self.backend.least if self._outside else None, emission.program
         return least is not None and program is not None and program.operations >= least
 
     def emission(
@@ -265,7 +266,7 @@ class Functions:
         """Expressions by name, in arrays, node by node.
 
         Args:
-            joined: give the entries of all expressions of a name as one vector; else there is one for each.
+            joined: whether the entries of all expressions of a name form one vector; else a name has one expression.
         """
         dtype = x[self.states[0].name].dtype
         inputs = Inputs(t, x, u, params, dtype)
@@ -347,7 +348,7 @@ class Functions:
         return [jnp.concatenate([rates[state.name].reshape(-1) for state in self.states])]
 
     def _flat_slopes(self, places: Places, *arrays: jax.Array) -> list[jax.Array]:
-        """The rates as one vector; then, of what is known of their derivatives, what they are by, and the matrices."""
+        """The rates as one vector; then the vectors and the matrices of the known derivatives."""
         pairs = [pair for known in self.slopes.values() for pair in known]
         roots = {name: [rate] for name, (rate,) in self.families["rates"].items()}
         vectors = [by for by, _ in pairs if not isinstance(by, State)]

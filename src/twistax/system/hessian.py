@@ -23,8 +23,7 @@ from ..scalar.graph import TooLarge
 from ..scalar.jax_primitive import call_program
 from ..scalar.primitives.interface import Nodes, flat
 from ..scalar.program import ScalarProgram
-from ..scalar.reader import JaxprReader, scalarize
-from ..scalar.rewriting import one_by_one
+from ..scalar.reader import JaxprReader, one_by_one, scalarize
 from .functions import Functions, Places, check_kinds
 from .inputs import Values, read_values
 from .jacobian import Differentiated, along, tangents_of

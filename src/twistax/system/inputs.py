@@ -18,10 +18,10 @@ Values = Mapping[str, Any]
 
 
 def precision(*groups: Values | None) -> Any:
-    """The precision all values take: the widest array in single or double precision of the first group that has one.
+    """The precision of a call: that of the widest array in single or double precision in the first group with one.
 
-    Python numbers, integers and half precision have none, more than double precision counts as double; if nobody has
-    one it is JAX's default float.
+    Python numbers, integers and arrays in half precision do not count, wider arrays count as double; without any it is
+    JAX's default float.
     """
     for values in groups:
         arrays = values.values() if isinstance(values, Mapping) else ()
@@ -44,11 +44,11 @@ def _shaped(leaf: Any, kind: str) -> str:
 def read_values(
     kind: str, leaves: Iterable[Any], values: Values | None, dtype: Any, on_host: bool = False
 ) -> dict[str, Any]:
-    """Check names and shapes and cast. Missing names are left to the caller.
+    """Check names and shapes and cast. The caller checks for missing names.
 
     Args:
-        leaves: what there are values for, each with a name and a shape.
-        on_host: leave arrays of NumPy what they are: a jitted function takes them faster than JAX makes arrays of them.
+        leaves: objects with a name and a shape.
+        on_host: leave arrays of NumPy as they are: a jitted function takes them faster than JAX converts them.
     Raises:
         InputError: an unknown key, a wrong shape, or not numbers.
     """
@@ -85,7 +85,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
 
     Arrays of JAX stay on their devices. Those in a wider precision are waited for, and read on the host.
     """
-    need_held(place, array, dtype)
+    need_representable(place, array, dtype)
     if isinstance(array, np.ndarray):
         array = array.astype(dtype)
         if on_host:
@@ -93,7 +93,7 @@ def cast(place: str, array: jax.Array | np.ndarray, dtype: Any, on_host: bool = 
     return jnp.asarray(array, dtype)
 
 
-def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
+def need_representable(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
     """Raise InputError if known numbers of an array overflow in a precision."""
     wider = array.dtype.itemsize > np.dtype(dtype).itemsize and jnp.issubdtype(array.dtype, jnp.floating)
     if not wider or is_traced(array):
@@ -109,7 +109,7 @@ def need_held(place: str, array: jax.Array | np.ndarray, dtype: Any) -> None:
 
 
 class _Slot(NamedTuple):
-    """A leaf, with what is compared with each value of it."""
+    """A leaf, and what each value of it is compared with."""
 
     leaf: Leaf
     name: str
@@ -118,7 +118,7 @@ class _Slot(NamedTuple):
 
 
 class CallArguments:
-    """The leaves that values may be given of, sorted by kind once; it checks and casts the values of each call.
+    """The leaves of a function, sorted by kind once; it checks and casts the values of each call.
 
     Args:
         leaves: states, controls and parameters.
@@ -147,8 +147,8 @@ class CallArguments:
 
         Args:
             required: the names that are read.
-            names: what messages call the arguments.
-            on_host: leave arrays of NumPy what they are.
+            names: of the arguments, for messages.
+            on_host: leave arrays of NumPy as they are.
             spare: whether x may have states that are not read; they count for the precision.
         Raises:
             InputError: an unknown key, a wrong shape, a state, control or parameter value that is read and not there.
@@ -173,7 +173,7 @@ class CallArguments:
                         f"  fix: pass {name}={{{slot.name!r}: ...}} of shape {slot.shape}"
                     )
         inputs = Inputs(cast(names[0], time, dtype, on_host), states, controls, parameters, dtype)
-        # Defaults enter here, as inputs, so that a compiled function takes them like any given value.
+        # Defaults become inputs here: a compiled function takes them like other values.
         for leaf in (slot.leaf for slot in self._parameters if slot.name in required and slot.name not in parameters):
             default = leaf.value if on_host and isinstance(leaf, Parameter) else None
             parameters[leaf.name] = leaf.read(inputs) if default is None else default.astype(dtype)

@@ -17,8 +17,7 @@ from ..scalar.derivatives import columns_of
 from ..scalar.graph import ScalarGraph, TooLarge
 from ..scalar.primitives.interface import Nodes, flat
 from ..scalar.program import ScalarProgram
-from ..scalar.reader import JaxprReader, scalarize
-from ..scalar.rewriting import one_by_one
+from ..scalar.reader import JaxprReader, one_by_one, scalarize
 
 #: Of larger rates the derivatives that are known were always the shorter ones: the others are not tried.
 _SMALL = 1000

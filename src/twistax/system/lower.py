@@ -1,4 +1,4 @@
-"""Any expression alone as a JAX function."""
+"""An expression as a function of JAX, without a system."""
 
 from __future__ import annotations
 
@@ -19,9 +19,9 @@ from .system import System
 
 Lowered = Callable[..., Any]
 
-#: More nodes may be a chain that XLA ends the process on.
+#: A longer chain of nodes may be one on which XLA ends the process.
 _LARGE = 1000
-#: So many nodes are compiled where the function is called outside of `jit`: one by one they take 30 us each.
+#: Outside of `jit`, functions of so many nodes are compiled: one by one nodes take 30 us each.
 _COMPILED = range(200, 20_000)
 
 

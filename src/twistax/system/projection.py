@@ -12,7 +12,7 @@ from ..errors import InputError
 from .functions import Arrays, Functions
 from .inputs import Values
 
-#: Newton's method doubles the digits from near by; from far away it may need some steps to come near.
+#: The most steps of Newton's method. Near the manifold each doubles the digits.
 _STEPS = 50
 #: A correction of so many units of round-off counts as zero.
 _ROUND_OFF = 1e3

@@ -9,12 +9,12 @@ from numpy import ndarray as Array
 
 from ..expr import Control, State
 from .problem.controls import rate_name
-from .transcription.points import Point
+from .transcription.iterate import Iterate
 from .transcription.shooting import Shooting
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
-#: A value that is constant counts as this share of its size; a spread below this share of the value is rounding.
+#: A value that is constant counts as this share of its size; less than this share of a value or of a step is rounding.
 _CONSTANT, _ROUNDING = 0.1, 1e-9
 #: A spread of less than this share of what others move it by counts as zero.
 _NOTHING = 1e-4
@@ -34,6 +34,10 @@ class Sizes(NamedTuple):
     border: Array  # (g,)
     steers: Array  # (m,) whether controls move states
     reserve: float = np.inf  # how many times as far as needed limited controls move the state that is hardest to move
+
+    def rounding(self) -> Sizes:
+        """What is left of steps of these sizes where nothing should move."""
+        return self._replace(d=_ROUNDING * self.d, u=_ROUNDING * self.u)
 
     def of_one(self) -> Sizes:
         """The same with 1 for all states and controls."""
@@ -74,25 +78,36 @@ class SizeMeter:
             self._slack[part] = name in shooting.slacks
             if leaf_u.scale is not None:
                 self._u_declared[part] = np.ravel(leaf_u.scale)
+        #: Rows |a|^2 / (c s) <= c s have the unit of c s: where s is close to zero their derivatives say nothing of it.
+        first = {name: part.start for name, part in group.slices.items()}
+        first |= {name: n + part.start for name, part in self._controls.items()}
+        bounds = enumerate(shooting.path.norm_bounds)
+        self._norm_bounds = [(row, first[bound[0]], bound[1]) for row, bound in bounds if bound is not None]
         self._half_limits = 0.5 * np.subtract(*np.reshape(shooting.border.limits, (-1, 2)).T[::-1])
         self._fixed = np.isin(np.arange(n), shooting.layout.fixed) & ~shooting.free.d[0]
 
     @np.errstate(all="ignore")
-    def __call__(self, point: Point, moved: Array, gaps: Array, with_reserve: bool = True) -> Sizes:
+    def __call__(
+        self, point: Iterate, moved: Array, gaps: Array, least: Sizes | None = None, with_reserve: bool = True
+    ) -> Sizes:
         """Sizes of states, controls and shared unknowns.
 
         Args:
             moved: (intervals, n, n + m + g) derivatives of the ends of intervals.
             gaps: (intervals, n) how far intervals end from where the next one starts.
+            least: values of states and controls that are rounding.
             with_reserve: whether the reserve of limited controls is measured.
         """
         shooting = self._shooting
         n, m, most, steering = shooting.n, shooting.m, self._most, self._paced
+        least_d, least_u = (np.zeros(n), np.zeros(m)) if least is None else (least.d, least.u)
         values = self._flat_values(point)
+        values = np.where(np.abs(values) > least_d[self._columns], values, 0.0)
+        us = np.where(np.abs(point.us) > least_u, point.us, 0.0)
         largest = np.zeros(n)
         largest[self._columns] = np.abs(values).max(axis=0, initial=0.0)
         d = self._of_states(point, values, largest[self._columns])
-        u, box = self._of_controls(point.us)
+        u, box = self._of_controls(us)
         b, free = np.abs(point.border), slice(shooting.border.phases, None)
         b[free] = np.where(np.isfinite(self._half_limits), np.maximum(b, self._half_limits), b)[free]
         # (n, n + m + g): how far unknowns move states, over the horizon.
@@ -127,27 +142,31 @@ class SizeMeter:
         b = np.where((b > 0.0) | ~np.isfinite(of_shared), b, of_shared)
         d = np.where(np.isnan(d) & (largest > 0.0), largest, d)
         d = np.where(np.isnan(d) & np.isfinite(most), most, d)
-        largest_u = np.abs(point.us).max(axis=0, initial=0.0)
+        largest_u = np.abs(us).max(axis=0, initial=0.0)
         u = np.where(np.isnan(u) & (largest_u > 0.0), largest_u, u)
         u[self._slack & (u < _ZERO)] = np.nan  # a slack of what holds is rounding, and that is no size of it
         b[free] = np.where(b[free] < 1e-3 * _ZERO, np.nan, b[free])
         d, u, b = (usable(a) for a in (d, u, b))
         return Sizes(d, u, b, steers.any(axis=0), reserve)
 
-    def largest(self, point: Point) -> Array:
+    def of_norm_bounds(self, sizes: Sizes) -> list[tuple[int, float]]:
+        """Path rows that bound norms, and their units."""
+        return [(row, factor * np.append(sizes.d, sizes.u)[at]) for row, at, factor in self._norm_bounds]
+
+    def largest(self, point: Iterate) -> Array:
         """The largest value of each flat state, zero of others."""
         largest = np.zeros(self._shooting.n)
         largest[self._columns] = np.abs(self._flat_values(point)).max(axis=0, initial=0.0)
         return largest
 
-    def _flat_values(self, point: Point) -> Array:
+    def _flat_values(self, point: Iterate) -> Array:
         """(nodes, columns) of all flat states."""
         nodes = self._shooting.nodes
         return np.concatenate(
             [np.zeros((nodes, 0)), *(np.reshape(point.xs[name], (nodes, -1)) for name in self._flat)], axis=1
         )
 
-    def _of_states(self, point: Point, values: Array, largest: Array) -> Array:
+    def _of_states(self, point: Iterate, values: Array, largest: Array) -> Array:
         """Sizes of the states' tangents; NaN where nothing is known."""
         d = np.full(self._shooting.n, np.nan)
         d[self._columns] = _spread(values, largest)

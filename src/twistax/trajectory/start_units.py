@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray as Array
 
+from ..solver.transcription import INEQUALITY
 from .sizes import Sizes
 from .transcription.evaluation import Evaluated, moved
-from .transcription.points import Point
+from .transcription.iterate import Iterate
 from .transcription.staged import Staged
 
 #: Entries of rotation matrices that differ by more are of another attitude.
@@ -22,6 +23,7 @@ class StartUnits:
 
     Args:
         limits: (g, 2) of the shared unknowns, where durations may be far too long.
+        before: units of the steps that led to the start; less than their rounding is zero.
         with_rows: whether those of rows are measured.
 
     Attributes:
@@ -31,10 +33,19 @@ class StartUnits:
     """
 
     @np.errstate(all="ignore")  # far from a trajectory numbers may be of any size
-    def __init__(self, staged: Staged, point: Point, limits: Array | None = None, *, with_rows: bool = True) -> None:
+    def __init__(
+        self,
+        staged: Staged,
+        point: Iterate,
+        limits: Array | None = None,
+        *,
+        before: StartUnits | None = None,
+        with_rows: bool = True,
+    ) -> None:
         z = staged.flat(point)
         self._staged_at = z, staged.coordinates(z)
         at = Evaluated(staged.transcription, z)
+        self._least = None if before is None else [sizes.rounding() for sizes in before.parts]
         self.parts = self._measured(staged, point, at, at.differentiate(), limits is not None)
         self._first = self.parts
         if limits is not None and _reserve(self.parts) > _RESERVE:
@@ -46,6 +57,10 @@ class StartUnits:
         self.equalities: Array = np.zeros(0)
         if with_rows:
             self.rows, self.equalities = self._of_rows(staged, at, of_stages)
+            for part, places, sizes in zip(staged.parts, staged.transcription.path_places, self.parts):
+                for row, unit in part.meter.of_norm_bounds(sizes):
+                    at_row = places[..., row][part.phase.path[..., row] == INEQUALITY]
+                    self.rows[at_row] = np.minimum(self.rows[at_row], unit)
         steps = self._followed(at)
         change_of_cost = np.abs(at.gradient) @ steps + 0.5 * at.curvatures(at.H, at.by_run(steps)).sum()
         if not change_of_cost > 0.0:  # no slope and no curvature there: what a whole move changes
@@ -82,12 +97,11 @@ class StartUnits:
             inner /= np.maximum(1.0, np.where(np.isfinite(ratio), ratio, 1.0))
         return steps
 
-    def fitted_durations(self, staged: Staged, point: Point, limits: Array) -> Array:
+    def fitted_durations(self, staged: Staged, point: Iterate, limits: Array) -> Array:
         """Shared unknowns of the start, with durations that are long enough for the limited controls."""
         return self._fitted(staged, point, limits, self._first)[0]
 
-    @classmethod
-    def _fitted(cls, staged: Staged, point: Point, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
+    def _fitted(self, staged: Staged, point: Iterate, limits: Array, parts: list[Sizes]) -> tuple[Array, list[Sizes]]:
         """Durations in which limited controls can move the states as far as required, and sizes for them.
 
         A guess of a duration may be thousands of times too long. What controls do to states over such a time says
@@ -106,7 +120,7 @@ class StartUnits:
             durations, there = shorter, point.with_border(shorter)
             at = Evaluated(staged.transcription, staged.flat(there))
             if at.differentiate():  # long steps of an unstable system may overflow
-                parts = cls._measured(staged, there, at)
+                parts = self._measured(staged, there, at)
         return durations, parts
 
     def distance(self, other: StartUnits) -> float:
@@ -118,7 +132,7 @@ class StartUnits:
             ratios += [mine.d / theirs.d, (mine.u / theirs.u)[mine.steers]]
         return float(np.abs(np.log(np.concatenate(ratios))).max(initial=0.0))
 
-    def fit(self, staged: Staged, point: Point) -> bool:
+    def fit(self, staged: Staged, point: Iterate) -> bool:
         """Whether every unknown of a point is within its unit of the start at which the units were measured."""
         (z, v), there = self._staged_at, staged.flat(point)
         moved = np.abs(staged.coordinates(there) - v) <= self.v
@@ -131,13 +145,12 @@ class StartUnits:
         self.parts = [sizes.of_one() for sizes in self.parts]
         self.cost = 1.0
 
-    @staticmethod
     def _measured(
-        staged: Staged, point: Point, at: Evaluated, is_good: bool = True, with_reserve: bool = True
+        self, staged: Staged, point: Iterate, at: Evaluated, is_good: bool = True, with_reserve: bool = True
     ) -> list[Sizes]:
         """Sizes of each phase; without derivatives those that the point and the leaves tell."""
         parts, sizes_of = list[Sizes](), dict[str, Array]()
-        for part, segment in zip(staged.parts, staged.transcribed.segments):
+        for number, (part, segment) in enumerate(zip(staged.parts, staged.transcribed.segments)):
             phase, first = part.shooting, part.stages.start
             K, n, size = phase.intervals, phase.n, phase.size
             slopes, gaps = at.F[at.stages.first_slope[first] :], at.c[at.stages.first_defect[first] :]
@@ -145,7 +158,7 @@ class StartUnits:
             slopes = np.where(is_good and np.isfinite(slopes).all(), slopes, 0.0)
             gaps = gaps[: K * n].reshape(K, n)
             gaps = np.where(np.isfinite(gaps).all(), gaps, 0.0)
-            sizes = part.meter(segment.of(point), slopes, gaps, with_reserve)
+            sizes = part.meter(segment.of(point), slopes, gaps, self._least and self._least[number], with_reserve)
             for name, other in phase.alike.items():  # an extreme counts as what it is one of, in all phases alike
                 slices = phase.dynamics.group.slices
                 sizes_of.setdefault(name, sizes.d[slices.get(other, slices[name])])

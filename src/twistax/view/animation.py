@@ -17,14 +17,14 @@ A = TypeVar("A", bound="Animation")
 
 ORANGE: Color = (242, 140, 40)
 
-#: Pictures a second, and how long an animation takes unless it is said, in s.
+#: Pictures a second, and the bounds of the default duration of an animation, in s.
 RATE = 30
 _SHORTEST, _LONGEST = 2.0, 20.0
 
-#: The longest arrow, as a part of the size of the scene, where its scale is not given.
+#: The default length of the longest arrow, as a share of the size of the scene.
 _LONG = 0.2
 
-#: How many of its lengths are seen about a body that the camera follows.
+#: The width of the view of a body that the camera follows, in lengths of the body.
 _LENGTHS = 4.0
 
 

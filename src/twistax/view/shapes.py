@@ -175,7 +175,7 @@ class Cone(Shape):
 
 
 def _turned(radii: Array, heights: Array) -> tuple[Array, Array]:
-    """The surface of a line (radius, height), rising outside, turned about z."""
+    """The surface of revolution about z of a line (radius, height) that rises along its outside."""
     turn = 2.0 * np.pi * np.arange(_ROUND) / _ROUND
     around = np.stack([np.cos(turn), np.sin(turn)], axis=1)
     rings = [np.column_stack([r * around, np.full(_ROUND, z)]) for r, z in zip(radii, heights)]

@@ -15,7 +15,7 @@ from twistax.scalar.reader import scalarize
 from twistax.scalar.targets.cuda import driver as cuda
 from twistax.scalar.targets.cuda import kernel as cuda_kernel
 from twistax.scalar.targets.cuda.kernel import CudaKernel
-from twistax.scalar.targets.llvm import kernel, self_test, targets
+from twistax.scalar.targets.llvm import backend, kernel, self_test
 from twistax.scalar.targets.llvm.kernel_body import Straight, native_form
 from twistax.scalar.targets.llvm.machine_code import BuildError, MachineCode, Processor, compiled, load
 
@@ -183,16 +183,16 @@ def test_a_kernel_that_is_wrong_is_not_used(device: _Device, monkeypatch: pytest
 def test_explain_tells_of_devices(device: _Device, monkeypatch: pytest.MonkeyPatch) -> None:
     x = tx.State("x", shape=(3,))
     arguments, names = np.ones((3, 3)), {"cpu": None}
-    monkeypatch.setattr(targets, "backends", lambda: names)
-    monkeypatch.setattr(targets, "driver", lambda: device)
-    monkeypatch.setattr(targets, "libdevice", lambda: None)
+    monkeypatch.setattr(backend, "backends", lambda: names)
+    monkeypatch.setattr(backend, "driver", lambda: device)
+    monkeypatch.setattr(backend, "libdevice", lambda: None)
     pendulum = tx.System(rates={x: -tx.Sin(x)})
     assert "CUDA" not in tx.compile(pendulum, backend=tx.Native()).explain().backend
     names["cuda"] = None
     note = "in threads on CUDA devices of capability 8.6, but by XLA where they call the C library"
     assert note in tx.compile(pendulum, backend=tx.Native()).explain().backend
     assert note in tx.fast(lambda a: a @ a).explain(arguments)
-    monkeypatch.setattr(targets, "driver", cuda.Driver)
+    monkeypatch.setattr(backend, "driver", cuda.Driver)
     assert "as XLA has them on CUDA devices: CUDA's driver" in tx.fast(lambda a: a @ a).explain(arguments)
 
 

@@ -21,7 +21,7 @@ import twistax as tx
 from twistax.mechanics import Chain, chain_models, forward_dynamics
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.targets.cuda import ptx
-from twistax.scalar.targets.llvm import handler, targets
+from twistax.scalar.targets.llvm import backend, handler
 from twistax.scalar.targets.llvm.code import Module
 from twistax.scalar.targets.llvm.kernel import HostKernel
 from twistax.scalar.targets.llvm.kernel_body import KernelBody
@@ -157,14 +157,14 @@ KINDS: dict[str, Callable[[Any], None]] = {
 def bodies_of(kind: str, dtype: Any) -> list[KernelBody]:
     """The kernel bodies of one lane of all kernels that are made."""
     found: list[KernelBody] = []
-    own = targets.Host.kernel
+    own = backend.Host.kernel
 
     def kernel(self: Any, body: Any, form: Any, more: Any, single: bool, threads: Any) -> Any:
         found.append(body(form, 1, *more))
         return own(self, body, form, more, single, threads)
 
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(targets.Host, "kernel", kernel)
+        patch.setattr(backend.Host, "kernel", kernel)
         KINDS[kind](dtype)
     assert found
     return found
@@ -290,7 +290,7 @@ def test_a_handler_starts_a_thread_for_each_row(kind: str, code: int) -> None:
 
 
 def test_programs_for_other_platforms_are_lowered_without_their_devices() -> None:
-    assert not targets.TARGETS["cuda"].present
+    assert not backend.TARGETS["cuda"].present
     body = _body()
     traced = jax.jit(jax.vmap(lambda x: body(0.0, x))).trace(_many(np.float64))
     assert "twistax_" not in traced.lower(lowering_platforms=("cuda",)).as_text()

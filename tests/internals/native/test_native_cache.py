@@ -65,7 +65,8 @@ def _used(factor: float) -> np.ndarray:
     processor = Processor.host()
     body = Straight(form, processor.lanes(form.graph.dtype))
     own = HostKernel(body, processor)
-    check_kernel(own)
+    if not own.handle.checked:
+        check_kernel(own)
     (found,) = own.run([POINTS])
     np.testing.assert_allclose(found, factor * POINTS**2 + POINTS, rtol=1e-14, atol=1e-15)  # they may cancel
     del own

@@ -15,8 +15,7 @@ from jax.extend.core import jaxpr_as_fun
 
 from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.scalar.program import ScalarProgram
-from twistax.scalar.reader import scalarize
-from twistax.scalar.rewriting import emitted_form
+from twistax.scalar.reader import emitted_form, scalarize
 
 
 def evaluate(program: ScalarProgram, *arguments: Any) -> list[np.ndarray]:

@@ -8,7 +8,7 @@ import numpy as np
 from jax import lax
 
 from twistax.scalar.jax_primitive import Derived, call_program
-from twistax.scalar.primitives.in_range import apart, norm, quotient
+from twistax.scalar.primitives.in_range import behind_barrier, norm, quotient
 from twistax.scalar.primitives.table import OPERATIONS
 from twistax.scalar.primitives.table_load import Table, load
 from twistax.scalar.reader import scalarize
@@ -69,7 +69,7 @@ EXAMPLES: dict[str, tuple[Any, ...]] = {
     "table_load": (lambda i: load(Table([4.0, 5.0, 6.0, 7.0]), i, np.float64, 1), PLACES),
     "quotient": (quotient, REAL, REAL + 2.0),
     "norm": (jax.vmap(norm), MATRIX),
-    "apart": (apart, REAL),
+    "apart": (behind_barrier, REAL),
     "optimization_barrier": (lax.optimization_barrier, REAL),
     "round": (lax.round, REAL),
     # ---- movement

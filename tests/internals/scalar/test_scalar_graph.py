@@ -16,8 +16,7 @@ from twistax.scalar.backends import array_operations
 from twistax.scalar.derivatives import cotangent_program, jacobian, tangent_program
 from twistax.scalar.graph import TooLarge
 from twistax.scalar.program import ScalarProgram
-from twistax.scalar.reader import scalarize
-from twistax.scalar.rewriting import emitted_form
+from twistax.scalar.reader import emitted_form, scalarize
 from twistax.scalar.targets.xla import as_function
 
 VECTOR = jax.ShapeDtypeStruct((3,), float)

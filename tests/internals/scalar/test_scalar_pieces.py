@@ -11,8 +11,7 @@ import pytest
 from twistax.scalar.derivatives import jacobian
 from twistax.scalar.jax_primitive import Derived, call_program
 from twistax.scalar.program import ScalarProgram
-from twistax.scalar.reader import scalarize
-from twistax.scalar.rewriting import one_by_one
+from twistax.scalar.reader import one_by_one, scalarize
 from twistax.scalar.small_call import small_call
 from twistax.scalar.targets import xla as emitter
 

@@ -13,7 +13,7 @@ from scalar_cases import Case, compare, oracles
 from test_random_trees import LEAVES, SHAPES, Forest, by_numpy
 
 from twistax import expr as tx
-from twistax.scalar.rewriting import emitted_form
+from twistax.scalar.reader import emitted_form
 
 NAMES = [leaf.name for leaves in LEAVES.values() for leaf in leaves]
 

@@ -20,8 +20,7 @@ from twistax.scalar.graph import ScalarGraph
 from twistax.scalar.primitives.entry import Entry
 from twistax.scalar.primitives.interface import nodes
 from twistax.scalar.primitives.table import OPERATIONS, TABLE
-from twistax.scalar.reader import JaxprReader, scalarize
-from twistax.scalar.rewriting import emitted_form
+from twistax.scalar.reader import JaxprReader, emitted_form, scalarize
 from twistax.scalar.small_call import known_inside, small_call
 
 

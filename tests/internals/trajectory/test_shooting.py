@@ -15,7 +15,7 @@ from core_functions import (
 
 import twistax as tx
 from twistax.trajectory import Problem
-from twistax.trajectory.transcription.points import Given, Point
+from twistax.trajectory.transcription.iterate import Instance, Iterate
 
 NODES, M = 4, 4
 #: Short steps, for the exponential coordinates in which an interval is differentiated end elsewhere by O(h^5).
@@ -53,14 +53,14 @@ def rich_problem(nodes: int = NODES, substeps: int = 2) -> Problem:
     )
 
 
-def random_point(rng: np.random.Generator, nodes: int = NODES, final_time: float = FINAL_TIME) -> Point:
+def random_point(rng: np.random.Generator, nodes: int = NODES, final_time: float = FINAL_TIME) -> Iterate:
     """Its rotations are no half turn from each other, where a logarithm jumps."""
     xs = {"R": np.array(jax.vmap(tx.SO3.exp)(0.4 * rng.normal(size=(nodes, 3)))), "w": rng.normal(size=(nodes, 3))}
-    return Point(xs, rng.normal(size=(nodes - 1, M)), np.array([final_time, 1.0, 1.0]))
+    return Iterate(xs, rng.normal(size=(nodes - 1, M)), np.array([final_time, 1.0, 1.0]))
 
 
-def given_of(problem: Problem) -> Given:
-    return Given({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, problem.border.limits)
+def given_of(problem: Problem) -> Instance:
+    return Instance({}, {"R": np.eye(3), "w": np.array([0.0, 0.0, 0.3])}, problem.border.limits)
 
 
 def test_derivatives_of_the_core_are_those_of_its_values() -> None:
@@ -137,8 +137,8 @@ def test_the_running_cost_is_exact_for_polynomials(substeps: int, power: int) ->
         tx.compile(tx.System(rates={x: u})), objective, nodes=3, substeps=substeps, final_time=1.3, initial={"x": 0.0}
     )
     point, given = (
-        Point({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
-        Given({}, {"x": np.zeros(())}, np.ones((1, 2))),
+        Iterate({"x": np.zeros(3)}, np.zeros((2, 1)), np.array([1.3])),
+        Instance({}, {"x": np.zeros(())}, np.ones((1, 2))),
     )
     cost = core_values(staged_of(problem, given), point, given).cost
     np.testing.assert_allclose(cost, 1.3 ** (power + 1) / (power + 1), rtol=1e-14)

@@ -13,7 +13,7 @@ from twistax.expr.fields import Operand
 from twistax.expr.node import Expr
 from twistax.trajectory import Collocation, Problem
 from twistax.trajectory.transcription.evaluation import moved
-from twistax.trajectory.transcription.points import Point, Step
+from twistax.trajectory.transcription.iterate import Iterate, Step
 
 pytest.importorskip("llvmlite")
 
@@ -52,9 +52,9 @@ def collocated() -> Problem:
     )
 
 
-def moved_by(group: Any, point: Point, step: Step) -> Point:
+def moved_by(group: Any, point: Iterate, step: Step) -> Iterate:
     """By JAX's retraction."""
-    return Point(jax.vmap(group.retract)(point.xs, step.d), point.us + step.u, point.border + step.border)
+    return Iterate(jax.vmap(group.retract)(point.xs, step.d), point.us + step.u, point.border + step.border)
 
 
 def point_beside(problem: Problem) -> tuple[Any, Any]:

@@ -15,7 +15,7 @@ from ...jax_inside import is_traced
 from ..fields import Operands
 from ..kinds import rules
 from ..node import Expr, Shape, to_expr
-from .parameter_tree import ParameterTree
+from .parameter_tree import ParameterTree, is_real_array
 
 #: Errors of functions that need the numbers of their arguments. These are TypeErrors too.
 _NEEDS_NUMBERS = (
@@ -131,7 +131,6 @@ class Call(Expr, init=False):
         return tuple(got.shape)
 
     def _traced(self, structs: Sequence[jax.ShapeDtypeStruct]) -> Any:
-        """What the function returns of abstract arrays."""
         try:
             return jax.eval_shape(self._applied, *structs)
         except _NEEDS_NUMBERS as error:
@@ -151,7 +150,7 @@ class Call(Expr, init=False):
 
     def _applied(self, *values: Any) -> Any:
         dtype = jnp.result_type(*values)
-        f = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if _is_real(leaf) else leaf, self.f)
+        f = jax.tree.map(lambda leaf: jnp.asarray(leaf, dtype) if is_real_array(leaf) else leaf, self.f)
         rest = iter(values)
         arguments = [next(rest) if t is None else t.filled([next(rest) for _ in t.parameters]) for t in self.trees]
         return f(*arguments)
@@ -184,10 +183,6 @@ def _affine(p: Any, x: jax.Array) -> jax.Array:
 
 def _is_tree(value: Any) -> bool:
     return isinstance(value, ParameterTree)
-
-
-def _is_real(leaf: Any) -> bool:
-    return isinstance(leaf, (np.ndarray, jax.Array)) and jnp.issubdtype(leaf.dtype, jnp.floating)
 
 
 def _shape(shape: Any) -> Shape:

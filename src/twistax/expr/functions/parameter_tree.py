@@ -54,8 +54,8 @@ class ParameterTree:
                 "  fix: build the system outside of the transformation, and pass params=weights.values(tree) inside"
             )
         leaves, self._structure = jax.tree.flatten(value)
-        self._leaves = [None if _is_real(leaf) else leaf for leaf in leaves]
-        self._places = [k for k, leaf in enumerate(leaves) if _is_real(leaf)]
+        self._leaves = [None if is_real_array(leaf) else leaf for leaf in leaves]
+        self._places = [k for k, leaf in enumerate(leaves) if is_real_array(leaf)]
         self.name, self._paths = name, tuple(arrays)
         self.parameters = tuple(Parameter(name + path, value=np.asarray(a)) for path, a in arrays.items())
 
@@ -113,11 +113,11 @@ class ParameterTree:
         return jax.tree.unflatten(self._structure, leaves)
 
 
-def _is_real(leaf: Any) -> bool:
+def is_real_array(leaf: Any) -> bool:
     return isinstance(leaf, (np.ndarray, jax.Array)) and jnp.issubdtype(leaf.dtype, jnp.floating)
 
 
 def _real_arrays(tree: Any) -> dict[str, Any]:
     """The arrays of real numbers in a tree, by path."""
     leaves = jax.tree_util.tree_leaves_with_path(tree)
-    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves if _is_real(leaf)}
+    return {jax.tree_util.keystr(path): leaf for path, leaf in leaves if is_real_array(leaf)}

@@ -83,7 +83,7 @@ class TwistNode(Expr):
         return self._swapped(type(self).function(*map(self._swapped, values)))
 
     def _swapped(self, value: jax.Array) -> jax.Array:
-        return self.order.from_linear_first(value) if value.shape in _SIX else value
+        return value if self.order.linear_leads or value.shape not in _SIX else self.order.from_linear_first(value)
 
 
 class ColumnsNode(TwistNode):
@@ -151,8 +151,6 @@ def unit_vector(owner: str, name: str, value: Any) -> np.ndarray:
 
 
 class _Part(ColumnsNode):
-    """Base of both parts."""
-
     vector: Operand
     order: Order = LINEAR_FIRST
     kinds = lie_rules.HALF

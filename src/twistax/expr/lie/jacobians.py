@@ -15,8 +15,6 @@ from .base import TANGENTS, TWIST, TwistNode, both_orders, expect_one_of, of_gro
 
 
 class _Jacobian(TwistNode):
-    """Base of the four Jacobians."""
-
     tangent: Operand
     order: Order = LINEAR_FIRST
     kinds = lie_rules.EXPONENTIAL

@@ -25,21 +25,20 @@ _VECTOR, _MATRIX = [1.0, -2.0, 0.5], np.arange(6.0).reshape(2, 3) ** 1.5
 
 
 def quotient(a: Numbers, b: Numbers) -> Numbers:
-    """a / b, entry by entry; of JAX's arrays with a derivative that stays in range."""
+    """a / b entry by entry; for JAX arrays with a derivative that neither overflows nor underflows."""
     if not (isinstance(a, jax.Array) or isinstance(b, jax.Array)):
         return a / b
-    from ...scalar.primitives.in_range import (
-        quotient as divided,  # not at import: it loads much of JAX that `import jax` does not
-    )
+    # Not at import: it loads much of JAX that `import jax` does not.
+    from ...scalar.primitives import in_range
 
-    return divided(a, b)
+    return in_range.quotient(a, b)
 
 
-def _apart(x: jax.Array) -> jax.Array:
-    """x, behind a barrier so that XLA does not combine it with other factors."""
-    from ...scalar.primitives.in_range import apart  # not at import, as above
+def _behind_barrier(x: jax.Array) -> jax.Array:
+    """x behind an optimization barrier, so that XLA does not combine it with other factors."""
+    from ...scalar.primitives.in_range import behind_barrier  # not at import, as above
 
-    return apart(x)
+    return behind_barrier(x)
 
 
 def is_constant(node: Expr, number: float) -> bool:
@@ -139,18 +138,18 @@ class Mul(Chained, init=False):
 
     def eager_children(self) -> list[Expr]:
         """The factors, but y^n for y^-n and y for 1 / y."""
-        return [factor if (below := _below(factor)) is None else below for factor in self.factors]
+        return [factor if (divisor := _denominator(factor)) is None else divisor for factor in self.factors]
 
     def evaluate_on_demand(self, values: list[jax.Array], branches: Sequence[Callable[[], jax.Array]]) -> jax.Array:
-        divides = [_below(factor) is not None for factor in self.factors]
+        divides = [_denominator(factor) is not None for factor in self.factors]
         if not any(divides):
             return self.evaluate(*values)
         first = divides.index(False) if False in divides else None
         product = jnp.ones((), values[0].dtype) if first is None else values[first]
         fraction = first is not None and isinstance(self.factors[first], Div)
-        for i, (value, below) in enumerate(zip(values, divides)):
-            if below:
-                product, fraction = quotient(_apart(product) if fraction else product, value), True
+        for i, (value, is_divisor) in enumerate(zip(values, divides)):
+            if is_divisor:
+                product, fraction = quotient(_behind_barrier(product) if fraction else product, value), True
             elif i != first:
                 product = operator.mul(*align(product, value))
         return product
@@ -161,7 +160,7 @@ class Mul(Chained, init=False):
         rest = [f for f in self.factors if not isinstance(f, Constant)]
         with np.errstate(all="ignore"):
             product = np.asarray(functools.reduce(operator.mul, (c.value for c in constants), np.float64(1.0)))
-        # Numbers that overflow or underflow among themselves need not do so with the others between them.
+        # The product of the constants may overflow or underflow where that of all factors does not.
         zero = functools.reduce(np.logical_or, (c.value == 0.0 for c in constants), np.False_)
         if not np.isfinite(product).all() or ((product == 0.0) != zero).any():
             return self
@@ -178,8 +177,8 @@ class Mul(Chained, init=False):
         return first + "".join((r" \cdot " if s[0].isdigit() else r" \, ") + s for s in rest)
 
 
-def _below(node: Expr) -> Expr | None:
-    """y^n of y^-n with a number n, and y of 1 / y; None of anything else."""
+def _denominator(node: Expr) -> Expr | None:
+    """The denominator: y^n of y^-n with a constant n, y of 1 / y; None for any other node."""
     if isinstance(node, Div) and is_constant(node.left, 1.0) and node.right.shape == node.shape:
         return node.right
     if not isinstance(node, Power) or not isinstance(node.exponent, Constant) or node.exponent.value.ndim:
@@ -210,7 +209,7 @@ class Div(Entrywise):
         # XLA would make (a / b) / c a / (b c), and a / (b / c) (a c) / b: the products may be out of range.
         single = [isinstance(v, jax.Array) and v.dtype.itemsize < 8 for v in values]
         separate = [isinstance(a, Div) and s for a, s in zip((self.left, self.right), single)]
-        operands = [_apart(v) if inner else v for v, inner in zip(values, separate)]
+        operands = [_behind_barrier(v) if inner else v for v, inner in zip(values, separate)]
         return super().evaluate(*operands)
 
     def simplify(self) -> Expr:
@@ -267,7 +266,7 @@ class Power(Entrywise):
             number = float(self.exponent.value)
             if number.is_integer() and abs(number) <= 64:
                 if isinstance(self.base, Mul) and _leaves_range(self.base.factors, number, base.dtype):
-                    base = _apart(base)  # XLA would take the power of the number alone
+                    base = _behind_barrier(base)  # XLA would take the power of the number alone
                 base = base if number >= 0.0 else quotient(jnp.ones_like(base), base)
                 return jax.lax.integer_pow(base, abs(int(number)))
         if isinstance(self.exponent, Constant) and (self.exponent.value <= -1.0).all():
@@ -284,14 +283,14 @@ class Power(Entrywise):
 
 
 def _leaves_range(factors: Sequence[Expr], exponent: float, dtype: Any) -> bool:
-    """Whether the power of a number among the factors leaves the range of numbers, but not products with it."""
+    """Whether the power of a constant factor alone overflows or underflows; that of the whole product may not."""
     info = jnp.finfo(dtype)
     with np.errstate(all="ignore"):
         powers = [np.abs(np.asarray(f.value, float)) ** abs(exponent) for f in factors if isinstance(f, Constant)]
     return any(bool(((p != 0.0) & ((p < info.tiny**0.5) | (p > info.max**0.5))).any()) for p in powers)
 
 
-#: Up to so many scalar multiplications a matrix product is written as a sum of products, which XLA fuses.
+#: Matrix products of at most so many scalar multiplications are written as sums of products, which XLA fuses.
 _SMALL = 512
 
 

@@ -10,14 +10,17 @@ import jax.numpy as jnp
 from ..bases import Entrywise, align
 from ..fields import Operand, positive
 from ..kinds import rules
+from ..moved import earlier_classes
 from ..node import Expr
 from .arithmetic import Neg
+
+__getattr__ = earlier_classes(__name__)
 
 _ANY, _POSITIVE = {"operand": [1.0, -2.0, 0.0]}, {"operand": [1.0, 2.5, 0.1]}
 _NOT_ZERO, _ZERO = {"operand": [1.0, -2.0, 0.5]}, {"operand": [0.0]}
 
 
-class Function(Entrywise):
+class ElementwiseFunction(Entrywise):
     """Base of the functions of one operand, each of them given by a function of arrays."""
 
     operand: Operand
@@ -59,7 +62,7 @@ class Square(Entrywise):
         return Square(self.x.operand) if isinstance(self.x, Neg) else self
 
 
-class Sqrt(Function):
+class Sqrt(ElementwiseFunction):
     """Square root sqrt(x), entry by entry. At x = 0 the derivative is taken as 0; below 0 the value is NaN."""
 
     kinds = rules.ROOT
@@ -69,7 +72,7 @@ class Sqrt(Function):
     kinks = (_ZERO,)
 
 
-class Exp(Function):
+class Exp(ElementwiseFunction):
     """Exponential $e^x$, entry by entry; x without unit. Of a twist: `tx.lie.SE3Exp`."""
 
     kinds = rules.NUMBERS
@@ -81,7 +84,7 @@ class Exp(Function):
         return self.operand.operand if isinstance(self.operand, Log) else self
 
 
-class Log(Function):
+class Log(ElementwiseFunction):
     """Natural logarithm log(x), entry by entry; x > 0 without unit. Of a pose: `tx.lie.SE3Log`."""
 
     kinds = rules.NUMBERS
@@ -94,7 +97,7 @@ class Log(Function):
         return self.operand.operand if isinstance(self.operand, Exp) else self
 
 
-class Abs(Function):
+class Abs(ElementwiseFunction):
     """Absolute value |x|, entry by entry. The derivative at 0 is taken as 0."""
 
     kinds = rules.SIZE
@@ -109,7 +112,7 @@ class Abs(Function):
         return self.operand if isinstance(self.operand, (Abs, Square, Sqrt, Exp)) else super().simplify()
 
 
-class Sign(Function):
+class Sign(ElementwiseFunction):
     """Sign of x, entry by entry: 1, 0 or -1, without unit. The derivative is 0 everywhere, at the jump too."""
 
     kinds = rules.SIGN
@@ -119,7 +122,7 @@ class Sign(Function):
     kinks = (_ZERO,)
 
 
-class Sin(Function):
+class Sin(ElementwiseFunction):
     """Sine of an angle in rad, entry by entry."""
 
     kinds = rules.NUMBERS
@@ -127,7 +130,7 @@ class Sin(Function):
     latex_name = r"\sin"
 
 
-class Cos(Function):
+class Cos(ElementwiseFunction):
     """Cosine of an angle in rad, entry by entry."""
 
     kinds = rules.NUMBERS
@@ -136,7 +139,7 @@ class Cos(Function):
     latex_name = r"\cos"
 
 
-class Tan(Function):
+class Tan(ElementwiseFunction):
     """Tangent of an angle in rad, entry by entry."""
 
     kinds = rules.NUMBERS
@@ -149,7 +152,7 @@ def _leg(x: jax.Array) -> jax.Array:
     return square_root((1.0 - x) * (1.0 + x))
 
 
-class Asin(Function):
+class Asin(ElementwiseFunction):
     """Arcsine in rad, entry by entry, in [-pi/2, pi/2].
 
     At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
@@ -164,7 +167,7 @@ class Asin(Function):
         return jnp.arctan2(values[0], _leg(values[0]))
 
 
-class Acos(Function):
+class Acos(ElementwiseFunction):
     """Arccosine in rad, entry by entry, in [0, pi].
 
     At 1 and -1, where the true derivative is infinite, it is taken as 0; beyond, the value is NaN.
@@ -179,7 +182,7 @@ class Acos(Function):
         return jnp.arctan2(_leg(values[0]), values[0])
 
 
-class Atan(Function):
+class Atan(ElementwiseFunction):
     """Arctangent in rad, entry by entry, in [-pi/2, pi/2]."""
 
     kinds = rules.NUMBERS
@@ -211,7 +214,7 @@ class Atan2(Entrywise):
         return jnp.arctan2(jnp.where(origin, 0.0, y), jnp.where(origin, 1.0, x))
 
 
-class Sinh(Function):
+class Sinh(ElementwiseFunction):
     """Hyperbolic sine, entry by entry."""
 
     kinds = rules.NUMBERS
@@ -219,7 +222,7 @@ class Sinh(Function):
     latex_name = r"\sinh"
 
 
-class Cosh(Function):
+class Cosh(ElementwiseFunction):
     """Hyperbolic cosine, entry by entry."""
 
     kinds = rules.NUMBERS
@@ -227,7 +230,7 @@ class Cosh(Function):
     latex_name = r"\cosh"
 
 
-class Tanh(Function):
+class Tanh(ElementwiseFunction):
     """Hyperbolic tangent, entry by entry."""
 
     kinds = rules.NUMBERS

@@ -102,7 +102,6 @@ class Interp(Variadic, init=False):
 
     @property
     def _outsides(self) -> tuple[Any, ...]:
-        """What is done outside, by axis."""
         if not isinstance(self.outside, tuple):
             return (self.outside,) * len(self.axes)
         return self.outside if len(self.outside) == len(self.axes) else (None,)

@@ -12,7 +12,7 @@ import numpy as np
 from ...errors import ModelError, OperationError, ShapeError
 from ...groups import Group
 from ..fields import ExprLike
-from ..graph import evaluate_all, leaves_of, postorder, substitute
+from ..graph import function_of, leaves_of, other_leaves, postorder, substitute
 from ..kinds import rules
 from ..leaves import Constant, Control, Leaf, State, Time
 from ..node import Expr, Shape, expect, to_expr, to_numbers
@@ -109,8 +109,7 @@ class Rate(Expr):
     @property
     def _captured(self) -> list[Leaf]:
         """The leaves of the body that do not move."""
-        keys = {placeholder.key() for placeholder in self.placeholders}
-        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
+        return other_leaves(self.body, self.placeholders)
 
     @property
     def operand(self) -> Expr:
@@ -202,11 +201,7 @@ class Rate(Expr):
         count = len(self.placeholders)
         leaves, rates, captured = values[:count], values[count : 2 * count], values[2 * count :]
         scope = {leaf.key(): value for leaf, value in zip(self._captured, captured, strict=True)}
-
-        def value(*moving: jax.Array) -> jax.Array:
-            values = scope | {placeholder.key(): v for placeholder, v in zip(self.placeholders, moving, strict=True)}
-            return evaluate_all([self.body], lambda leaf: values[leaf.key()])[0]
-
+        value = function_of(self.body, self.placeholders, scope)
         if not count:
             return jnp.zeros_like(value())
         velocities = [p.entry_rate(g, xi) for p, g, xi in zip(self.placeholders, leaves, rates, strict=True)]

@@ -13,7 +13,7 @@ import numpy as np
 from ...checks import callable_with, whole
 from ...errors import ModelError, OperationError, ShapeError
 from ..fields import Operands
-from ..graph import evaluate_all, leaves_of, substitute
+from ..graph import function_of, leaves_of, other_leaves, substitute
 from ..kinds import rules
 from ..leaves import Leaf
 from ..node import Expr, Shape, to_expr, to_numbers
@@ -115,8 +115,7 @@ class Vmap(Expr):
     @property
     def captured(self) -> list[Leaf]:
         """The leaves the body reads besides its placeholders."""
-        keys = {placeholder.key() for placeholder in self.placeholders}
-        return [leaf for leaf in {leaf.key(): leaf for leaf in leaves_of(self.body)}.values() if leaf.key() not in keys]
+        return other_leaves(self.body, self.placeholders)
 
     def makes_boolean(self, *operands: bool) -> bool:
         return self.body.boolean
@@ -157,13 +156,8 @@ class Vmap(Expr):
 
     def evaluate(self, *values: jax.Array) -> jax.Array:
         batches, captured = values[: len(self.batches)], values[len(self.batches) :]
-        outer = {leaf.key(): value for leaf, value in zip(self.captured, captured, strict=True)}
-
-        def element(*elements: jax.Array) -> jax.Array:
-            scope = outer | {p.key(): e for p, e in zip(self.placeholders, elements, strict=True)}
-            return evaluate_all([self.body], lambda leaf: scope[leaf.key()])[0]
-
-        return jax.vmap(element, in_axes=self.axis)(*batches)
+        scope = {leaf.key(): value for leaf, value in zip(self.captured, captured, strict=True)}
+        return jax.vmap(function_of(self.body, self.placeholders, scope), in_axes=self.axis)(*batches)
 
     def simplify(self) -> Expr:
         """The body is simplified."""

@@ -16,7 +16,7 @@ from ...errors import ModelError
 from ...groups import Group, Order, Product, SpecialEuclidean, quaternions
 from ...groups.arrays import Components, add, dot, matrix, pose_rate, rotation_rate, scale, swept, unpack, vector
 from ...groups.series import inverse_coefficients, inverse_polynomial, stumpff, stumpff_polynomial
-from ...scalar.small_call import held
+from ...scalar.small_call import stored_once
 from .coordinates import Compensated, Coordinates, FlatCoordinates, GroupCoordinates, StateCoordinates
 
 __all__ = ["Ambient", "Chart", "Coordinates", "Exponential", "SplitExponential"]
@@ -63,10 +63,11 @@ class _Stored(Coordinates):
         return matrix([*([*row, p] for row, p in zip(rows, y[4:], strict=True)), [zero, zero, zero, zero + 1.0]])
 
     def rate(self, omega: jax.Array) -> Components:
-        return unpack(omega if self.order is None else self.order.to_linear_first(omega))
+        return unpack(omega if self.order is None or self.order.linear_leads else self.order.to_linear_first(omega))
 
     def velocity(self, omega: Components) -> jax.Array:
-        return vector(omega) if self.order is None else self.order.from_linear_first(vector(omega))
+        velocity = vector(omega)
+        return velocity if self.order is None or self.order.linear_leads else self.order.from_linear_first(velocity)
 
     def sizes(self, before: Components, after: Components) -> Components:
         one = jnp.ones_like(after[0])
@@ -119,11 +120,11 @@ class _Split(_Stored):
 
     def move(self, y: Components, z: Components) -> Components:
         w = z[-3:]
-        return (*_turned(y[:4], w, *held(self.maps.half_turn(dot(w, w)))), *add(y[4:], z[:-3]))
+        return (*_turned(y[:4], w, *stored_once(self.maps.half_turn(dot(w, w)))), *add(y[4:], z[:-3]))
 
     def shift(self, y: Components, z: Components) -> Components:
         w = z[-3:]
-        return (*_turning(y[:4], w, *held(self.maps.half_turn(dot(w, w)))), *z[:-3])
+        return (*_turning(y[:4], w, *stored_once(self.maps.half_turn(dot(w, w)))), *z[:-3])
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
         w = z[-3:]
@@ -156,9 +157,9 @@ class _Pose(_Stored):
         """cos(t/2), sin(t/2)/t, and how far the position moves."""
         v, w = z[:3], z[3:]
         x = dot(w, w)
-        cosine, sine, third = held((*self.maps.half_turn(x), self.maps.third(x)))
+        cosine, sine, third = stored_once((*self.maps.half_turn(x), self.maps.third(x)))
         # (1 - cos t)/t^2 = 2 (sin(t/2)/t)^2: the sine of the quaternion serves again.
-        shift = held(swept(w, v, 2.0 * sine * sine, third))
+        shift = stored_once(swept(w, v, 2.0 * sine * sine, third))
         return cosine, sine, quaternions.rotate(y[:4], shift)
 
     def slope(self, z: Components, moved: Components, omega: Components) -> Components:
@@ -207,10 +208,10 @@ class _Maps:
     def inverse(self, x: jax.Array) -> tuple[jax.Array | float, jax.Array | float]:
         """d and d' with J_r^-1 = I + W/2 + d W^2."""
         if self.commutators is None:
-            return held(inverse_coefficients(x))
+            return stored_once(inverse_coefficients(x))
         terms = self.commutators // 2
         coefficients = inverse_polynomial(0, x, terms), inverse_polynomial(1, x, terms)
-        return held(coefficients) if terms > 2 else (held(coefficients[0]), coefficients[1])
+        return stored_once(coefficients) if terms > 2 else (stored_once(coefficients[0]), coefficients[1])
 
 
 class Chart(ABC):

@@ -1,4 +1,4 @@
-"""Coordinates: how every part of a state is stored between steps, and moves around the start of a step."""
+"""Coordinates: how each part of a state is stored between steps, and how it moves around the start of a step."""
 
 from __future__ import annotations
 
@@ -33,8 +33,8 @@ class Coordinates(ABC):
 
         the state at z is `move(y, z)`, and z' = `slope(z, move(y, z), omega)`,
 
-    so that any Runge-Kutta method can run on z. All methods are pure and traceable. Those that are not abstract are
-    those of plain numbers, which are added to.
+    so that any Runge-Kutta method can run on z. All methods are pure and traceable. The defaults
+    are those of plain numbers, which move by addition.
     """
 
     @abstractmethod
@@ -92,9 +92,9 @@ class Coordinates(ABC):
         """The end of a step: `moved`, projected back to the group if round-off has moved it away."""
         return moved
 
-    # ---- the same as sums, for compensated addition ----
+    # ---- moves as increments, for compensated summation ----
 
-    #: How many arrays are stored, where a move is an addition to each of them; None: it is not.
+    #: The number of stored arrays if a move adds an increment to each of them, else None.
     numbers: int | None = None
 
     def shift(self, y: Block, z: Block) -> Block:
@@ -128,8 +128,8 @@ class FlatCoordinates(Coordinates):
 
 
 class GroupCoordinates(Coordinates):
-    """Exponential coordinates g = g_0 Exp(z), z' = J_r(z)^-1 Omega, by the group's own maps, for groups that a chart
-    does not know.
+    """Exponential coordinates g = g_0 Exp(z), z' = J_r(z)^-1 Omega, by the maps of a group for which no chart has
+    formulas.
     """
 
     def __init__(self, group: Group) -> None:

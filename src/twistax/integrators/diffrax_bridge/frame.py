@@ -58,14 +58,14 @@ def lie_term(dynamics: Dynamics) -> LieTerm:
 
 
 class _Refusing(type(diffrax.AbstractTerm)):  # type: ignore[misc]
-    """A base whose errors say what is wrong with a term, because diffrax does not."""
+    """The type of `LieTerms`: its instance check raises the reason why a term is refused; diffrax's gives none."""
 
     def __instancecheck__(cls, term: Any) -> bool:
         return bool(parts_of(term))
 
 
 class LieTerms(diffrax.AbstractTerm, metaclass=_Refusing):
-    """What `LieSolver` takes: a term of `lie_term`, or a MultiTerm of such. Others raise ModelError with the reason."""
+    """The terms of `LieSolver`: one of `lie_term`, or a MultiTerm of these. Others raise ModelError with the reason."""
 
 
 class DirectedSystem(NamedTuple):
@@ -104,7 +104,7 @@ def parts_of(terms: Any) -> tuple[DirectedSystem, ...]:
 
 @dataclasses.dataclass(frozen=True)
 class ChartedSystem:
-    """A system in a chart, the coordinates around the start of a step. A value; numbers travel as flat vectors."""
+    """A system in a chart, the coordinates around the start of a step. Hashable. Numbers are passed as flat vectors."""
 
     dynamics: Dynamics
     chart: Chart
@@ -119,7 +119,7 @@ class ChartedSystem:
         return AmbientSystem(self.dynamics, quaternion=False)
 
     def rate(self, dynamics: Dynamics, arguments: Arguments, t: jax.Array, h: jax.Array) -> Blocks:
-        """The rate at given.t and given.x for controls within the step from t to t + h."""
+        """The rate at arguments.t and arguments.x for controls within the step from t to t + h."""
         rates = arguments.rates(dynamics, t, h)
         return self.local.rate({name: rate.reshape(-1) for name, rate in rates.items()})
 
@@ -166,7 +166,7 @@ def explicit_step(
     """
     stages, local = StageRows(lower_triangle(tableau.a_lower), np.append(0.0, tableau.c)), frame.local
 
-    def plainly(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
+    def take_step(arguments: Arguments, h: jax.Array, known: jax.Array | None) -> Stepped:
         start = local.enter(arguments.x)
 
         def rate_of(time: jax.Array, y: Blocks) -> Blocks:
@@ -192,6 +192,6 @@ def explicit_step(
         error = frame.errors(x, end, slopes.combine(tableau.b_error, h))
         return Stepped(x, error, ravel_pytree(z)[0], h * slopes.rows, last)
 
-    step = jax.custom_jvp(lambda *operands: small_call(plainly, *operands))
-    step.defjvp(lambda primals, tangents: jax.jvp(plainly, primals, tangents))
+    step = jax.custom_jvp(lambda *operands: small_call(take_step, *operands))
+    step.defjvp(lambda primals, tangents: jax.jvp(take_step, primals, tangents))
     return step(arguments, h, rate)

@@ -231,7 +231,6 @@ class LieSolver(diffrax.AbstractWrappedSolver):
 
 
 def _is_explicit(solver: Any) -> bool:
-    """Whether the solver is fully described by an explicit tableau."""
     if not isinstance(solver, diffrax.AbstractERK) or isinstance(solver, diffrax.HalfSolver):
         return False
     return isinstance(solver.tableau, diffrax.ButcherTableau) and not solver.tableau.c1

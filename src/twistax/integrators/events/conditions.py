@@ -32,25 +32,25 @@ from ...expr import (
 from ...expr.operations.margins import margin
 from ...jax_inside import is_traced, is_tracing
 from ...system.dynamics import Arrays, Dynamics
-from ...system.inputs import need_held
+from ...system.inputs import need_representable
 from ..controls import Signals
 from ..loop.kernels import Packed, opened, shared_kernel
 from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
 from .crossings import CrossingTable
 
-#: From a length to the packed state after a step of that length, from where the current step begins.
+#: From a length to the packed state after a step of that length from the start of the current step.
 Advance: TypeAlias = Callable[[jax.Array], Packed]
 
-#: A value at the start counts as zero up to this power of the round-off, of what it changes by in a moment.
+#: A condition at the start counts as zero up to its change over a short time, times this power of the machine epsilon,
 _HAIR = 0.3
-#: And where it would be zero at a time that many units of round-off of the time away.
+#: or if it becomes zero within this many units of round-off of the time.
 _HAIR_OF_TIME = 16.0
-#: One at the end where it is this many units of round-off, or less, of the one where the last step begins.
+#: At the end it counts as zero up to this many units of round-off of its value at the start of the last step.
 _HAIR_AT_END = 64.0
-#: Places within a step at which its polynomial is looked at.
+#: The number of places within a step at which conditions are evaluated on its polynomial.
 _PLACES = 7
-#: So many crossings have room unless said otherwise.
+#: The default of `max_crossings`.
 _ROOM = 128
 
 
@@ -61,13 +61,13 @@ class AtStart(enum.Enum):
     zero to round-off. For every choice, `Solution.at_start` tells for which events this was the case.
     """
 
-    #: The event is met at the start: an integration that it ends is over at once. Not where the condition is zero and
-    #: leaves for the other side just after: a body that takes off has not landed.
+    #: The event is met at the start, and ends an integration at once. Not where the condition is zero and moves to the
+    #: other side just after: a body that takes off has not landed.
     STOP = "met at the start"
     #: The event is met at the start only where the condition is zero there and goes past it just after, in the
     #: direction of the event. One of any direction has no such side, and is not met.
     CROSSING = "met where it crosses zero there"
-    #: It is no event until it has been on the other side.
+    #: The event is not met until the condition has been on the other side.
     IGNORE = "not met"
 
 
@@ -144,9 +144,7 @@ class Event:
 
 @dataclasses.dataclass(frozen=True)
 class _OfExpression:
-    """An expression as a condition, with the numbers it is compared to as inputs. A value: equal if the expressions
-    are.
-    """
+    """An expression as a condition, with the numbers it is compared to as inputs. Equal if the expressions are."""
 
     key: Any
     expr: Expr = dataclasses.field(compare=False)
@@ -202,8 +200,8 @@ class EventConditions:
         return EventState(values, met, halt, y.flat, none.code, crossed)
 
     def before(self, stepper: Stepper, t: jax.Array, y: Any, s: jax.Array, moved: Any) -> tuple[Any, ...]:
-        """The state of the events at the start, if the step to `moved` a time s later follows: it may end at a row
-        before h.
+        """The state of the events at the start, from the conditions there and at `moved`, a time s later, which may end
+        at a row before h.
 
         Returns:
             (m,) values to begin with; (m,) whether each condition is zero or past it; the number of the result, and the
@@ -212,7 +210,7 @@ class EventConditions:
         """
         now, soon = self.values(stepper, t, s, t, y), self.values(stepper, t, s, t + s, moved)
         senses = np.asarray(self.senses, now.dtype)
-        # What a value may be off by round-off of its own or of the time, beside what it changes by in the moment.
+        # The error of a value by its round-off and that of the time, relative to its change from `now` to `soon`.
         eps = float(jnp.finfo(now.dtype).eps)
         hair = jnp.maximum(eps**_HAIR, _HAIR_OF_TIME * eps * jnp.abs(t) / s)
         zero = (now == 0.0) | (jnp.abs(now) <= hair * jnp.abs(soon - now))
@@ -225,7 +223,7 @@ class EventConditions:
             np.array([choice is mode for choice in self.at_start]) for mode in (AtStart.STOP, AtStart.CROSSING)
         )
         met = jnp.asarray((stops & (past | zero) & ~leaves) | (crosses & enters))
-        # A crossing just after the start that counts is left to the first step.
+        # The first step finds a crossing just after the start that counts.
         kept = turns & ~zero & (stops | crosses) & ((senses == 0.0) | (jnp.sign(soon) * senses > 0.0))
         noise = (zero | turns) & ~kept & (soon != 0.0) & ~jnp.isnan(soon)
         rises = jnp.where(side == 0.0, senses, side) > 0.0
@@ -240,7 +238,7 @@ class EventConditions:
         if not passing:
             return code, jnp.where(first < ends, first, -1), None, None
         here, tags = (jnp.stack([a[k] for k in passing]).astype(none.dtype) for a in (met, rises))
-        # Row k is that of the crossing with k others before it.
+        # Row k is the crossing with k others before it.
         before = (here[None] * np.tri(len(passing), k=-1, dtype=int)).sum(1)
         rows = here[None] * (before[None] == np.arange(len(passing))[:, None]).astype(none.dtype)
         which = (rows * np.add(passing, 1)[None]).sum(1) - 1
@@ -321,12 +319,12 @@ def event_conditions(
             )
             condition, levels = compiled[0], tuple(map(np.asarray, compiled[1]))
             for level in levels:
-                need_held("what an event compares with", level, start.dtype)
+                need_representable("what an event compares with", level, start.dtype)
             closed = tuple(level.astype(start.dtype) for level in levels)
         elif is_tracing():
             value, arguments = value_of(number, condition)
             if is_traced(value):
-                # Of the function itself only where it closes over traced values; else it would compile again.
+                # Convert only functions that close over traced values: others would compile again.
                 converted, closed_over = jax.closure_convert(condition, *arguments)
                 if closed_over:
                     condition, closed = converted, tuple(closed_over)
@@ -347,10 +345,11 @@ def event_conditions(
 
 
 def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, list[Any]]:
-    """An expression that the system can evaluate, and the numbers it is compared with: others compile nothing.
+    """An expression that the system can evaluate, and the numbers it is compared with, other values of which compile
+    nothing.
 
     Raises:
-        ModelError: it reads what the system does not have.
+        ModelError: it reads a leaf that the system does not have.
     """
     known = {leaf.key() for leaf in (*dynamics.states, *dynamics.controls, *dynamics.parameters)}
     for leaf in leaves_of(condition):
@@ -375,7 +374,7 @@ def _of_expression(dynamics: Dynamics, condition: Expr) -> tuple[_OfExpression, 
         levels.append(side.value)
         return Parameter(_level(len(levels) - 1))
 
-    # As it is written first: of h - 0 and of (h + 5) - 0 the simplified forms have no level.
+    # First as written: the simplified forms of h - 0 and (h + 5) - 0 have no number to compare with.
     form = opened(condition)
     if not levels:
         form = opened(*canonicalize_all([condition]))

@@ -9,7 +9,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from ...scalar.small_call import held, small_call
+from ...scalar.small_call import small_call, stored_once
 from ..loop.kernels import Packed, in_one, opened, shared_kernel
 from ..loop.outcome import EventState, Halt, Result
 from ..method import Stepper
@@ -35,16 +35,16 @@ class AcceptedStep(NamedTuple):
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _Job:
-    """A search between two neighbouring places, for a root, or for an extremum past zero and then both roots."""
+    """A search between two neighbouring places, for a root, or for an extremum beyond zero and then both roots."""
 
-    item: Any  # of the pair and the condition; beyond all of them where nothing is left
-    looks: Any  # whether it is an extremum
-    visits: Any  # whether the root is known, and the state there is wanted
-    sign: Any  # of the condition where the part begins
-    low: Any  # where a part with a root begins and ends
+    item: Any  # the number of the pair and the condition; larger than all of them where nothing is left
+    looks: Any  # whether it is a search for an extremum
+    visits: Any  # whether the root is known, and the next step leads there
+    sign: Any  # of the condition at the start of the part
+    low: Any  # the start and the end of the part with a root
     high: Any
-    rest: Any  # where the part after it ends, with another root; negative: there is none
-    widened: Any  # -1, 1: it is what lies beside a part, before or after it; 0: a part
+    rest: Any  # the end of the next part, with another root; negative: there is none
+    widened: Any  # 0: a part; -1, 1: the interval just before, or just after, a part
     extremum: Any
     bracket: Any
 
@@ -56,11 +56,11 @@ class _Job:
 
 
 class _Samples(NamedTuple):
-    """The conditions along a step, at k + 1 places at equal distances, and what may be crossed between them."""
+    """The conditions along a step, at k + 1 equidistant places, and the possible crossings between them."""
 
     values: jax.Array  # (k + 1, m)
-    suspects: jax.Array  # (k, m) whether a condition may come to zero between two places, and go back
-    tips: jax.Array  # (k, m) where its extremum lies then, as a share
+    suspects: jax.Array  # (k, m) whether a condition may reach zero and turn back between two places
+    tips: jax.Array  # (k, m) the place of its extremum then, as a share
     flags: jax.Array  # (k m,) whether there may be a crossing
 
     @classmethod
@@ -75,21 +75,21 @@ class _PackedJob:
     """A job, packed for a loop."""
 
     job: Any  # packed
-    place: Any  # where the condition is to be evaluated for it
-    left: Any  # whether anything is left
+    place: Any  # the next place of evaluation
+    left: Any  # whether the search goes on
 
 
 class _Root(NamedTuple):
     """Whether the last place is a root, and of which condition."""
 
-    stops: jax.Array  # whether it is there, of an event that ends the integration
-    crosses: jax.Array  # whether it is there, of one that does not
+    stops: jax.Array  # whether it is a root of an event that ends the integration
+    crosses: jax.Array  # whether it is a root of one that does not
     which: jax.Array
     rises: jax.Array
 
 
 class _Halted(NamedTuple):
-    """The place where the loop over steps halts, as far as it is known, with the packed state there."""
+    """The earliest known place where the loop over steps halts, with the packed state there."""
 
     halt: Halt
     y: jax.Array
@@ -140,7 +140,7 @@ def find_crossings(
         task, known = now
         known = dataclasses.replace(known, evaluations=known.evaluations + cost)
         halted = _Halted(known.halt, known.y)
-        # Hundreds of scalars: as part of the loop they take XLA longer than all else.
+        # Hundreds of scalars: inside of the loop they take XLA longer to compile than all else.
         inputs = (samples, task, halted), (accepted_step.steps, y), advance(task.place)
         following, halted, row, crosses = shared_kernel(_next, events, stepper, t, h, *inputs)
         if known.crossed is not None:
@@ -152,7 +152,7 @@ def find_crossings(
             halted = halted.or_earlier(full, Result.MAX_CROSSINGS, *state_of(left_out))
         return following, dataclasses.replace(known, halt=halted.halt, y=halted.y)
 
-    # A loop, not a branch: of a batch it runs only while one of its members needs it.
+    # A loop, not a branch: in a batch it runs only while a member needs it.
     start = dataclasses.replace(first, left=first.left & taken), known
     _, known = jax.lax.while_loop(goes_on, one, start)
     return dataclasses.replace(known, values=jnp.where(taken, after, known.values))
@@ -168,7 +168,7 @@ def _first(
 ) -> tuple[_Samples, jax.Array, _PackedJob]:
     """The conditions along a step and at its end, as of `EventConditions.seen`, and the first search."""
     values, after = events.seen(stepper, t, h, states, old, ends)
-    samples = held(_Samples.of(events, values))
+    samples = stored_once(_Samples.of(events, values))
     return samples, after, _Search(events, t, h, samples).first()
 
 
@@ -200,9 +200,9 @@ def _next(
 
 
 class _Search:
-    """The search for all crossings in a step, by parts of it taken again.
+    """The search for all crossings in a step, by shorter steps from its start.
 
-    It takes a part of the step in each pass of one loop: a compiled step is large.
+    One loop takes one shorter step in each pass, because a compiled step is large.
     """
 
     def __init__(self, events: EventConditions, t: jax.Array, h: jax.Array, samples: _Samples) -> None:
@@ -211,8 +211,8 @@ class _Search:
         self.pairs, self.width = self.tips.shape
         self.spacing = h / self.pairs
         self.finest = float(jnp.finfo(t.dtype).eps) * jnp.maximum(jnp.abs(t), jnp.abs(t + h))
-        # Of each item its pair and its condition, and of what stands for none those of the last pair: kernels do not
-        # divide whole numbers.
+        # The pair and the condition of each item, as tables: kernels do not divide integers. The item after all others,
+        # which stands for none, has those of the last pair.
         pairs, numbers = np.divmod(np.arange(self.flags.size + 1), self.width)
         self.rows, self.numbers = jnp.asarray(np.minimum(pairs, self.pairs - 1)), jnp.asarray(numbers)
         self.senses = jnp.asarray(np.asarray(events.senses, h.dtype))
@@ -230,7 +230,7 @@ class _Search:
         return jnp.where(self.flags & (every > index), every, self.flags.size).min()
 
     def _pair(self, index: jax.Array) -> tuple[jax.Array, ...]:
-        """Of a pair and a condition: whether to look for an extremum, the sign where it begins, both ends, no rest."""
+        """Of a pair and a condition: whether to seek an extremum, the sign at its start, both ends, no next part."""
         row, number = self.rows[index], self.numbers[index]
         low, high = self._at(row), self._at(row + 1)
         return self.suspects[row, number], jnp.sign(self.values[row, number]), low, high, -jnp.ones_like(high)
@@ -253,25 +253,27 @@ class _Search:
         """The next search, from the values of all conditions at the place of a job, and the root there.
 
         Args:
-            end: how far into the step the integration ends, as far as is known.
+            end: the earliest known end of the integration, as a time since the start of the step.
         """
         h, number = self.h, self.numbers[job.item]
-        place, value = held((job.place, values[number]))
-        job = held(dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value)))
+        place, value = stored_once((job.place, values[number]))
+        job = stored_once(
+            dataclasses.replace(job, extremum=job.extremum.narrowed(value), bracket=job.bracket.narrowed(value))
+        )
 
-        # The bracket closed on an end whose sign came from a polynomial: the step itself may cross zero just outside.
+        # The bracket closed on an end whose sign is that of the polynomial: the step may cross zero just outside.
         low, high = (end(job.bracket.a[0], job.bracket.b[0]) for end in (jnp.minimum, jnp.maximum))
         at_low, at_high = (low <= job.low) & (job.low > 0.0), (high >= job.high) & (job.high < h)
-        # Beside a part, where it closed on the end next to that, the root is there.
+        # In the interval next to a part, a bracket that closed on their common end has the root.
         missed = (at_low & (job.widened <= 0)) | (at_high & (job.widened >= 0))
         closed = ~job.looks & ~job.visits & job.bracket.done
         widens = closed & missed & (job.widened == 0)
-        # The state at the root is known where that is the last place.
+        # The state at the root is known if the last step led there.
         visits = closed & ~missed & (job.bracket.root != place)
         done = job.visits | jnp.where(job.looks, job.extremum.done, closed & ~widens & ~visits)
         here = job.visits | (closed & ~missed & ~visits)
         terminal = jnp.asarray(np.array(self.events.terminal))[number]
-        done, widens, visits, here = held((done, widens, visits, here))
+        done, widens, visits, here = stored_once((done, widens, visits, here))
         root = _Root(here & terminal, here & ~terminal, number, job.sign < 0.0)
 
         # The condition moves in the direction of its sign up to an extremum, then back.
@@ -281,7 +283,7 @@ class _Search:
         half, follows = 0.5 * self.spacing, self._next_item(job.item)
         # Pairs after the end of the integration are skipped.
         over = self._at(self.rows[follows]) >= jnp.where(root.stops, jnp.minimum(end, place), end)
-        follows = held(jnp.where(over, self.flags.size, follows))
+        follows = stored_once(jnp.where(over, self.flags.size, follows))
         none = -jnp.ones_like(h)
         parts = [
             (widens, (job.item, job.looks, job.sign, *self._next_to(job, at_low, half), job.rest)),
@@ -296,7 +298,7 @@ class _Search:
         for condition, part in reversed(parts):
             chosen = tuple(jnp.where(condition, a, b) for a, b in zip(part, chosen, strict=True))
         widened = jnp.where(widens, jnp.where(at_low, -1, 1), 0)
-        another = dataclasses.replace(self._job(*held(chosen)), widened=widened)
+        another = dataclasses.replace(self._job(*stored_once(chosen)), widened=widened)
         job = jax.tree.map(
             lambda a, b: jnp.where(done | widens, a, b), another, dataclasses.replace(job, visits=visits)
         )

@@ -11,14 +11,13 @@ import jax.numpy as jnp
 from jax.flatten_util import ravel_pytree
 
 from ...scalar.loops import Filling
-from ...scalar.small_call import held
+from ...scalar.small_call import stored_once
 from ...system.dynamics import Arrays
 from ..charts.coordinates import Blocks
 from ..events.search import AcceptedStep, halted_code
 from ..method import Stepper
 from ..methods.interpolant import Between
-from ..step_control import ErrorHistory, StepControl, Tolerances
-from ..times import Stops
+from ..step_control import ErrorHistory, StepControl, Stops, Tolerances
 from .kernels import Packed, kernel_tries, shared_kernel
 from .loop import (
     StepPolynomial,
@@ -70,7 +69,7 @@ class _State:
     code: Any
     last: Any  # the start of the last step taken
     path: Any = None
-    every: Any = None
+    every: Any = None  # the states at the ends of all accepted steps, for dense output
     slopes: Any = None  # those of the last step tried, where there are events and the method has any
     event_state: Any = None
     rows: Any = None  # those on polynomials; of kernels also the starts of parts of steps
@@ -213,7 +212,7 @@ class AdaptiveSteps(Steps):
         after, step = self.one_try(stepper, dataclasses.replace(state, event_state=None))
         if state.rows is not None and step is not None:
             row = rows_from(stepper, state.y.read)
-            after = dataclasses.replace(after, rows=state.rows.up_to(after.t, row, held(step)))
+            after = dataclasses.replace(after, rows=state.rows.up_to(after.t, row, stored_once(step)))
         return after
 
     def kernel(self, stepper: Stepper, state: _State, stop: Any, most: Any) -> Callable[..., _State] | None:

@@ -10,6 +10,7 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
+from ...checks import short, whole
 from ...errors import InputError
 from ...jax_inside import is_traced
 from ..charts.coordinates import Blocks
@@ -135,8 +136,6 @@ class Saves:
 @jax.tree_util.register_dataclass
 @dataclasses.dataclass(frozen=True)
 class _State:
-    """The carry of the loop."""
-
     steps: Any  # taken so far
     y: Any
     carry: Any
@@ -322,3 +321,53 @@ class FixedSteps(Steps):
     @property
     def saved_times(self) -> jax.Array:
         return jnp.asarray(self.at.ts)
+
+
+def equal_steps(
+    start: Any, end: Any, span: Any, options: Any, limits: Any, bounded: bool, events: Any
+) -> tuple[FixedSteps, int]:
+    """Equal steps from start to end: as many as fit by dt, rounded, at least one; or `steps`. And their number.
+
+    All times are those of the clock of the loop over steps, which goes forward.
+
+    Args:
+        span: the times where they are known numbers.
+        options: `dt`, `steps` and `dense`.
+        limits: the times where a step must end, in order, the last one the end.
+        bounded: whether the number of steps is part of the structure.
+    Raises:
+        InputError: neither dt nor steps, or both, or times that are not known.
+    """
+    dt, steps, dtype = options.dt, options.steps, start.dtype
+    if (dt is None) == (steps is None):
+        raise InputError("give either dt, the length of a step, or steps, their number; or rtol for adaptive steps")
+    if steps is None:
+        if span is None or is_traced(dt):
+            raise InputError(
+                "t0, t1 or dt is traced (inside jit, grad or vmap), so the number of steps is not known.\n"
+                "  fix: give steps=<whole number> instead of dt; the step is then (t1 - t0) / steps"
+            )
+        length = span[1] - span[0]
+        steps = max(1, round(_countable(length / float(dt)))) if length else 0
+    else:
+        steps = _countable(whole("steps", steps))
+    array: Any = jnp if span is None else np  # known numbers are made arrays of JAX where they are used, all at once
+    start, end = array.asarray(start), array.asarray(end)
+    h = np.asarray((span[1] - span[0]) / max(steps, 1), dtype) if span else (end - start) / steps
+    splits, more = splits_of(limits[:-1], start, h, steps)
+    array = jnp if is_traced(more) else np
+    # What jumps add is a number; the bound has room for all of them.
+    most = steps + np.size(limits) - 1 if bounded else None
+    fixed = FixedSteps(start, h, array.asarray(steps + more), None, most, options.dense, events, splits=splits)
+    return fixed, steps
+
+
+def _countable(steps: Any) -> Any:
+    """A number of steps, if JAX's integers hold it: beyond them it would wrap. Raises InputError."""
+    most = np.iinfo(jax.dtypes.canonicalize_dtype(np.int64)).max
+    if steps > most:
+        raise InputError(
+            f"{short(steps)} steps are more than the {most} that can be counted.\n"
+            '  fix: longer steps; without them jax.config.update("jax_enable_x64", True) counts to 9e18'
+        )
+    return steps

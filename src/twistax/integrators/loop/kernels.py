@@ -1,6 +1,6 @@
-"""Kernels: the loop over steps in one, and single steps for derivatives, where the backend of the system makes them.
+"""Kernels of the loop over steps, and of single steps for derivatives, if the backend of the system makes any.
 
-Each is made once for a structure and types of its inputs, and kept with the system; None where there is none.
+Each is compiled once for a structure and types of its inputs, and cached with the system; None where there is none.
 """
 
 from __future__ import annotations
@@ -24,13 +24,13 @@ Now = TypeVar("Now")
 Result = TypeVar("Result")
 Tree = TypeVar("Tree")
 
-#: States of more numbers are left to XLA, whose vectors run along them.
+#: Larger states have no kernels: XLA vectorises over their entries.
 _WIDEST = 400
 
 
 @dataclasses.dataclass(frozen=True)
 class _Unpacked:
-    """Reads a flat array as the pytree it was made of."""
+    """Unpacks a flat array into a pytree."""
 
     structure: Any
     types: tuple[jax.ShapeDtypeStruct, ...]
@@ -47,7 +47,7 @@ class _Unpacked:
 class Packed:
     """A pytree in one array: XLA would compile separate code for each of many scalars."""
 
-    flat: jax.Array
+    flat: Any  # an array; JAX rebuilds pytrees with stand-ins for arrays
     read: Callable[[jax.Array], Any] = dataclasses.field(metadata={"static": True})
 
     @classmethod
@@ -121,7 +121,7 @@ def kernel_steps(
             return jax.tree.leaves((attempts[-1].y, attempts[-1].carry, state[2] and attempts[-1].slopes))
 
         repeated = stepper.dynamics.backend.steps().repeated(step, types, count)
-        # A step that solves equations may fail, which a kernel does not see.
+        # A kernel cannot report that the equations of a step were not solved.
         if repeated is None or attempts[-1].solved is not None or not isinstance(attempts[-1].evaluations, int):
             return None
         return KernelSteps(repeated, attempts[-1].evaluations)
@@ -137,16 +137,16 @@ def kernel_tries(
     now: Now,
     state_of: Callable[[Now], Any] = lambda now: now,
 ) -> Callable[[Now, jax.Array, jax.Array, Filling | None], tuple[Now, Filling | None]] | None:
-    """A loop over now = one_try(given, stepper, now) in one kernel.
+    """A loop over now = one_try(inputs, stepper, now) in one kernel.
 
-    Its arguments are now, the first try, the stop, and the rows that it fills on the way, if any are asked for.
-    Traceable, batched by vmap, not differentiable. Whole numbers are carried as floating-point ones.
+    It takes the carry, the number of the first try, the stop, and the saved rows to fill, or None. Traceable, batched
+    by vmap, not differentiable. Integers are carried as floating-point numbers.
 
     Args:
-        one_try: also says whether another one follows, and what rows are made of, the time reached first; None: the
-            method has none. What it does depends on the structure of its inputs alone.
-        row: of what a try left and a time up to there.
-        state_of: what of it says whether the state is too wide for a kernel.
+        one_try: also returns whether another try follows, and the record that rows are made from, which begins with the
+            time reached; None if the method has no rows. It depends on the structure of its inputs alone.
+        row: makes a row from the record of a try and a time up to that of the record.
+        state_of: the part of the carry that must not be too wide for a kernel.
     """
     fixed, structure = jax.tree.flatten((inputs, stepper))
     state, form = jax.tree.flatten(now)
@@ -189,28 +189,28 @@ def kernel_tries(
 
 
 def shared_kernel(function: Callable[..., Result], of: Any, stepper: Stepper, *rest: Any) -> Result:
-    """function(of, stepper, *rest), which stands beside loops in kernels, as a kernel that all its places share.
+    """function(of, stepper, *rest), outside of the kernel of a loop, as one kernel for all places that call it.
 
     XLA would compile it for each place. Where there is no kernel it is one small function.
 
     Args:
-        function: a value; what it does depends on the structure of its arguments alone. Traceable.
+        function: hashable and traceable; it depends on the structure of its arguments alone.
     """
     if inside_small_call():
         return function(of, stepper, *rest)
-    made = _beside(function, of, stepper, rest)
+    made = _shared_program(function, of, stepper, rest)
     if made is None:
-        return small_call(function, of, stepper.beside_loops, *rest)
+        return small_call(function, of, stepper.outside_loops, *rest)
     program, shape = made
     return jax.tree.unflatten(shape, call_program(program, *jax.tree.leaves((of, stepper, rest))))
 
 
 def has_shared_kernel(function: Callable[..., Any], of: Any, stepper: Stepper, *rest: Any) -> bool:
     """Whether `shared_kernel` calls a kernel."""
-    return not inside_small_call() and _beside(function, of, stepper, rest) is not None
+    return not inside_small_call() and _shared_program(function, of, stepper, rest) is not None
 
 
-def _beside(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) -> tuple[Derived, Any] | None:
+def _shared_program(function: Callable[..., Any], of: Any, stepper: Stepper, rest: Any) -> tuple[Derived, Any] | None:
     """The kernel of `shared_kernel`, and the structure of its results."""
     leaves, structure = jax.tree.flatten((of, stepper, rest))
     types = _types(leaves)

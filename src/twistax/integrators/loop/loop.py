@@ -36,8 +36,8 @@ class Visits(NamedTuple):
 class Steps(ABC):
     """The steps of an integration, and the loop that takes them.
 
-    Subclasses say how long steps are. A pytree: times and tolerances are inputs, rules and bounds are structure. What
-    the loop carries is a dataclass of the subclass with the fields `y`, `code` and `watched`.
+    Subclasses choose the length of steps. A pytree: times and tolerances are inputs, rules and bounds are structure.
+    The carry of the loop is a dataclass of the subclass with the fields `y`, `code` and `event_state`.
     """
 
     t0: Any  # the start
@@ -74,7 +74,7 @@ class Steps(ABC):
             state = self._to(stepper, state, stop)
             return state, self.row_at(state, stop)
 
-        # The times that fill up the rows are ends, so that the stop after those that were asked for is one.
+        # The padding of saved times is the end: one more stop than saved times leads there.
         return first_rows(visit, state, visits.stops, visits.count + 1, visits.like)
 
     def _to(self, stepper: Stepper, state: Any, stop: Any) -> Any:
@@ -105,7 +105,7 @@ class Steps(ABC):
         event_state = find_crossings(self.events, advance, stepper, accepted_step, before.event_state, taken, ends)
         return self.halted(stepper, before, after, event_state, accepted_step.h)
 
-    # ---- what a subclass says of its steps ---------------------------------------------------------------------------
+    # ---- methods of subclasses ---------------------------------------------------------------------------------------
 
     @property
     @abstractmethod
@@ -242,7 +242,7 @@ def all_finite(tree: Any) -> jax.Array:
 
 
 class StepPolynomial(NamedTuple):
-    """A step that was tried, for its polynomial. Of one that was taken back the end is its start."""
+    """A tried step, for its polynomial. The end of a rejected step is its start."""
 
     end: jax.Array
     begin: jax.Array
@@ -261,7 +261,7 @@ class StepPolynomial(NamedTuple):
 
 
 class StepStart(NamedTuple):
-    """How far the tries so far came, for a shorter step from the start of the last step."""
+    """The state of the loop after a try, for a shorter step from the start of the last step."""
 
     t: jax.Array
     accepted: jax.Array  # how many steps were taken
@@ -269,7 +269,7 @@ class StepStart(NamedTuple):
     last: Any  # time and state at the start of the last step taken
 
     def before(self, stop: jax.Array) -> tuple[Any, jax.Array]:
-        """Time and state from which a stop that was just reached is one step away, or none; and the steps up to it."""
+        """Time and state from which at most one step leads to a stop that was just passed; and the steps before it."""
         # A saved time that is the end of a step needs no other one.
         there = self.t <= stop
         start = jax.tree.map(lambda end, before: jnp.where(there, end, before), (self.t, self.y), self.last)
@@ -281,9 +281,9 @@ class StepStart(NamedTuple):
 
 
 def rows_from(stepper: Stepper, read: Read) -> Callable[[Any, jax.Array], jax.Array]:
-    """What makes the row at a time of what a step left.
+    """A function of a step's record and a time that makes the saved row.
 
-    It reads no arrays of the stepper: they may be traced, and rows are made of what a step left alone.
+    It reads no arrays of the stepper, which may be traced.
     """
     return lambda step, t: step.row(stepper, read, t)
 

@@ -1,4 +1,4 @@
-"""A whole rollout as one function of its inputs: fast forward, differentiable both ways."""
+"""A rollout as one function of its inputs, differentiable in forward and reverse mode."""
 
 from __future__ import annotations
 
@@ -30,12 +30,12 @@ from .unreached import nan_unless, zero_of
 class RolloutResult:
     """The result of the loop over steps."""
 
-    #: The states at the saved times, leading axis n, NaN where the steps did not come so far; without any `end`.
+    #: The states at the saved times, leading axis n, NaN where the steps did not reach them; without any `end`.
     xs: Any
-    end: Any  # the state they reached; None: that of the only row
-    reached: Any  # (n,) whether they came so far; None without saved times
-    outcome: Any  # how they went, a `LoopOutcome`, those of saved times included in the evaluations
-    trail: Any  # where it is kept
+    end: Any  # the last state; None: that of the only row
+    reached: Any  # (n,) whether the steps reached each saved time; None without saved times
+    outcome: Any  # a `LoopOutcome`; its evaluations include those of saved times
+    trail: Any  # for dense output
     event: Any  # the number of the event that ended it, -1 for none; None without events
     at_start: Any = None  # (m,) whether each condition was zero or past it at the start
     crossings: Any = None  # of events that do not end it, where there are any
@@ -44,9 +44,9 @@ class RolloutResult:
 def rollout(steps: Steps, stepper: Stepper, x: dict[str, Any]) -> RolloutResult:
     """Take all steps from the state x, compiled as one small function where that is known to work.
 
-    Its derivatives, of any order and both ways, are those of the same steps taken again with bounded memory: lengths
-    that were chosen by tolerances are kept, as shares of the way between limits, so that derivatives with respect to
-    all times are right.
+    Its derivatives, of any order, forward and in reverse, take the same steps again with bounded memory. Lengths of
+    adaptive steps stay the same shares of the time between limits, so that derivatives with respect to all times are
+    right.
     """
     return unpacked(jitted(packed_rollout, stepper, steps, x))
 
@@ -76,30 +76,30 @@ def unpacked(values: tuple[Any, ...]) -> RolloutResult:
 def differentiable() -> Callable[[Stepper, Steps, Arrays], RolloutResult]:
     @jax.custom_jvp
     def taken(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
-        # As a whole where it fits, else its loops: what stands outside costs as much as a short rollout.
-        return _batched_alike(small_call(_whole, steps, stepper, x), (steps, stepper, x))
+        # All of it as one small function, if possible: operations outside cost as much as a short rollout.
+        return _batched_alike(small_call(_rolled_out, steps, stepper, x), (steps, stepper, x))
 
-    def along(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
+    def slopes(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tuple[RolloutResult, RolloutResult]:
         return _differentiated(primals, tangents)
 
-    taken.defjvp(along, symbolic_zeros=True)
+    taken.defjvp(slopes, symbolic_zeros=True)
     return lambda stepper, steps, x: taken(steps, stepper, x)
 
 
 def _batched_alike(result: RolloutResult, inputs: Any) -> RolloutResult:
-    """The result, batched where an input is: JAX expects the batch axes of a function in its derivative too."""
+    """The result, batched if an input is: JAX expects a function and its derivative to have the same batch axes."""
     firsts = [leaf.reshape(-1)[0] for leaf in jax.tree.leaves(jax.lax.stop_gradient(inputs)) if leaf.size]
     never = functools.reduce(jnp.logical_or, [first != first for first in firsts]) & False
     return jax.tree.map(lambda a: jnp.where(never, jnp.zeros_like(a), a), result)
 
 
 def ended_well(code: Any) -> Any:
-    """Whether numbers of a `Result` are no failures."""
+    """Whether codes, numbers of a `Result`, are no failures."""
     return (code == Result.SUCCESS.value) | (code == Result.EVENT.value)
 
 
-def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
-    # Without a path saved times lie as the loop left them.
+def _rolled_out(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
+    # Without the path, saved times start from the states that the loop kept.
     run = dataclasses.replace(steps.run(stepper, stepper.stored.enter(x), record=False), path=None)
     meeting, moved = None, None
     if run.event_state is not None:
@@ -123,7 +123,7 @@ def _whole(steps: Steps, stepper: Stepper, x: Arrays) -> RolloutResult:
 
 
 def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: Any = crossing_rows) -> RolloutResult:
-    """With the crossings, and which conditions were met at the start."""
+    """The result with the crossings and the conditions that were met at the start."""
     if run.event_state is None:
         return result
     crossed = run.event_state.crossed
@@ -132,10 +132,9 @@ def _with_conditions(stepper: Stepper, run: Run, result: RolloutResult, rows: An
 
 
 def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutResult:
-    """The rollout with the saved states of the loop.
+    """The result with the saved states of the loop.
 
-    A kernel reads them: where XLA itself counts a thousand operations it runs the whole on another thread, which takes
-    10 us.
+    A kernel converts them: XLA runs a program of a thousand operations on another thread, which takes 10 us.
     """
     result = small_call(_to_saved_times, steps, stepper, x, dataclasses.replace(run, saved=None), None, None)
     saved, outcome = run.saved, result.outcome
@@ -153,7 +152,7 @@ def _with_rows(steps: Steps, stepper: Stepper, x: Arrays, run: Run) -> RolloutRe
 def _row(
     _: None, stepper: Stepper, x: Arrays, y: Packed, t: jax.Array, t0: jax.Array, end: jax.Array
 ) -> tuple[jax.Array, jax.Array, Arrays]:
-    """Whether a saved time was reached, whether it was missed although the steps came that far; its values."""
+    """Whether a saved time was reached; whether its state is not finite although the steps got there; its values."""
     within = t <= end
     reached = within & all_finite(y.flat)
     values = _or_start(stepper.stored.value(y.open()), t <= t0, x)
@@ -187,7 +186,7 @@ def _to_saved_times(
     moved: Any,
     advance_all: Callable[[Saved, StepPart], Blocks] | None = None,
 ) -> RolloutResult:
-    """The states at the saved times and at the event, from those before."""
+    """The states at the saved times and at the event, from the states before them."""
     parts = None if run.saved is None else steps.parts(run.path, run.saved)
     saved, moved, end = run.saved, opened(moved), opened(run.end)
     run = dataclasses.replace(run, end=end)
@@ -200,7 +199,7 @@ def _to_saved_times(
     event = None if meeting is None else meeting.event
     if saved is None or parts is None or advance_all is None:
         return RolloutResult({name: value[None] for name, value in end.items()}, end, None, outcome, run.trail, event)
-    # Beyond a failure a step is of no length: one that overflows would spoil the derivatives of those before.
+    # Steps beyond a failure have length zero: an overflow there would spoil the derivatives of earlier rows.
     parts = dataclasses.replace(parts, h=jnp.where(saved.reached, parts.h, 0.0))
     ys = advance_all(saved, parts)
     reached = saved.reached & jax.vmap(all_finite)(ys)
@@ -215,7 +214,7 @@ def _to_saved_times(
 
 
 def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
-    """The values, or the exact start where no step was taken; derivatives stay."""
+    """The values, with the exact start where no step was taken; derivatives are those of the values."""
     result = {}
     for name, value in values.items():
         known = jnp.broadcast_to(jax.lax.stop_gradient(x[name]), value.shape)
@@ -225,7 +224,7 @@ def _or_start(values: Arrays, still: jax.Array, x: Arrays) -> Arrays:
 
 
 def wide(flags: jax.Array, like: jax.Array) -> jax.Array:
-    """Flags of rows with as many axes as the array."""
+    """Flags of rows, reshaped to broadcast against an array of rows."""
     return flags.reshape(flags.shape + (1,) * (like.ndim - flags.ndim))
 
 
@@ -245,7 +244,7 @@ def _differentiated(primals: tuple[Any, ...], tangents: tuple[Any, ...]) -> tupl
         for i, value in zip(moving, values, strict=True):
             inputs[i] = value
         steps, stepper, x = jax.tree.unflatten(structure, inputs)
-        return _batched_alike(_again(steps, stepper, x, run, known), primals)
+        return _batched_alike(_taken_again(steps, stepper, x, run, known), primals)
 
     result, slope = jax.jvp(again, ([leaves[i] for i in moving],), ([slopes[i] for i in moving],))
     ends_at_event = steps.events is not None and any(steps.events.terminal)
@@ -257,7 +256,7 @@ def _not_of_failures(
 ) -> RolloutResult:
     """The derivative of a rollout by all inputs that vary; NaN if it did not reach its end."""
     good = ended_well(result.outcome.code)
-    nothing = zero_of(moved)  # what no step has read yet counts too
+    nothing = zero_of(moved)  # NaN also for inputs that no step has read
 
     def spoiled(good: jax.Array, tree: Any) -> Any:
         return nan_unless(good, jax.tree.map(lambda a: a + nothing.astype(a.dtype), tree))
@@ -269,7 +268,7 @@ def _not_of_failures(
         ts, states = spoiled(result.crossings.which >= 0, (crossings.ts, crossings.xs))
         crossings = dataclasses.replace(crossings, ts=ts, xs=states)
     outcome = slope.outcome
-    if ends_at_event:  # other ends do not move, and stay known outside of `jit`
+    if ends_at_event:  # other ends are fixed, and stay known outside of `jit`
         outcome = dataclasses.replace(outcome, t=spoiled(good, outcome.t))
     return dataclasses.replace(slope, xs=xs, end=end, outcome=outcome, crossings=crossings)
 
@@ -278,14 +277,14 @@ def _is_symbolic(slope: Any) -> bool:
     return isinstance(slope, jax.custom_derivatives.SymbolicZero)
 
 
-def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
-    """The same steps again, in a differentiable form."""
+def _taken_again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting | None) -> RolloutResult:
+    """The steps of a run taken again, in a differentiable form."""
 
     def step(y: Blocks, part: StepPart) -> Blocks:
         return advance_again(stepper, part.t, y, part.h)
 
     count, all_parts = run.outcome.accepted, steps.steps_of(run.path)
-    # Of length zero beyond the count: lanes of a batch that are done would fail again, and 0 inf is NaN.
+    # Steps beyond the count have length zero: finished members of a batch would fail there, and 0 inf is NaN.
     taken = dataclasses.replace(all_parts, h=jnp.where(jnp.arange(steps.bound) < count, all_parts.h, 0.0))
     crossed = None if run.event_state is None else run.event_state.crossed
     recorded = steps.dense or run.saved is not None or crossed is not None
@@ -302,7 +301,7 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
         return jax.vmap(step)(starts, parts)
 
     if crossed is not None and run.event_state is not None:
-        # The steps that they lie in, as they were taken again; rows without a crossing are of no length.
+        # The starts of the steps with crossings, as taken again; rows without a crossing have length zero.
         there = crossed.which >= 0
         k = jnp.where(there, crossed.steps, 0)
         crossed = dataclasses.replace(
@@ -320,27 +319,29 @@ def _again(steps: Steps, stepper: Stepper, x: Arrays, run: Run, known: Meeting |
     return _with_conditions(stepper, run, result)
 
 
-# ---- a loop of steps that can be differentiated both ways, in little memory ----------------------------------------
+# ---- a loop of steps that is differentiable in reverse in bounded memory -------------------------------------------
 
-#: Steps in a block: what lies between is computed again on the way back, so that only states are kept.
+#: Steps in a block. The backward pass computes them again: only states at the starts of blocks are kept.
 _BLOCK = 16
-#: Blocks are nested where there would be more of them than this.
+#: More blocks than this are nested.
 _NEST = 64
-#: Fewer steps than this are one block, of which nothing is computed again.
+#: Fewer steps than this are one block, without recomputation.
 _UNNESTED = 64
 
 
 def take_steps(
     step: Callable[[Any, Any], Any], y: Any, entries_by_step: Any, count: jax.Array, bound: int, record: bool
 ) -> tuple[Any, Any]:
-    """y after the first `count` of the steps y -> step(y, each[k]), k = 0, 1, ..., bound - 1.
+    """y after the first `count` of the steps y -> step(y, entries_by_step[k]), k = 0, 1, ..., bound - 1.
 
-    Traceable, and differentiable forward and in reverse to any order. On the way back only the states at the starts of
-    blocks are kept: for n steps about 16 + 2 (n/16)^(1/2) states, at the cost of two more passes forward. Of up to
-    64 steps all that derivatives need is kept, and nothing is computed again. What a step closes over is copied for
-    every block, so it should be small. Blocks beyond the count are passed over, also for a whole batch at once under
-    vmap. `record`: also return the values before each step, and after the last one, on a
-    leading axis of bound + 1; entries beyond the count repeat the end.
+    Traceable, and differentiable forward and in reverse to any order. Reverse mode keeps the states at the starts of
+    blocks alone, about 16 + 2 (n/16)^(1/2) states for n steps, and takes two more forward passes; up to 64 steps are
+    not recomputed. Values that a step closes over are copied for every block, so they should be small. Blocks beyond
+    the count are skipped, under vmap where all members skip them.
+
+    Args:
+        record: also return the values before each step, and after the last one, on a leading axis of bound + 1; entries
+            beyond the count repeat the end.
     """
 
     def one(y: Any, entry: tuple[jax.Array, Any]) -> tuple[Any, Any]:
@@ -353,7 +354,7 @@ def take_steps(
         return after, y if record else None
 
     def block_of(level: Any) -> Any:
-        """Runs of a level, computed again on the way back, and passed over where the count is reached."""
+        """A level of nested blocks, recomputed in reverse mode and skipped beyond the count."""
 
         @jax.checkpoint
         def run(y: Any, entries: tuple[jax.Array, Any]) -> tuple[Any, Any]:

@@ -24,15 +24,15 @@ from ..step_control import Tolerances
 from ..tableaus import CollocationTableau
 from .newton import Factors, Parts, combined, newton
 
-#: Newton steps before a step is given up: where it may be taken back, and where it may not.
+#: The most Newton iterations of a step: of one that may be rejected, and of one that may not.
 _FEW, _MANY = 8, 200
-#: What Newton's method may leave of the error allowed: steps are better than their estimate.
+#: The share of the allowed error that Newton's method may leave: steps are better than their estimate.
 _SHARE = 0.005
-#: Inverses serve again for steps that differ by no more than this share from the one they were made for,
+#: Inverses are reused for steps that differ by no more than this share from the step they were computed for,
 _ALIKE = 0.2
 #: and as long as Newton's method converges this fast.
 _FAST = 0.03
-#: Jacobians of more scalars are left to XLA as arrays: they would take seconds to compile.
+#: Jacobians of more scalars run as arrays: as scalars they take seconds to compile.
 _LARGEST = 2000
 
 
@@ -137,7 +137,7 @@ class ImplicitRKMK(ChartMethod):
         step = self._to_round_off(equations, carry)
         return StepAttempt(equations.moved(step.last.Z), step.last, (), step.evaluations, step.solved)
 
-    #: The rate at the start of a step is computed in every step anyway.
+    #: Every step computes the rate at its start.
     resume_evaluations = 0
 
     def begin(self, dynamics: Dynamics, y: Blocks, rate: Blocks) -> Carry:
@@ -145,8 +145,8 @@ class ImplicitRKMK(ChartMethod):
         return _Reuse(last, Factors.none(self.tableau, last.Z[0]), jnp.zeros_like(last.h))
 
     def resume(self, field: VectorField, t: jax.Array, y: Blocks, carry: Carry) -> Carry:
-        # Inverses from before a jump would take a long step across slow rates for one across stiff ones: the update
-        # and the error both come out small.
+        # With inverses from before a jump both the update and the error of a long step may come out small, as if the
+        # rates after the jump were as stiff.
         return self.begin(field.dynamics, y, {})
 
     def attempt(
@@ -170,8 +170,8 @@ class ImplicitRKMK(ChartMethod):
             renewed, lambda: Factors.inverses_of(self.tableau, equations.start()[1], h), lambda: known.inverses
         )
         factors = Factors(self.tableau, inverses)
-        # Two updates, unless the first is nothing: where stiffness falls within the step, inverses from its start make
-        # any update small, and only the next one, as large, tells.
+        # Two updates, unless the first is zero: where stiffness falls within the step, inverses from its start make any
+        # update small, and only a second one of the same size shows it.
         last = dataclasses.replace(known.last, contraction=jnp.ones_like(h) / eps)
         step = self._solved(equations, (start, inverses), factors, size, last, _FEW, rounding / share)
         learned = _Reuse(step.last, inverses, jnp.where(renewed, h, known.h))
@@ -218,7 +218,7 @@ class ImplicitRKMK(ChartMethod):
             lambda Z: factors.solve(equations.residual(Z)), size, guess, last.contraction, most, again, rounding
         )
         evaluations = 1 + self.tableau.stages * solved.iterations
-        # Where rates are NaN to begin with it is not the equations that are at fault.
+        # Rates that are NaN at the start are no failure of the equations.
         good = solved.done | ~all_finite(start_values)
         return _SolvedStep(_Last(solved.Z, equations.h, solved.contraction), good, evaluations)
 
@@ -231,7 +231,7 @@ class ImplicitRKMK(ChartMethod):
         def deviation(z: jax.Array) -> jax.Array:
             return ravel_pytree(local.deviation(read(z), y))[0]
 
-        # What rounding of the state does to rates, seen through the equations.
+        # The effect of rounding of the state on rates, in the equations.
         D = jnp.abs(jax.jacfwd(deviation)(equations.zero))
         state_sizes = ravel_pytree(local.sizes(y, y))[0]
         rounding = jnp.sum(jnp.abs(h * J) * jnp.sum(D * state_sizes[:, None], axis=0)[None, :], axis=1) + jnp.abs(
@@ -275,7 +275,7 @@ class _StageEquations:
             half = 0.5 * self._end(Z)
             base, Z = self.local.move(self.y, self.read(half)), Z - half[None, :]
         nodes = jnp.asarray(self.tableau.c, self.h.dtype)
-        # One after the other: XLA would compute a whole slope for every entry of a table of them.
+        # In a loop: from a table XLA would compute a whole slope for every entry.
         return jax.lax.map(lambda entry: self._slope(self.t + entry[0] * self.h, base, entry[1]), (nodes, Z))
 
     def start(self) -> tuple[jax.Array, jax.Array]:
@@ -286,7 +286,7 @@ class _StageEquations:
 
         eye = jnp.eye(self.zero.size, dtype=self.zero.dtype)
         of, values = opened(jax.make_jaxpr(lambda: list(jax.vmap(along, out_axes=(None, 1))(eye)))())
-        # Most of it is zero, or the same in many columns: scalars leave that out.
+        # Scalars omit zeros and entries that are equal in many columns.
         slope, jacobian = XLA(least=0, largest=_LARGEST).emit(jax.make_jaxpr(of)(*values)).function(*values)
         return slope, jacobian
 

@@ -1,4 +1,4 @@
-"""Polynomials between the ends of a step, from slopes that the step computes anyway."""
+"""Polynomials between the ends of a step, from the slopes of its stages."""
 
 from __future__ import annotations
 
@@ -11,9 +11,9 @@ from numpy.typing import NDArray
 
 from ..tableaus import ButcherTableau
 
-#: How far conditions may be off that can be met.
+#: The largest residual of conditions that count as met.
 _ROUND_OFF = 1e-9
-#: Weights of stages that are not read come out below this.
+#: Weights below this are zero, up to rounding.
 _UNREAD = 1e-6
 
 
@@ -76,7 +76,7 @@ def _solved(a: Any, ends: Any, first: Any, last: Any, order: int) -> tuple[NDArr
     # Slope at the start, value and slope at the end.
     at, to = np.stack([powers == 1, powers**0, powers], 1).astype(float), np.stack([first, ends, last], 1)
     weights, read = np.zeros((stages, order)), np.full(stages, True)
-    for _ in range(3):  # then what rounding left, then without stages that need not be read, of DOP853 four
+    for _ in range(3):  # then the residual by rounding, then without superfluous stages, four of DOP853
         weights[read] += _smallest(r[:, read], target - r @ weights, at, (to - weights @ at)[read])
         read = np.abs(weights).max(1) > _UNREAD
         weights[~read] = 0.0

@@ -42,7 +42,7 @@ def _sixth(A: jax.Array, h: jax.Array, group: Group) -> jax.Array:
     return first + third / 12.0 - outer / 240.0
 
 
-#: By order: how many nodes there are, Omega, and the tableau that brings states without a group to the nodes.
+#: By order: the number of nodes, Omega, and the tableau that moves states without a group to the nodes.
 _EXPANSIONS = {4: (2, _fourth, RK4), 6: (3, _sixth, DOP853)}
 
 
@@ -95,7 +95,6 @@ class Magnus(Method):
 
     @property
     def _nodes(self) -> np.ndarray:
-        """The Gauss-Legendre nodes in [0, 1]."""
         return 0.5 * (np.polynomial.legendre.leggauss(_EXPANSIONS[self.order][0])[0] + 1.0)
 
     def check(self, dynamics: Dynamics) -> None:
@@ -133,7 +132,7 @@ class Magnus(Method):
             return field(time, local.value(y | flat_coordinates.move({name: y[name] for name in flat}, moved)))
 
         def part(moved: Blocks, share: jax.Array, length: jax.Array) -> tuple[Blocks, Arrays]:
-            """Some way on from a share of the step; and the velocities there."""
+            """The state a length further from a share of the step, and the velocities there."""
             start = t + share * h
             rate = rates(start, moved)
 

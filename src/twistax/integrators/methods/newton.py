@@ -13,8 +13,8 @@ from ..tableaus import CollocationTableau
 
 #: Updates within this many times round-off count as solved when they stop falling.
 _STALLED = 1e3
-#: Where no shorter step can be tried, updates below the root of round-off that begin to rise this often are noise of
-#: the rates, of terms that cancel in them: nothing is left to gain.
+#: Without a shorter step to try, updates below the root of round-off that rise this often are noise of cancelling
+#: terms in the rates, and the equations count as solved.
 _RISES = 2
 
 #: A real array (a,), or a complex one as real and imaginary part (a, b): complex numbers do not compile everywhere.
@@ -22,7 +22,7 @@ Parts: TypeAlias = tuple[jax.Array, ...]
 
 Map: TypeAlias = Callable[[jax.Array], jax.Array]
 
-#: Larger matrices are left to a library.
+#: Larger matrices are solved by a library.
 _LARGEST = 24
 
 
@@ -35,8 +35,8 @@ class Newton(NamedTuple):
     failed: jax.Array
     iterations: jax.Array  # how many updates were made
     rose: jax.Array  # whether the last update was larger than the one before
-    rises: jax.Array  # how often updates began to rise
-    #: r / (1 - r), r the ratio of the last two updates: how far off Z still is, in units of the last one.
+    rises: jax.Array  # the number of times that updates began to rise
+    #: r / (1 - r), r the ratio of the last two updates: the error of Z in units of the last update.
     contraction: jax.Array
     again: jax.Array  # whether it may start once more
 
@@ -172,7 +172,7 @@ def inverse(matrix: Parts) -> Parts:
         return parts, order.at[largest].set(order[k]).at[k].set(order[largest])
 
     parts, order = jax.lax.fori_loop(0, places.size, eliminate, (matrix, places))
-    # Rows were swapped on the way: columns of the inverse are.
+    # Swaps of rows are swaps of columns of the inverse.
     back = jnp.argmax(order[:, None] == places[None, :], axis=0)
     return tuple(part[:, back] for part in parts)
 

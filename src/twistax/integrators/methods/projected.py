@@ -18,9 +18,9 @@ from ..charts.coordinates import Blocks
 from ..method import Carry, Method, StepAttempt, VectorField
 from ..step_control import Tolerances
 
-#: Steps of Newton's: a step ends as far from the manifold as its error is, d; it is brought to about d^2, then d^4.
+#: Newton iterations. The distance from the manifold at the end of a step, d, its error, becomes about d^2, then d^4.
 _CORRECTIONS = 2
-#: How far the start may be, in m and rad: more is a mistake.
+#: The largest distance of a start from the manifold, in m and rad.
 _FAR = 1e-6
 
 
@@ -41,7 +41,7 @@ class Projected(Method):
 
     inner: Method
 
-    # What the inner method says of itself, and does as it is.
+    # Properties and methods of the inner method that do not change.
     name = property(lambda self: f"{self.inner.name}, projected")
     order = property(lambda self: self.inner.order)
     error_order = property(lambda self: self.inner.error_order)
@@ -53,7 +53,7 @@ class Projected(Method):
 
     def check(self, dynamics: Dynamics) -> None:
         self.inner.check(dynamics)
-        self.inner.coordinates(dynamics)  # a method without them says so here
+        self.inner.coordinates(dynamics)  # raises for a method without them
 
     def advance(self, field: VectorField, t: jax.Array, y: Blocks, h: jax.Array) -> Blocks:
         return self._brought_back(field, t + h, self.inner.advance(field, t, y, h))
@@ -71,7 +71,7 @@ class Projected(Method):
     ) -> StepAttempt:
         attempt = self.inner.attempt(field, t, y, carry, h, tolerances)
         end = self._brought_back(field, t + h, attempt.y)
-        # What the next step begins with belongs to where it begins.
+        # The carry belongs to the projected state.
         carry = self.inner.resume(field, t + h, end, attempt.carry)
         evaluations = attempt.evaluations + self.inner.resume_evaluations
         return dataclasses.replace(attempt, y=end, carry=carry, evaluations=evaluations)

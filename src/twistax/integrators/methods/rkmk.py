@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ...checks import instance
 from ...errors import ModelError
-from ...scalar.small_call import held, inside_small_call
+from ...scalar.small_call import inside_small_call, stored_once
 from ...system.dynamics import Arrays, Dynamics
 from ..charts.chart import Chart, Exponential, chart_of
 from ..charts.coordinates import Blocks
@@ -67,8 +67,8 @@ class RKMK(ChartMethod):
         local = self.coordinates(field.dynamics)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, None]:
-            moved = held(local.move(y, z))
-            return local.slope(z, moved, held(self.rate(field, time, moved))), None
+            moved = stored_once(local.move(y, z))
+            return local.slope(z, moved, stored_once(self.rate(field, time, moved))), None
 
         first = local.first_slope(y, self.rate(field, t, y))
         slopes, _ = stage_slopes(self.tableau.counted, slope, first, None, t, h)
@@ -99,9 +99,9 @@ class RKMK(ChartMethod):
         (start, read_state), (packed, read_rate) = ravel_pytree(y), ravel_pytree(rate)
 
         def slope(time: jax.Array, z: Blocks) -> tuple[Blocks, tuple[jax.Array, jax.Array]]:
-            moved = held(local.move(y, z))
-            rate = held(self.rate(field, time, moved))
-            # Packed: the loop would carry every scalar by itself.
+            moved = stored_once(local.move(y, z))
+            rate = stored_once(self.rate(field, time, moved))
+            # Packed: else the loop carries every scalar separately.
             return local.slope(z, moved, rate), (ravel_pytree(moved)[0], ravel_pytree(rate)[0])
 
         stages = self.tableau.to_the_end
@@ -115,7 +115,7 @@ class RKMK(ChartMethod):
         local, table = self.coordinates(dynamics), jnp.asarray(interpolant(self.tableau).weights, h.dtype)
         weights = functools.reduce(lambda sums, column: sums * share + column, reversed(table.T))
         weights = h * share * weights
-        # A sum: for many rows a product of matrices would be a call for each.
+        # A sum: a product of matrices would be a library call for each of many rows.
         z = jax.tree.map(lambda k: (weights.reshape(-1, *(1,) * (k.ndim - 1)) * k).sum(0), slopes)
         return local.settle(local.move(y, z))
 
@@ -180,8 +180,8 @@ def stage_slopes(
 
     The loop is traced once whatever the tableau: a step of thirteen stages compiles as fast as one of four, and as one
     small function it runs as fast as unrolled. Pure and traceable, and differentiable both ways. Where a has a list of
-    rows for every stage, slope is given the list of combinations. Slope also returns what else of the last stage the
-    caller wants; `extra` is that of the first one.
+    rows for every stage, `slope` takes the list of combinations. It also returns further data of the stage, of which
+    those of the last stage are returned; `extra` are those of the first one.
     """
     start, read = ravel_pytree(first)
     a, c = (np.asarray(table) for table in stages)
@@ -213,7 +213,7 @@ def _read(read: Callable[[jax.Array], Any], combined: jax.Array) -> Any:
 
 
 def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
-    """weights @ rows for weights that are known, term by term."""
+    """weights @ rows for known weights, term by term, without zeros."""
     if weights.ndim == 2:
         return jnp.stack([_sum(row, rows) for row in weights])
     terms = [float(weights[j]) * rows[j] for j in np.flatnonzero(weights)]
@@ -221,5 +221,5 @@ def _sum(weights: NDArray[Any], rows: jax.Array) -> jax.Array:
 
 
 def _weighted(weights: jax.Array, rows: jax.Array) -> jax.Array:
-    """weights @ rows as a sum: a product of matrices may call a library, or lose digits on an accelerator."""
+    """weights @ rows as a sum: a matrix product may call a library, or lose digits on an accelerator."""
     return jnp.sum(weights[..., None] * (rows if weights.ndim == 1 else rows[None]), axis=-2)

@@ -156,10 +156,10 @@ class _Flight:
         if isinstance(u, Mapping):
             u = {name: value for name, value in u.items() if name in names}
         if save_at is not None:
-            save_at = _rows(save_at, t, limit, dtype, self.on_grid, _by_event(phase))
+            save_at = _saved_times(save_at, t, limit, dtype, self.on_grid, _by_event(phase))
         if self.callback is not None:
-            progress = _share(self.callback, index, len(self.phases))
-        taken = Options(
+            progress = _phase_progress(self.callback, index, len(self.phases))
+        phase_options = Options(
             t0=t,
             t1=limit,
             **phase.over(options),
@@ -173,14 +173,13 @@ class _Flight:
             throw=options.throw,
             progress=progress,
         )
-        solution = integrated(phase.dynamics, x, taken)
-        return _met(solution, limit, options.throw) if _by_event(phase) else solution
+        solution = integrated(phase.dynamics, x, phase_options)
+        return _checked_end(solution, limit, options.throw) if _by_event(phase) else solution
 
     def _params(self, phase: Phase) -> dict[str, Any]:
         return self.params | dict(phase.params or {})
 
     def _next(self, index: int, solution: Solution, good: Any) -> tuple[Any, dict[str, Any]]:
-        """Time and states at the start of the next phase."""
         t: Any = solution.ts[-1]
         end = {name: value[-1] for name, value in solution.xs.items()}
         if is_traced(solution.code):
@@ -193,8 +192,8 @@ class _Flight:
         return t, x
 
 
-def _share(callback: ProgressCallback, index: int, count: int) -> ProgressCallback:
-    """A progress callback for one phase of several."""
+def _phase_progress(callback: ProgressCallback, index: int, count: int) -> ProgressCallback:
+    """The progress callback of one phase, which counts as an equal share of all."""
     return lambda t, share: callback(t, (index + share) / count)
 
 
@@ -270,7 +269,7 @@ def _limit(phase: Phase, t: Any) -> Any:
     return end
 
 
-def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event: bool) -> Any:
+def _saved_times(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event: bool) -> Any:
     """The saved times of a phase: its start, those within, and its end, which an event adds itself.
 
     On a grid every phase has rows for all times; those that it does not cover lie on its start or its end.
@@ -281,7 +280,7 @@ def _rows(save_at: Any, t: Any, limit: Any, dtype: Any, on_grid: bool, by_event:
     return array.concatenate([start[None], times, *([] if by_event else [end[None]])])
 
 
-def _met(solution: Solution, limit: Any, throw: bool) -> Solution:
+def _checked_end(solution: Solution, limit: Any, throw: bool) -> Solution:
     """The solution, marked as failed if the phase ended without its event. Raises IntegrationError."""
     missed = solution.code == Result.SUCCESS.value
     if is_traced(solution.code):

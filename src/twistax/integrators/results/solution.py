@@ -125,7 +125,7 @@ class AnySolution(ABC):
 
     @abstractmethod
     def _columns(self, layout: Any) -> list[Column]:
-        """The columns of the table."""
+        pass
 
     def to_csv(self, path: Any, layout: Any = None) -> None:
         """Write a table of the saved times: a header of names with units, then a row for each time, with all digits.

@@ -183,17 +183,17 @@ class FreeBody(FreeMotion):
         else:
             self.inertia, self.parameters = expr, _ = _inertia_of(inertia)
             key = expr.key()
-        self._key = (self.position, self.velocity, self._is_momentum, key)
+        self.key = (self.position, self.velocity, self._is_momentum, key)
 
     def __repr__(self) -> str:
         kind = "momentum" if self._is_momentum else "velocity"
         return f"FreeBody(pose={self.position!r}, {kind}={self.velocity!r})"
 
     def __eq__(self, other: object) -> bool:
-        return isinstance(other, FreeBody) and self._key == other._key
+        return isinstance(other, FreeBody) and self.key == other.key
 
     def __hash__(self) -> int:
-        return hash(self._key)
+        return hash(self.key)
 
     def check(self, dynamics: Dynamics) -> None:
         group = dynamics.group.factors[self.position]
@@ -305,7 +305,7 @@ class _BodyFlows(Flows):
 
     def __init__(self, names: tuple[str, str], group: Group, inertia: BodyInertia, is_momentum: bool) -> None:
         self.position, self.velocity = names
-        self.group, self.own, self.part = group, inertia, Ambient().coordinates(group)
+        self.group, self.inertia, self.part = group, inertia, Ambient().coordinates(group)
         # From the second state, or its rate at rest, to momenta in body axes, and back.
         self.into = inertia.centered if is_momentum else inertia.momenta
         self.out = inertia.about_origin if is_momentum else inertia.velocity
@@ -328,12 +328,12 @@ class _BodyFlows(Flows):
 
     def outer(self, y: Blocks, dt: jax.Array) -> Blocks:
         pose, momenta = y[self.position], value(y[self.velocity])
-        q = self.own.spin.symmetric(pose[:4], momenta[:3], dt)
-        return y | {self.position: (*q, *increased(pose[4:], scale(dt / self.own.mass, momenta[3:])))}
+        q = self.inertia.spin.symmetric(pose[:4], momenta[:3], dt)
+        return y | {self.position: (*q, *increased(pose[4:], scale(dt / self.inertia.mass, momenta[3:])))}
 
     def inner(self, y: Blocks, dt: jax.Array, backwards: bool) -> Blocks:
         pose = y[self.position]
-        q = self.own.spin.others_flow(pose[:4], y[self.velocity][:3], dt, backwards)
+        q = self.inertia.spin.flow_of_other_axes(pose[:4], y[self.velocity][:3], dt, backwards)
         return y | {self.position: (*q, *pose[4:])}
 
     def kick(self, y: Blocks, rates: Arrays, dt: jax.Array) -> Blocks:
@@ -350,7 +350,7 @@ class _BodyFlows(Flows):
 
     def _arm(self, pose: Components) -> Components:
         """From the origin of the frame of a pose to the centre of mass, in world axes; empty for an attitude."""
-        return quaternions.rotate(pose[:4], arrays(self.own.center, pose[0])) if self.own.center else ()
+        return quaternions.rotate(pose[:4], arrays(self.inertia.center, pose[0])) if self.inertia.center else ()
 
 
 def _turned(q: Components, vectors: Components) -> Components:

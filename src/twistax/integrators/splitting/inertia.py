@@ -156,7 +156,7 @@ class Spin:
         turned = q if self.main is None else self.main.flow(q, L, dt)
         return quaternions.product(quaternions.exp(scale(dt * self.isotropic, L)), turned)
 
-    def others_flow(self, q: Components, L: Components, dt: jax.Array, backwards: bool) -> Components:
+    def flow_of_other_axes(self, q: Components, L: Components, dt: jax.Array, backwards: bool) -> Components:
         """The attitude after dt by every other part, one after the other."""
         if len(self.other_axes) < 2:
             return self.other_axes[0].flow(q, L, dt) if self.other_axes else q

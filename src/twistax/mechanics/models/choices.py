@@ -1,4 +1,4 @@
-"""What the caller of `load` decides: which numbers become Parameters, and which masses and inertias are accepted."""
+"""Options of `load`: which numbers become Parameters, and which unphysical masses and inertias are accepted."""
 
 from __future__ import annotations
 
@@ -19,15 +19,15 @@ from .xml_file import Element
 
 
 @dataclasses.dataclass(frozen=True)
-class _Doubt:
+class _UnphysicalLink:
     """A link with a mass or inertia that no real body has.
 
     Attributes:
         why: the error of `SpatialInertia`.
         mass: of the link.
         moments: the principal moments about its centre of mass, smallest first.
-        signs: whether a body has them if the products of inertia have the other sign.
-        element: where the file has it.
+        signs: whether they are physical with the other sign of the products of inertia.
+        element: its element in the file.
     """
 
     why: str
@@ -38,7 +38,6 @@ class _Doubt:
 
     @property
     def numbers(self) -> str:
-        """Mass and principal moments as text."""
         return f"{self.mass:.4g} kg, principal moments {', '.join(f'{moment:.4g}' for moment in self.moments)} kg m2"
 
     @property
@@ -48,17 +47,17 @@ class _Doubt:
 
 
 class Choices:
-    """Makes Parameters of the numbers that were asked for and leaves the others. Checks masses and inertias.
+    """Makes Parameters of the numbers that `wanted` names. Checks masses and inertias.
 
     Args:
         wanted: True for all, or names.
-        physical: which masses and inertias that no body has are accepted. None: those with which the equations of
-            motion have one solution. True: none. False: all. A mapping says it for single links, None holds for others.
+        physical: which unphysical masses and inertias are accepted. None: those with which the equations of motion
+            have one solution. True: none. False: all. A mapping has True or False for single links; None for others.
     Attributes:
-        length: the largest distance in the file between two of its frames, m. What an inertia has below the round-off
-            of mass times length^2 has no effect.
-        doubts: by link what is wrong with its mass or inertia. `judge` decides.
-        notes: what was taken as it is, or changed.
+        length: the largest distance in the file between two of its frames, m. Entries of an inertia below the round-off
+            of mass times length^2 have no effect.
+        doubts: the unphysical links by name. `judge` refuses or accepts them.
+        notes: what was accepted as it is, or changed.
     """
 
     def __init__(self, wanted: bool | Iterable[str], physical: bool | Mapping[str, bool] | None = None) -> None:
@@ -74,7 +73,7 @@ class Choices:
         self.known: list[str] = []
         self.physical = physical
         self.length = 0.0
-        self.doubts = dict[str, _Doubt]()
+        self.doubts = dict[str, _UnphysicalLink]()
         self.notes = list[str]()
         self._bodies, self._rounded = list[str](), list[str]()
 
@@ -105,10 +104,10 @@ class Choices:
                 self._rounded.append(owner)
         if why is not None:
             signs = bool(products.any()) and _objection(mass, center, other_signs) is None
-            self.doubts[owner] = _Doubt(why, mass, np.linalg.eigvalsh(tensor), signs, element)
+            self.doubts[owner] = _UnphysicalLink(why, mass, np.linalg.eigvalsh(tensor), signs, element)
         self._bodies.append(owner)
         return SpatialInertia(
-            mass=self.of(owner, "mass", mass) if mass else mass,  # two that may be zero have no centre together
+            mass=self.of(owner, "mass", mass) if mass else mass,  # two bodies whose masses may be zero have no centre
             center_of_mass=self.of(owner, "center_of_mass", center),
             inertia=self.of(owner, "inertia", tensor),
             physical=why is None,

@@ -233,7 +233,6 @@ class Mjcf:
         return servos
 
     def _actuator(self, a: int) -> str:
-        """The name of an actuator in notes."""
         name, joint = self.model.actuator(a).name, self._name("joint", int(self.model.actuator_trnid[a, 0]))
         return f"actuator {name!r} of joint {joint!r}" if name else f"an actuator of joint {joint!r}"
 

@@ -4,8 +4,8 @@ MuJoCo holds them by stiff springs (solref, solimp), here they are exact. A line
 
     q_1 - ref_1 = c_0 + c_1 (q_2 - ref_2)
 
-makes the first a follower of the second, and so of what the second follows. `connect` is a `Point`, `weld` a `Pose`.
-What is left is noted.
+makes the first a follower of the second, and so of what the second follows. `connect` is a `PointLoop`, `weld` a
+`PoseLoop`. What is left is noted.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ..loops import Loop, Point, Pose
+from ..loops import Loop, PointLoop, PoseLoop
 from ..tree import Mimic
 
 _STRAIGHT = np.array([1.0, 0.0, 0.0, 0.0])
@@ -132,7 +132,7 @@ class Equalities:
         if self._carrier(places[0].body) == self._carrier(places[1].body):
             self.notes.append(f"{what}, between bodies that do not move against each other")
         else:
-            self.closures.append(Closure(self._called(e), Pose if weld else Point, places))
+            self.closures.append(Closure(self._called(e), PoseLoop if weld else PointLoop, places))
 
     def _carrier(self, body: int) -> int:
         """The body to which it is fixed."""

@@ -99,7 +99,6 @@ def _refuse_macros(element: Element) -> None:
 
 
 def _refuse_repeated(elements: list[Element], kind: str) -> None:
-    """Raise ModelError for two elements of one name."""
     first: dict[str, Element] = {}
     for element in elements:
         before = first.setdefault(element.text("name"), element)

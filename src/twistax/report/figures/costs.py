@@ -16,7 +16,7 @@ import twistax as tx
 from ...scenes import SCENES, heavy_top, powered_descent, touchdown
 from ...system.explain import count_equations
 from ..harness.expected import at_most, between
-from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.measurement import MeasuredCase, Section, quick, slow
 from ..harness.rows import plain
 from ..harness.store import Origin, Store
 from ..harness.timing import empty_call_seconds, printed, seconds_of
@@ -147,7 +147,7 @@ def _ratio(scene: str, method: str, error: float) -> float:
     return times[method] / best
 
 
-def _race(title: str, scene: str, method: Any, error: float, limit: float = math.inf) -> Measurement:
+def _race(title: str, scene: str, method: Any, error: float, limit: float = math.inf) -> MeasuredCase:
     what = f"{title}, error {plain(error)}"
     return slow(what, method.name, between(high=limit), _ratio, scene, method.name, error)
 

@@ -31,7 +31,6 @@ def dynamics() -> tx.Dynamics:
 
 
 def _by_casadi(xp: Any, x: Any, u: Any, w: Any) -> list[Any]:
-    """The Hessian of the same expression as a CasADi SX matrix."""
     ca = needed("casadi", "casadi")
     rate = dynamics().to_casadi()(t=0, q=x[:7], qd=x[7:], tau=u)["rate_qd"]
     return [ca.vec(ca.hessian(ca.dot(w, rate), ca.vertcat(x, u))[0])]

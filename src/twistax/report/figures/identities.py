@@ -59,7 +59,6 @@ def _ordered(value: Array, order: Order) -> Array:
 
 
 def _hat(xi: Array) -> Array:
-    """xi^ = [[w]x v; 0 0] (..., 4, 4)."""
     X = np.zeros((*xi.shape[:-1], 4, 4))
     X[..., :3, :3], X[..., :3, 3] = np.cross(np.eye(3), xi[..., None, 3:]), xi[..., :3]
     return X

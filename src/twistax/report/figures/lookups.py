@@ -10,7 +10,7 @@ import twistax as tx
 
 from ...scalar.targets.llvm.backend import installed
 from ..harness.expected import between
-from ..harness.measurement import Measurement, Section, slow
+from ..harness.measurement import MeasuredCase, Section, slow
 from ..harness.timing import Race, Timed, compiled
 from .scalars import need_llvmlite
 
@@ -59,7 +59,7 @@ _TABLES: dict[str, tuple[int, int, Any, bool]] = {
 }
 
 
-def _of(what: str, *table: Any) -> list[Measurement]:
+def _of(what: str, *table: Any) -> list[MeasuredCase]:
     race, names = Race(lambda: looked_up(*table), 1e-12), [_NATIVE, _XLA]
     names += [_INTERP] if table[1:3] == (1, _LINEAR) else []
     return [slow(what, name, between(unit="ns"), _nanoseconds, race, name) for name in names]

@@ -19,7 +19,7 @@ from ...mechanics import Drive, Mechanism, chain_models
 from ...mechanics.algorithms.derivatives import inverse_dynamics_derivatives
 from ...scalar.reader import scalarize
 from ..harness.expected import Absent, at_most, needed
-from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.measurement import MeasuredCase, Section, quick, slow
 from ..harness.timing import Repeats, Timed, agree, batch, in_turn
 from ..speed.peers import pinocchio_model
 
@@ -54,7 +54,6 @@ def _mechanism(robot: str) -> Mechanism:
 
 @functools.cache
 def _points(robot: str) -> tuple[dict[str, Any], dict[str, Any]]:
-    """Random states and controls of a batch."""
     system, rng = _mechanism(robot).system(), np.random.default_rng(20240611)
     x = {state.name: jnp.asarray(rng.normal(size=(_BATCH, *state.shape))) for state in system.states}
     if "root_position" in x:
@@ -170,7 +169,7 @@ def _operations(robot: str) -> float:
     return scalarize(lambda *a: [f(0.0, dict(zip(("q", "qd", "tau"), a, strict=True)))], *shapes).operations
 
 
-def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -> list[Measurement]:
+def _row(what: str, by: str, limits: Sequence[float], measure: Any, part: str) -> list[MeasuredCase]:
     """A measurement for each limit: of the robots with files, then of 60 links."""
     unit = "s" if "compiling" in what else ""
     return [

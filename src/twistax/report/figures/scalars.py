@@ -18,11 +18,10 @@ from ...scalar.backends import Backend
 from ...scalar.derivatives import cotangent_program, jacobian
 from ...scalar.jax_primitive import Derived, call_program
 from ...scalar.program import ScalarProgram
-from ...scalar.reader import scalarize
-from ...scalar.rewriting import one_by_one
+from ...scalar.reader import one_by_one, scalarize
 from ...scalar.targets.llvm.backend import installed
 from ..harness.expected import Absent, at_most, between, needed
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 from ..harness.timing import Repeats, Timed, agree, compiled, difference, in_turn, seconds_of
 from ..speed.cases import CASES, EvaluatedFunction
 from ..speed.contenders import relative_difference
@@ -78,7 +77,7 @@ _MOST = {"free-body": at_most(230), "rnea-7": at_most(1020), "aba-7": at_most(18
 
 
 def _of_case(case: EvaluatedFunction) -> Section:
-    row, short = functools.partial(Measurement, case.title), case.sizes[0] < 30
+    row, short = functools.partial(MeasuredCase, case.title), case.sizes[0] < 30
     limit = between(unit="s") if case.name == "free-body" else at_most(0.1 if short else 1.0, "s")
     rows: Section = [
         row("operations", _MOST.get(case.name, between()), lambda: program_of(case).operations),

@@ -2,7 +2,7 @@
 
 import functools
 
-from .page import Beside
+from .page import ForeignReport
 from .problems import FOREIGN
 
-foreign = functools.partial(Beside, FOREIGN)
+foreign = functools.partial(ForeignReport, FOREIGN)

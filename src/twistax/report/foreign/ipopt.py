@@ -40,7 +40,7 @@ class Nlp:
         return bool(stats["success"]), cost, int(stats["iter_count"]), str(stats["return_status"])
 
 
-def stated(problem: Foreign | Phased) -> Nlp:
+def nlp_of(problem: Foreign | Phased) -> Nlp:
     """The problem in Opti. Raises Absent without CasADi."""
     opti = needed("casadi", "'twistax[casadi]'").Opti()
     phases = problem.phases if isinstance(problem, Phased) else [problem]
@@ -112,7 +112,6 @@ class _Statement:
     # ---- an interval; each gives its share of the running cost ------------------------------------------------------
 
     def _shot(self, k: int, t: Any, h: Any) -> Any:
-        """Multiple shooting by RK4."""
         steps, weights = self.problem.rule.substeps, self.problem.rule.weights
         f = lambda x, share: self.f(x, self._control(k, share), self.p, t + share * h)  # noqa: E731
         x, d = self.X[:, k], h / steps

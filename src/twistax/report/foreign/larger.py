@@ -146,7 +146,6 @@ def _each(x: Any, name: str) -> list[Any]:
 
 
 def _inertial(m: Any, q: Any, values: Any) -> list[Any]:
-    """The mass matrix of the angles times values."""
     coupled = lambda j: sum(float(_COUPLING[j, k]) * m.cos(q[j] - q[k]) * values[k] for k in _LINKS)  # noqa: E731
     return [coupled(j) + float(_TURN[j]) * values[j] for j in _LINKS]
 

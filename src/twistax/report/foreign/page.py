@@ -15,7 +15,7 @@ from ..harness.report import Report
 from ..harness.rows import DONE, now, number
 from ..harness.rows import ReportRow as Row
 from ..harness.timing import ProgressCallback as Tell
-from .run import SAME, Side, apart, in_words, ipopt, ours
+from .run import SAME, Side, excess_cost, in_words, ipopt, ours
 from .statement import Foreign, Phased
 
 #: Seconds of the processor that a side has for a problem, and in the quick run.
@@ -36,7 +36,7 @@ def _ratios(theirs: Side, mine: Side) -> dict[str, float]:
     return {"steps": steps, "second solve": mine.second / theirs.second, "first answer": mine.first / theirs.first}
 
 
-class Beside(Report):
+class ForeignReport(Report):
     """Each problem by both sides in turn, in this process. A row of the store is a problem, its numbers both sides."""
 
     name, template = "foreign", "foreign"
@@ -60,7 +60,7 @@ class Beside(Report):
         numbers = {
             f"{name}, {by}": x for by, side in (("IPOPT", theirs), ("twistax", mine)) for name, x in side.numbers
         }
-        holds = mine.solved and not apart(problem, mine, theirs) > SAME
+        holds = mine.solved and not excess_cost(problem, mine, theirs) > SAME
         note = DONE if mine.solved and theirs.solved else f"IPOPT: {theirs.word}; twistax: {mine.word}"
         row = Row(part, problem.name, _BY, problem.transcription, mine.second / theirs.second, "of its time", _BAR)
         self.store.add([dataclasses.replace(row, holds=holds, note=note, sitting=now(), numbers=numbers)])
@@ -80,7 +80,7 @@ class Beside(Report):
     def _summary(self) -> list[Row]:
         """Counts, and ratios over the problems that both solve at one optimum."""
         measured = self._measured()
-        worse = {part: apart(self._problems[part], mine, theirs) for part, (theirs, mine) in measured.items()}
+        worse = {part: excess_cost(self._problems[part], mine, theirs) for part, (theirs, mine) in measured.items()}
         pairs = [measured[part] for part, size in worse.items() if abs(size) <= SAME]
         good = [mine.solved and not worse[part] > SAME for part, (_, mine) in measured.items()]
         counts = {
@@ -131,7 +131,7 @@ class Beside(Report):
             *("SOLVED" if side.solved else words.get(by, "-") for by, side in (("IPOPT", theirs), ("twistax", mine))),
             "-" if problem.published is None else f"{problem.published:.7g}",
             *(f"{side.cost:.8g}" if math.isfinite(side.cost) else "-" for side in (theirs, mine)),
-            in_words(apart(problem, mine, theirs)),
+            in_words(excess_cost(problem, mine, theirs)),
             *(shown(float(side.iterations or math.nan)) for side in (theirs, mine)),
             shown(ratios["steps"]),
             *both("first", 1.0),

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..harness.expected import Absent
 from ..harness.rows import first_line
-from .ipopt import stated
+from .ipopt import nlp_of
 from .statement import Foreign, Phased
 
 #: A second solve is the fastest of so many, as many of them as begin within so many seconds.
@@ -93,7 +93,7 @@ def ipopt(problem: Foreign | Phased, seconds: float) -> Side:
     """By plain IPOPT. Raises Absent without CasADi."""
     gc.collect()
     begin = time.perf_counter()
-    nlp = stated(problem)
+    nlp = nlp_of(problem)
     nlp.prepare(seconds)
     solved, cost, iterations, word = nlp.solve()
     first = time.perf_counter() - begin
@@ -121,7 +121,7 @@ def ours(problem: Foreign | Phased, seconds: float) -> Side:
     return Side(result.solved, result.status.name, float(result.cost), result.iterations, first, second)
 
 
-def apart(problem: Foreign | Phased, mine: Side, theirs: Side) -> float:
+def excess_cost(problem: Foreign | Phased, mine: Side, theirs: Side) -> float:
     """By how much our objective is worse, relative; negative where it is better, NaN unless both are solved."""
     if not (mine.solved and theirs.solved):
         return math.nan

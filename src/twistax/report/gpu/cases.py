@@ -32,7 +32,6 @@ def _body(backend: Any) -> tx.Dynamics:
 
 @functools.cache
 def _arm(backend: Any) -> tx.Dynamics:
-    """The forward dynamics of a Panda."""
     return tx.compile(CASES["aba-7"].system(), backend=backend)
 
 

@@ -63,7 +63,7 @@ def measure(folder: str, name: str) -> None:
     import jax
 
     jax.config.update("jax_enable_x64", True)
-    from ...scalar.targets.llvm.targets import TARGETS
+    from ...scalar.targets.llvm.backend import TARGETS
     from .sections import SECTIONS
 
     rows, _ = SECTIONS[name]

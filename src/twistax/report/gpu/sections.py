@@ -67,7 +67,6 @@ def _seconds(function: Callable[..., Any], *arguments: Any, repeats: int = 10) -
 
 
 def _difference(results: Any, expected: Any) -> float:
-    """The largest, relative to the largest entry of each array."""
     worst = 0.0
     for result, other in zip(jax.tree.leaves(results), jax.tree.leaves(expected), strict=True):
         a, b = np.asarray(result, float), np.asarray(other, float)

@@ -1,4 +1,4 @@
-"""What is asked of a measurement, and what it may answer: a number, an integration that ended early, or an error."""
+"""The expected result of a measurement, and its outcome: a number, an integration that ended early, or an error."""
 
 import dataclasses
 import importlib
@@ -11,12 +11,12 @@ import twistax as tx
 
 from .rows import ReportRow, first_line, number
 
-#: What a measurement gives: a number, or what was raised in place of one.
+#: The outcome of a measurement: a number, or the error in its place.
 Outcome = float | Exception
 
 
 class Absent(Exception):
-    """What a measurement needs is not on this machine; the message says what."""
+    """A measurement needs something that this machine does not have; the message names it."""
 
 
 def needed(module: str, fix: str = "") -> Any:
@@ -44,19 +44,21 @@ def simulated(dynamics: tx.Dynamics, x0: Mapping[str, Any], **options: Any) -> t
 
 @dataclasses.dataclass(frozen=True)
 class Expected:
-    """What is asked of a number, or of an error in its place."""
+    """The condition that an outcome must meet."""
 
-    text: str  # for tables; empty where nothing is
-    met: Callable[[Outcome], bool]  # whether a number, or what was raised, is it; NaN never is
+    text: str  # for tables; empty where any number will do
+    met: Callable[[Outcome], bool]  # whether an outcome meets it; NaN never does
     unit: str = ""
 
 
 def between(low: float = -math.inf, high: float = math.inf, unit: str = "") -> Expected:
-    """A finite number within bounds; without bounds nothing is asked for but a number."""
+    """A finite number within bounds; without bounds any finite number."""
     bounds = (("at least", low), ("at most", high))
     limits = ", ".join(f"{word} {number(bound)}" for word, bound in bounds if math.isfinite(bound))
     text = f"{limits} {unit}".strip() if limits else ""
-    return Expected(text, lambda came: isinstance(came, float) and math.isfinite(came) and low <= came <= high, unit)
+    return Expected(
+        text, lambda value: isinstance(value, float) and math.isfinite(value) and low <= value <= high, unit
+    )
 
 
 def at_most(bar: float | int, unit: str = "") -> Expected:
@@ -68,26 +70,26 @@ def ends(result: tx.Result, after: float = 0.0, before: float = math.inf) -> Exp
     """An integration that ends early with this result, between two times in s."""
     when = "" if before == math.inf else f", {after:g} <= t <= {before:g} s"
 
-    def met(came: Outcome) -> bool:
-        return isinstance(came, EarlyEnd) and came.result is result and after <= came.t <= before
+    def met(outcome: Outcome) -> bool:
+        return isinstance(outcome, EarlyEnd) and outcome.result is result and after <= outcome.t <= before
 
     return Expected(f"ends: {result.name}{when}", met)
 
 
 def refused(error: type[tx.TwistaxError], words: str) -> Expected:
     """An error of this type whose first line has these words."""
-    met = lambda came: isinstance(came, error) and words in first_line(came)  # noqa: E731
+    met = lambda outcome: isinstance(outcome, error) and words in first_line(outcome)  # noqa: E731
     return Expected(f"{error.__name__} with the words: {words}", met)
 
 
 def either(first: Expected, second: Expected) -> Expected:
     """One of two expectations, where processors differ."""
-    return Expected(f"{first.text}, or {second.text}", lambda came: first.met(came) or second.met(came))
+    return Expected(f"{first.text}, or {second.text}", lambda outcome: first.met(outcome) or second.met(outcome))
 
 
-def judged(row: ReportRow, expected: Expected, came: Outcome | None = None) -> ReportRow:
-    """The row with its bar and whether that holds, of its value if nothing else came; what is missing is not judged."""
-    missing = math.isnan(row.value) if came is None else isinstance(came, (Absent, ImportError))
-    met = expected.met(row.value if came is None else came)
+def judged(row: ReportRow, expected: Expected, outcome: Outcome | None = None) -> ReportRow:
+    """The row with its bar, and whether the outcome (by default its value) meets it; None where it is missing."""
+    missing = math.isnan(row.value) if outcome is None else isinstance(outcome, (Absent, ImportError))
+    met = expected.met(row.value if outcome is None else outcome)
     holds = None if missing or (met and not expected.text) else met
     return dataclasses.replace(row, bar=expected.text, holds=holds, unit=expected.unit or row.unit)

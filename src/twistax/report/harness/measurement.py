@@ -1,4 +1,4 @@
-"""A measurement: what is done, what is asked of the number that comes, and the sections that measurements stand in."""
+"""A measurement with its expected result, and the sections that contain measurements."""
 
 import dataclasses
 import functools
@@ -10,22 +10,22 @@ from .expected import Absent, EarlyEnd, Expected, Outcome, judged
 from .rows import DONE, ReportRow, first_line, now
 
 T = TypeVar("T")
-#: The bar of the numbers of a column, maybe by row; and the function that gives the number of a row.
+#: The expected result of a column, or a function of the row that gives it; and the function that measures a row.
 Column = tuple[Expected | Callable[[T], Expected], Callable[[T], Any]]
 
 _SILENT = "NaN OR INFINITE, AND NOTHING SAID SO"
 
 
-class Measurement:
+class MeasuredCase:
     """One case of a section.
 
     Args:
-        what: what is done, in a few words with numbers.
-        by: the method, package or function that does it.
-        expected: what is asked of the number.
-        measure: gives the number of the arguments and options after it, or raises.
-        slow: left out of the quick run.
-        place: where the figure of its section has it: on which line, at which x.
+        what: the case, in a few words with numbers.
+        by: the method, package or function that is measured.
+        expected: the expected result.
+        measure: a function of the arguments and options after it that returns the number, or raises.
+        slow: whether the quick run leaves it out.
+        place: its line and its x in the figure of its section.
     """
 
     def __init__(
@@ -43,29 +43,29 @@ class Measurement:
         self._measure = functools.partial(measure, *arguments, **options)
 
     def run(self, section: str = "") -> ReportRow:
-        """Measure. What is raised is the outcome, and stands in the note."""
+        """Measure. An error is an outcome too; the note has its first line."""
         row = ReportRow(section, self.what, self.by, sitting=now())
         try:
-            came: Outcome = float(self._measure())
+            outcome: Outcome = float(self._measure())
         except Exception as failure:
-            came = failure
-        if isinstance(came, float):
-            row = dataclasses.replace(row, value=came, note=DONE if math.isfinite(came) else _SILENT)
+            outcome = failure
+        if isinstance(outcome, float):
+            row = dataclasses.replace(row, value=outcome, note=DONE if math.isfinite(outcome) else _SILENT)
         else:
-            kind = "" if isinstance(came, (EarlyEnd, Absent)) else f"{type(came).__name__}: "
-            row = dataclasses.replace(row, note=kind + first_line(came))
-        return judged(row, self.expected, came)
+            kind = "" if isinstance(outcome, (EarlyEnd, Absent)) else f"{type(outcome).__name__}: "
+            row = dataclasses.replace(row, note=kind + first_line(outcome))
+        return judged(row, self.expected, outcome)
 
 
 #: A measurement of every run, and one that the quick run leaves out.
-quick, slow = Measurement, functools.partial(Measurement, slow=True)
+quick, slow = MeasuredCase, functools.partial(MeasuredCase, slow=True)
 
-#: The measurements of a section, those that need it after a plain sentence that explains what comes of them. Its title,
-#: and what its page says of it, stand in `templates/sections.toml`.
-Section = list[str | Measurement]
+#: The measurements of a section; a sentence in front of one explains its result. The title and the text of the section
+#: are in `templates/sections.toml`.
+Section = list[str | MeasuredCase]
 
 
-def explained(section: Section) -> Iterator[tuple[str, Measurement]]:
+def explained(section: Section) -> Iterator[tuple[str, MeasuredCase]]:
     """Each measurement with the sentence before it."""
     why = ""
     for item in section:
@@ -75,7 +75,7 @@ def explained(section: Section) -> Iterator[tuple[str, Measurement]]:
             yield why, item
 
 
-def table(rows: Mapping[str, T], columns: Mapping[str, Column[T]], kind: Callable[..., Measurement] = slow) -> Section:
+def table(rows: Mapping[str, T], columns: Mapping[str, Column[T]], kind: Callable[..., MeasuredCase] = slow) -> Section:
     """A measurement for each row and column, each of which has a name; they are `quick` or `slow`."""
     return [
         kind(what, by, expected if isinstance(expected, Expected) else expected(row), measure, row)

@@ -57,7 +57,6 @@ def _inline(text: str) -> str:
 
 
 def _listed(words: Iterable[str]) -> str:
-    """Words as a list in a sentence: a, b and c."""
     *first, last = words
     return f"{', '.join(first)} and {last}" if first else last
 

@@ -1,4 +1,4 @@
-"""A report: parts measured one after the other, judged, drawn and written as a page; and one made of sections."""
+"""Reports: parts that are measured one after the other, compared with their bars, drawn and written as a page."""
 
 import argparse
 import functools
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from types import MappingProxyType
 from typing import Any, ClassVar
 
-from .measurement import Measurement, Section, explained
+from .measurement import MeasuredCase, Section, explained
 from .page import as_svg, panels, table_of, texts
 from .rows import ReportRow
 from .store import Store
@@ -16,7 +16,7 @@ from .timing import ProgressCallback
 
 
 class Report(ABC):
-    """What is measured part by part, and the page of it."""
+    """Measurements in parts, and their page."""
 
     name: str  # of its files
     template: ClassVar[str]  # of its page
@@ -24,40 +24,40 @@ class Report(ABC):
     #: Whether every call runs in the caller's thread (`jax_cpu_enable_async_dispatch` off), so that short programs are
     #: timed alike whether or not XLA counts them as cheap.
     one_thread: ClassVar[bool] = True
-    effort: Mapping[str, Any] = MappingProxyType({})  # what is run, and how often it is repeated
-    parts: Sequence[str]  # what is measured one after the other
-    missing: Mapping[str, str] = MappingProxyType({})  # who cannot take part on this machine, and why
-    versions: Mapping[str, str] = MappingProxyType({})  # of packages that take part beside the usual ones
-    store: Store  # of its rows, once it runs
+    effort: Mapping[str, Any] = MappingProxyType({})  # what is run, and the number of repetitions
+    parts: Sequence[str]  # their names, in the order of measurement
+    missing: Mapping[str, str] = MappingProxyType({})  # packages that cannot run on this machine, and why
+    versions: Mapping[str, str] = MappingProxyType({})  # of packages beside the usual ones
+    store: Store  # of its rows, while it runs
 
     @abstractmethod
     def measure(self, part: str, progress: ProgressCallback) -> None:
-        """Put into the store what is not there yet."""
+        """Measure the rows of a part that the store does not have, and add them to it."""
 
     def rows(self) -> list[ReportRow]:
-        """What this run is about, in order."""
+        """The rows of this run, in order."""
         return [row for part in self.parts for row in self.store if row.group == part]
 
     @abstractmethod
     def bars(self, part: str) -> list[ReportRow]:
-        """The judged rows of a part: printed, and put into documents by groups."""
+        """The rows of a part with their bars, as they are printed and written into pages."""
 
     @abstractmethod
     def problems(self) -> list[str]:
-        """What makes the run fail, a line each."""
+        """The reasons why the run fails, a line each."""
 
     def drawings(self) -> dict[str, Callable[[], bytes]]:
-        """What draws the figures as SVG, by the name of the file; ImportError without matplotlib."""
+        """Functions that draw the figures as SVG, by file name. They raise ImportError without matplotlib."""
         return {}
 
     @abstractmethod
     def context(self) -> dict[str, Any]:
-        """What the template needs beside what `run_report` gives to all."""
+        """The values of the template beside those that `run_report` adds."""
 
 
-#: Tables longer than this are folded up, unless something is missed.
+#: Longer tables are folded, unless a bar is missed.
 _SHOWN = 14
-#: Numbers of zero are drawn here.
+#: Zeros are drawn here.
 _FLOOR = 1e-17
 
 
@@ -81,7 +81,7 @@ class SectionReport(Report):
                 progress(f"{it.what}, {it.by}", i / len(measurements))
                 self.store.add([it.run(part)])
 
-    def _measured(self, part: str) -> list[tuple[ReportRow, str, Measurement]]:
+    def _measured(self, part: str) -> list[tuple[ReportRow, str, MeasuredCase]]:
         """The rows there are, each with its sentence and its measurement."""
         rows = [(self.store.get(part, it.what, it.by), why, it) for why, it in self._sections[part]]
         return [(row, why, it) for row, why, it in rows if row]

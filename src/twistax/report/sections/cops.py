@@ -10,7 +10,7 @@ from typing import Any
 import twistax as tx
 
 from ...trajectory import Linear, Problem
-from .problems import stated
+from .problems import problem_of
 
 
 def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
@@ -32,7 +32,7 @@ def robot_arm(nodes: Any = 51, **options: Any) -> Problem:
         dict(zip(places, values)) for values in ((4.5, 0.0, math.pi / 4.0), (4.5, 2.0 * math.pi / 3.0, math.pi / 4.0))
     )
     options |= {"nodes": nodes, "initial": still | start, "final": still | goal}
-    return stated(rates_of, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)
+    return problem_of(rates_of, tx.Minimize(tx.Time()), final_time=(1.0, 30.0), **options)
 
 
 def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
@@ -43,7 +43,7 @@ def particle_steering(nodes: Any = 51, **options: Any) -> Problem:
     rates: dict[Any, Any] = {x: vx, y: vy, vx: size * tx.Cos(angle), vy: size * tx.Sin(angle)}
     zero: dict[Any, Any] = dict.fromkeys((x, y, vx, vy), 0.0)
     options |= {"nodes": nodes, "initial": zero, "final": {y: height, vx: speed, vy: 0.0}, "controls": Linear()}
-    return stated(rates, tx.Minimize(tx.Time()), final_time=(0.1, 10.0), **options)
+    return problem_of(rates, tx.Minimize(tx.Time()), final_time=(0.1, 10.0), **options)
 
 
 def catalyst_mixing(nodes: Any = 101, **options: Any) -> Problem:
@@ -52,4 +52,4 @@ def catalyst_mixing(nodes: Any = 101, **options: Any) -> Problem:
     swap = u * (10.0 * x2 - x1)
     rates: dict[Any, Any] = {x1: swap, x2: -swap - (1.0 - u) * x2}
     options |= {"nodes": nodes, "initial": {x1: 1.0, x2: 0.0}}
-    return stated(rates, tx.Maximize(1.0 - x1 - x2), final_time=1.0, **options)
+    return problem_of(rates, tx.Maximize(1.0 - x1 - x2), final_time=1.0, **options)

@@ -45,7 +45,7 @@ int main(void)
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
-class Case:
+class ControlLoop:
     """A system to control.
 
     Attributes:
@@ -82,7 +82,7 @@ class Case:
 
 
 @functools.cache
-def cart_pole() -> Case:
+def cart_pole() -> ControlLoop:
     """A pole on a cart upright, 40 intervals. Masses and length as of Kelly, SIAM Review 59 (2017), section 6."""
     M, m, l, g = 1.0, 0.3, 0.5, 9.81
     x, a, xd, ad = (tx.State(name) for name in ("x", "a", "xd", "ad"))
@@ -96,11 +96,11 @@ def cart_pole() -> Case:
     end = 10.0 * (x * x + 10.0 * a * a + xd * xd + ad * ad)
     of_mesh: dict[str, Any] = {"nodes": 41, "substeps": 1, "final_time": 40 * _LENGTH, "initial": rest}
     problem = Problem(tx.compile(tx.System(rates=rates)), tx.Minimize(end, running=stage), **of_mesh)
-    return Case(problem, rest, np.array([0.0, 0.0, 0.3, 2.0]))
+    return ControlLoop(problem, rest, np.array([0.0, 0.0, 0.3, 2.0]))
 
 
 @functools.cache
-def quadrotor() -> Case:
+def quadrotor() -> ControlLoop:
     """A quadrotor that hovers, 20 intervals."""
     mass, J, arm, drag = 0.8, np.diag([5e-3, 5e-3, 9e-3]), 0.17, 0.016
     mixer = np.array([[1, 1, 1, 1], [0, arm, 0, -arm], [-arm, 0, arm, 0], [drag, -drag, drag, -drag]], float)
@@ -117,24 +117,24 @@ def quadrotor() -> Case:
     of_mesh: dict[str, Any] = {"nodes": 21, "substeps": 1, "final_time": 20 * _LENGTH, "initial": rest}
     cost = tx.Minimize(5.0 * (away @ away) + V @ V, running=running)
     problem = Problem(tx.compile(tx.System(rates={g: V, V: rate})), cost, **of_mesh)
-    return Case(problem, rest, np.array([*[0.05] * 3, *[0.1] * 3, *[0.1] * 3, *[0.3] * 3]))
+    return ControlLoop(problem, rest, np.array([*[0.05] * 3, *[0.1] * 3, *[0.1] * 3, *[0.3] * 3]))
 
 
-def _milliseconds(case: Callable[[], Case], iterations: int) -> float:
+def _milliseconds(case: Callable[[], ControlLoop], iterations: int) -> float:
     return 1e3 * float(np.median(case().flown(iterations)[0].log.seconds))
 
 
-def _late(case: Callable[[], Case]) -> float:
+def _late(case: Callable[[], ControlLoop]) -> float:
     seconds = case().flown(2)[0].log.seconds
     return float(np.quantile(seconds, 0.99) / np.median(seconds))
 
 
-def _cost(case: Callable[[], Case], iterations: int) -> float:
+def _cost(case: Callable[[], ControlLoop], iterations: int) -> float:
     return case().flown(iterations)[1] / case().flown(100)[1]
 
 
 @functools.cache
-def _in_c(case: Callable[[], Case]) -> tuple[float, float]:
+def _in_c(case: Callable[[], ControlLoop]) -> tuple[float, float]:
     """Time of an iteration, us, and workspace, KiB, of its C file."""
     compiler = which("cc")
     if compiler is None:
@@ -158,7 +158,7 @@ def _in_c(case: Callable[[], Case]) -> tuple[float, float]:
     return 200 * microseconds / max(iterations, 1.0), int(size.split(":")[1].split()[0]) / 1024.0
 
 
-def _rows(name: str, case: Callable[[], Case], bar: float) -> Section:
+def _rows(name: str, case: Callable[[], ControlLoop], bar: float) -> Section:
     of_cost = "cost of the loop with two iterations over that with full solves"
     return [
         slow(name, "two iterations, median, ms", at_most(bar), _milliseconds, case, 2),

@@ -43,7 +43,7 @@ class Known:
         return abs(self.result.cost / self.optimum - 1.0) if self.result.solved else math.nan
 
 
-def stated(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
+def problem_of(rates: Mapping[Any, Any], objective: Any, constraints: Any = (), **options: Any) -> Problem:
     """A problem of a system with these rates and constraints."""
     system = tx.System(rates=dict(rates), constraints=list(constraints))
     return Problem(tx.compile(system), objective, **options)
@@ -55,14 +55,14 @@ def brachistochrone(nodes: Any = 51, **options: Any) -> Problem:
     angle = tx.Control("angle", min=0.01, max=3.13)
     rates = {x: v * tx.Sin(angle), y: -v * tx.Cos(angle), v: 9.80665 * tx.Cos(angle)}
     options |= {"nodes": nodes, "initial": {x: 0.0, y: 10.0, v: 0.0}, "final": {x: 10.0, y: 5.0}}
-    return stated(rates, tx.Minimize(tx.Time()), final_time=(0.5, 10.0), **options)
+    return problem_of(rates, tx.Minimize(tx.Time()), final_time=(0.5, 10.0), **options)
 
 
 def bryson_denham(nodes: Any = 61, **options: Any) -> Problem:
     """Least effort there and back below a ceiling. Source: Bryson and Ho, Applied Optimal Control (1975), 3.11."""
     x, v, u = tx.State("x", max=1.0 / 9.0), tx.State("v"), tx.Control("u")
     options |= {"nodes": nodes, "initial": {x: 0.0, v: 1.0}, "final": {x: 0.0, v: -1.0}}
-    return stated({x: v, v: u}, tx.Minimize(running=0.5 * u**2), final_time=1.0, **options)
+    return problem_of({x: v, v: u}, tx.Minimize(running=0.5 * u**2), final_time=1.0, **options)
 
 
 def orbit_raising(nodes: Any = 60, **options: Any) -> Problem:
@@ -75,7 +75,7 @@ def orbit_raising(nodes: Any = 60, **options: Any) -> Problem:
     rates = {r: vr, vr: vt**2 / r - 1.0 / r**2 + thrust * tx.Sin(angle), vt: -vr * vt / r + thrust * tx.Cos(angle)}
     options |= {"nodes": nodes, "initial": {r: 1.0, vr: 0.0, vt: 1.0}, "final": [vr == 0.0, vt == 1.0 / tx.Sqrt(r)]}
     guess = {angle: np.where(np.arange(nodes) < nodes // 2, 0.3, 5.9)}
-    return stated(rates, tx.Maximize(r), final_time=3.3193, controls=Linear(), guess=guess, **options)
+    return problem_of(rates, tx.Maximize(r), final_time=3.3193, controls=Linear(), guess=guess, **options)
 
 
 def cart_pole(nodes: Any = 51, **options: Any) -> Problem:
@@ -94,7 +94,7 @@ def cart_pole(nodes: Any = 51, **options: Any) -> Problem:
     }
     still: dict[Any, Any] = {q: 0.0, a: 0.0, dq: 0.0, da: 0.0}
     options |= {"nodes": nodes, "initial": still, "final": {**still, q: 1.0, a: math.pi}}
-    return stated(rates, tx.Minimize(running=u**2), final_time=2.0, **options)
+    return problem_of(rates, tx.Minimize(running=u**2), final_time=2.0, **options)
 
 
 #: The half turn of Bilimoria and Wie with five switches, all torques at limits: its arcs take a, b, a, a, b, a s, which
@@ -107,7 +107,7 @@ def reorientation(nodes: Any = 51, **options: Any) -> Problem:
     R, w = tx.State("R", group=tx.SO3), tx.State("w", shape=(3,))
     u, zero = tx.Control("u", shape=(3,), min=-1.0, max=1.0), np.zeros(3)
     options |= {"nodes": nodes, "initial": {R: np.eye(3), w: zero}, "final": {R: np.diag([-1.0, -1.0, 1.0]), w: zero}}
-    return stated({R: w, w: u}, tx.Minimize(tx.Time()), final_time=(1.0, 6.0), **options)
+    return problem_of({R: w, w: u}, tx.Minimize(tx.Time()), final_time=(1.0, 6.0), **options)
 
 
 def landing() -> Problem:
@@ -127,7 +127,7 @@ def goddard(nodes: Any = 51, **options: Any) -> Problem:
     ends: dict[str, Any] = {"initial": {h: 1.0, v: 0.0, m: 1.0}, "final": {m: last}}
     times: dict[str, Any] = {"final_time": (0.02, 0.6), "final_time_guess": 0.2}
     rates = {h: v, v: force / m - 1.0 / h**2, m: -T / speed}
-    return stated(rates, tx.Maximize(h), nodes=nodes, **times, **ends, **options)
+    return problem_of(rates, tx.Maximize(h), nodes=nodes, **times, **ends, **options)
 
 
 def rendezvous(form: str, nodes: Any = 31, **options: Any) -> Problem:
@@ -142,7 +142,7 @@ def rendezvous(form: str, nodes: Any = 31, **options: Any) -> Problem:
     }[form]
     start, end = {x: [4.0, -2.0, 1.0], v: [0.0, 0.5, -0.2]}, {x: np.zeros(3), v: np.zeros(3)}
     options |= {"nodes": nodes, "final_time": 8.0, "initial": start, "final": end}
-    return stated({x: v, v: u}, tx.Minimize(running=cost), [limit], **options)
+    return problem_of({x: v, v: u}, tx.Minimize(running=cost), [limit], **options)
 
 
 def hypersensitive(**options: Any) -> Problem:
@@ -153,17 +153,17 @@ def hypersensitive(**options: Any) -> Problem:
     """
     x, u = tx.State("x"), tx.Control("u")
     options = {"nodes": 41, "final_time": 40.0, "initial": {x: 1.5}, "final": {x: 1.0}} | options
-    return stated({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
+    return problem_of({x: u - x**3}, tx.Minimize(running=0.5 * (x**2 + u**2)), controls=Linear(), **options)
 
 
 def fastest(limit: float, times: tuple[float, float], distance: float, nodes: Any = 21, **options: Any) -> Problem:
     """Least time of p'' = u, |u| <= limit, from rest to rest over a distance: 2 sqrt(distance / limit)."""
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-limit, max=limit)
     ends: dict[str, Any] = {"initial": {p: 0.0, v: 0.0}, "final": {p: distance, v: 0.0}}
-    return stated({p: v, v: u}, tx.Minimize(tx.Time()), nodes=nodes, final_time=times, **ends, **options)
+    return problem_of({p: v, v: u}, tx.Minimize(tx.Time()), nodes=nodes, final_time=times, **ends, **options)
 
 
 def no_slope() -> Problem:
     """|u|^2 least outside of a circle, from a point where the constraint has no slope: nothing need move."""
     x, u = tx.State("x", shape=(2,)), tx.Control("u", shape=(2,), min=-1.0, max=1.0)
-    return stated({x: u}, tx.Minimize(running=u @ u), [x @ x >= 1.1], nodes=6, final_time=1.0)
+    return problem_of({x: u}, tx.Minimize(running=u @ u), [x @ x >= 1.1], nodes=6, final_time=1.0)

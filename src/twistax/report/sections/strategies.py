@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from ...trajectory import Strategy
 from ..harness.expected import between
-from ..harness.measurement import Measurement, Section, slow
+from ..harness.measurement import MeasuredCase, Section, slow
 from .optimal import PROBLEMS
 
 #: Starts of each problem: its guess, and that guess perturbed. The relative difference of costs of one optimum.
@@ -46,7 +46,7 @@ def _count(used: Sequence[Strategy]) -> _Count:
     return count
 
 
-def _rows(name: str, used: tuple[Strategy, ...]) -> list[Measurement]:
+def _rows(name: str, used: tuple[Strategy, ...]) -> list[MeasuredCase]:
     total = len(PROBLEMS) * len(_SEEDS)
     return [
         slow(name, f"SOLVED, of {total}", between(), lambda: float(_count(used).solved)),

@@ -18,7 +18,7 @@ import twistax as tx
 from ...expr import Control, State
 from ...expr.graph import substitute
 from ...system import name_of
-from ...trajectory import Mesh
+from ...trajectory import Mesh, Status
 from ...trajectory.problem.conditions import split
 from ..harness.expected import at_most, between
 from ..harness.measurement import Section, slow
@@ -39,7 +39,7 @@ _FAR = 2.0
 
 
 @dataclasses.dataclass(frozen=True)
-class Restated:
+class InOtherUnits:
     """The same problem in other units, or with limits so wide that none is active.
 
     An old unit is `size` new ones for the first state, 1 / size for the next, and so on over states and controls; size
@@ -83,7 +83,7 @@ class Restated:
 class _Units:
     """New leaves, and how many of their units make an old one, by name."""
 
-    change: Restated
+    change: InOtherUnits
     sizes: Mapping[str, float]
     leaves: Mapping[str, Any]
     exchange: dict[str, Any] = dataclasses.field(default_factory=dict)
@@ -148,9 +148,13 @@ def _alike(cost: float, other: float) -> bool:
 
 
 def _stays(result: Any) -> bool:
-    """Whether a closer solve stays at a result, in the scales of that place alone."""
+    """Whether a closer solve stays at a result, in the scales of that place alone.
+
+    Rounding may be more than the tolerance asked for. ACCEPTABLE then says that the conditions hold within a hundred
+    times of it, which is still ten times as close as the result.
+    """
     closer = result.problem.solve(warm=result, tolerance=_CLOSER)
-    return bool(closer.solved) and _alike(closer.cost, result.cost)
+    return closer.status in (Status.SOLVED, Status.ACCEPTABLE) and _alike(closer.cost, result.cost)
 
 
 class StartSweep:
@@ -192,13 +196,13 @@ class StartSweep:
             raise RuntimeError(
                 f"plainly stated it ends at {plain.cost:.9g}, where a closer solve does not stay, or at a saddle"
             )
-        changes = [Restated(*factors, reach) for factors in itertools.product(SIZES, WIDTHS)]
+        changes = [InOtherUnits(*factors, reach) for factors in itertools.product(SIZES, WIDTHS)]
         trials = [trial for change in changes for trial in self._of(change, STARTS)]
         if self.known.problem.alone:
-            trials += [trial for size in SIZES for trial in self._of(Restated(size, 1.0, reach), 1, packed)]
+            trials += [trial for size in SIZES for trial in self._of(InOtherUnits(size, 1.0, reach), 1, packed)]
         return trials
 
-    def _of(self, change: Restated, starts: int, form: Callable[[Any], Any] = lambda same: same) -> Iterator[Tried]:
+    def _of(self, change: InOtherUnits, starts: int, form: Callable[[Any], Any] = lambda same: same) -> Iterator[Tried]:
         problem = form(change(self.known.problem))
         for start in range(starts):
             result = problem.solve(seed=start or None)
@@ -233,7 +237,7 @@ class StartSweep:
         """Those of the others where the objective falls to second order."""
         return [trial for trial in self.elsewhere if trial.is_saddle]
 
-    def apart(self) -> float:
+    def excess_of_best(self) -> float:
         """The best, relative to the known optimum."""
         return abs(self.best / self.known.optimum - 1.0)
 
@@ -284,7 +288,7 @@ TRUST: Section = [
     slow(name, by, expected, measure, sweep)
     for name, sweep in SWEEPS.items()
     for by, expected, measure in (
-        ("best, from the known", at_most(sweep.known.bar), StartSweep.apart),
+        ("best, from the known", at_most(sweep.known.bar), StartSweep.excess_of_best),
         ("SOLVED", between(low=sweep.solved), lambda sweep: sum(trial.solved for trial in sweep.tried)),
         ("SOLVED at no stationary point", at_most(0), lambda sweep: len(sweep.wrong)),
         ("SOLVED at other stationary points", between(), lambda sweep: len(sweep.elsewhere) - len(sweep.wrong)),

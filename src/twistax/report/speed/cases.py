@@ -129,13 +129,11 @@ def _to_link(xp: Any, mount: Array, q: Any) -> Any:
 
 
 def _ad(xp: Any, V: Any) -> Any:
-    """ad_V (6, 6)."""
     v, w = _hat(xp, V[:3]), _hat(xp, V[3:6])
     return xp.block([[w, v], [xp.asarray(np.zeros((3, 3))), w]])
 
 
 def _hat(xp: Any, w: Any) -> Any:
-    """[w]x (3, 3)."""
     return xp.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
 

@@ -11,7 +11,7 @@ import twistax as tx
 
 from ...groups import se3
 from ..harness.expected import at_most, between, ends, simulated
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 
 _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 
@@ -43,7 +43,7 @@ def _miss(wanted: float, *names: str, which: int = 0, **how: float) -> float:
     return abs(float(sol.ts[-1]) - wanted) if ended else float("nan")
 
 
-def _reached(what: str, at: float, bar: float) -> Measurement:
+def _reached(what: str, at: float, bar: float) -> MeasuredCase:
     return quick(what, "RK4", at_most(bar, "s"), _miss, at, "reaching", at=at)
 
 
@@ -60,7 +60,6 @@ def _tilted() -> float:
 
 @functools.cache
 def _ball() -> tx.Dynamics:
-    """A ball that is thrown."""
     h, v = tx.State("h"), tx.State("v")
     return tx.compile(tx.System(rates={h: v, v: -tx.Parameter("pull", value=10.0) + 0.0 * v}))
 

@@ -11,7 +11,7 @@ import twistax as tx
 from ...scenes import SCENES
 from ...scenes.scene import placed
 from ..harness.expected import Expected, at_most, ends, refused, simulated
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 
 _METHODS = {"DOP853": tx.RKMK(tx.tableaus.DOP853), "RK4": tx.RKMK(tx.tableaus.RK4), "Tsit5": tx.RKMK(tx.tableaus.TSIT5)}
 _NAN, _INF = float("nan"), float("inf")
@@ -36,14 +36,14 @@ _spoiled = lambda t: {"F": jnp.where(t < 0.7, 1.0, jnp.nan)}  # noqa: E731
 
 def _case(
     what: str, by: str, name: str, expected: Expected, t1: float = 2.0, raised: bool = False, **how: Any
-) -> Measurement:
+) -> MeasuredCase:
     """An integration from 1, of the lag from 0. With `raised` the error of `tx.integrate` is what counts."""
     start = {"R": np.eye(3), "w": 1.0} if name == "spinning up" else {"x": 0.0 if name == "driven" else 1.0}
     run = tx.integrate if raised else simulated
     return quick(what, by, expected, lambda: run(_system(name), start, t1=t1, method=_METHODS[by], **how))
 
 
-def _of_top(what: str, result: tx.Result, **control: Any) -> Measurement:
+def _of_top(what: str, result: tx.Result, **control: Any) -> MeasuredCase:
     options: dict[str, Any] = {"rtol": 1e-9, "method": _METHODS["Tsit5"], "control": tx.StepControl(**control)}
     measure = lambda: simulated(_TOP.dynamics, _TOP.start, t1=20.0, **options)  # noqa: E731
     return quick(what, "Tsit5", ends(result, 0.0, 20.0), measure)
@@ -99,7 +99,7 @@ def _pushed_body() -> tx.Dynamics:
 
 def _refused(
     what: str, words: str, g: Any = None, V: float = 1.0, F: float = 0.0, m: float = 1.0, **how: Any
-) -> Measurement:
+) -> MeasuredCase:
     """An integration of a pose with one wrong input, which is refused with these words."""
     start = {"g": np.eye(4) if g is None else g, "V": np.full(6, V)}
     how = {"t1": 1.0, "u": {"F": np.full(6, F)}, "params": {"m": m}} | (how if "rtol" in how else {"dt": 0.1} | how)

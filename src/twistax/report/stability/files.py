@@ -10,7 +10,7 @@ import twistax as tx
 
 from ...mechanics import Mechanism, load
 from ..harness.expected import at_most, needed, refused
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 
 #: A rod on a hinge in URDF: its inertial and its joint.
 _INERTIAL = '<inertial><mass value="2"/><inertia ixx="{}" iyy="{}" izz="{}" ixy="0" ixz="0" iyz="0"/></inertial>'
@@ -64,7 +64,7 @@ def _beside(within: bool) -> float:
         return abs(float(np.asarray(tx.lower(tx.mechanics.total_mass(robot))(0.0))) - 2.5)
 
 
-def _refused(what: str, words: str, *parts: str, **options: Any) -> Measurement:
+def _refused(what: str, words: str, *parts: str, **options: Any) -> MeasuredCase:
     return quick(what, "load", refused(tx.ModelError, words), _loaded, *parts, **options)
 
 

@@ -19,7 +19,7 @@ from ...scenes import SCENES, free_bodies, heavy_top, offset_tumble
 from ...scenes.free_rotation import SymmetricBody
 from ...scenes.scene import about, placed, rotation_angle
 from ..harness.expected import Expected, at_most, between, either, ends, simulated
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 from ..harness.rows import plain
 
 Array = NDArray[Any]
@@ -96,7 +96,6 @@ def top(moments: tuple[float, ...] = heavy_top.INERTIA) -> MovingBody:
 
 @functools.cache
 def _spin() -> MovingBody:
-    """A torque-free body on SO(3)."""
     return _of_rotation(SCENES["euler-top"].system, "euler-top", np.array([1.0, 2.0, 3.0]))
 
 
@@ -144,7 +143,7 @@ def _absolute(name: str, motion: Any, method: Method, dt: float, counts: tuple[i
     return float(np.max(changes(motion(), method, dt, counts)[name].absolute[at]))
 
 
-def _drift(motion: Any, chart: Chart | None, expected: Expected, note: str = "") -> Measurement:
+def _drift(motion: Any, chart: Chart | None, expected: Expected, note: str = "") -> MeasuredCase:
     what = f"R'R - I after a million steps, {'tumbling' if motion is free_body else 'constant twist'}{note}"
     by = f"RK4, {'quaternion' if chart is None else 'matrix that nothing puts back'}"
     run = motion, tx.RKMK(tx.tableaus.RK4, chart), 1e-2, (_MILLION,)
@@ -175,7 +174,7 @@ def _largest(motion: Callable[[], MovingBody], composition: Any, name: str) -> f
     return float(changes(it, method, 1e-2, _HUNDREDTHS)[name].relative.max())
 
 
-def _keeps(title: str, name: str, motion: Any, composition: Any) -> Measurement:
+def _keeps(title: str, name: str, motion: Any, composition: Any) -> MeasuredCase:
     expected = at_most(_BARS[name]) if composition is tx.compositions.KAHAN_LI6 else between()
     by = composition.name if composition else "RK4"
     return quick(f"{title}: {name}", by, expected, _largest, motion, composition, name, slow=True)

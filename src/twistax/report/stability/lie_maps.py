@@ -20,7 +20,7 @@ import twistax as tx
 from ...groups import se3, so3
 from ...scenes import SCENES
 from ..harness.expected import at_most, needed, refused, simulated
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 from ..harness.rows import plain
 
 #: The largest figure allowed.
@@ -174,7 +174,7 @@ _LARGE = (3.14, 6.0, 6.28, 10.0, 30.0, 100.0, 300.0, 1000.0)
 _AXIS, _VELOCITY = np.array([1.0, 2.0, -2.0]) / 3.0, np.array([0.3, -2.0, 1.1])
 
 
-def _accuracy(mapping: LieMap) -> Measurement:
+def _accuracy(mapping: LieMap) -> MeasuredCase:
     angles = [angle for angle in (*_ANGLES, *_LARGE) if angle <= (1e3 if mapping.largest > 6.3 else mapping.largest)]
     xis = np.array([np.concatenate([_VELOCITY, angle * _AXIS]) for angle in angles])
     what = f"{mapping.name} of SE(3), angles {plain(angles[0])} to {plain(angles[-1])} rad"
@@ -189,7 +189,7 @@ def _there_and_back(w: jax.Array) -> tuple[jax.Array, ...]:
     return turned(w), jax.jacfwd(turned)(w), jax.jacrev(turned)(w)
 
 
-def _back(angle: float, derivative: bool, bar: float) -> Measurement:
+def _back(angle: float, derivative: bool, bar: float) -> MeasuredCase:
     def measure() -> float:
         back, *slopes = (np.asarray(value)[0] for value in _there_and_back(jnp.asarray(angle * _AXIS[None])))
         if derivative:

@@ -91,7 +91,7 @@ def _four_bar(tilt: float) -> tuple[np.ndarray, np.ndarray]:
         Link(joints.Revolute("rocker", y), _rod(0.8), _at(0.9, tilt)),
         Link(joints.Fixed("tip"), None, _at(0.8), parent="rocker"),
     ]
-    bar = Mechanism(links, loops=[loops.Point("c", "pin", "tip")])
+    bar = Mechanism(links, loops=[loops.PointLoop("c", "pin", "tip")])
     straight = bar if not tilt else Mechanism([*links[:3], *_straight(links[3:])], loops=bar.loops)
     x = tx.compile(straight.system(controls=[])).project(0.0, {"q": [-0.9, 0.4, -1.3], "qd": [3.0, 0.0, 0.0]})
     dynamics = tx.compile(bar.system(controls=[], outputs=lambda qdd, tau: {"F": loop_wrench(bar, "c", tau=tau)}))
@@ -116,7 +116,7 @@ def _ajar(off: float) -> float:
         Link(joints.Fixed("top"), None, tx.pose(position=[0.0, 0.0, 2.0]), parent="low"),
         Link(joints.Fixed("frame"), None, tx.pose(position=[off, 0.0, 2.0])),
     ]
-    upper = loops.Axis("upper", "top", "frame", (0.0, 0.0, 1.0))
+    upper = loops.AxisLoop("upper", "top", "frame", (0.0, 0.0, 1.0))
     door = tx.compile(Mechanism(links, loops=[upper], gravity=(0.0, 1.0, -9.81)).system(controls=[]))
     pendulum = 20.0 * 0.4 * np.cos(0.7) / (1.1 + 20.0 * 0.4**2)
     return abs(float(door(0.0, {"q": np.array([0.7]), "qd": np.zeros(1)})["qd"][0]) / pendulum - 1.0)
@@ -134,7 +134,7 @@ def _bennett() -> tuple[tx.Dynamics, dict[str, Any]]:
         Link(joints.Fixed("end"), None, _at(a, alpha), parent="j3"),
         Link(joints.Fixed("ground"), None, np.linalg.inv(_at(b, beta))),
     ]
-    linkage = Mechanism(links, loops=[loops.Axis("c", "end", "ground", z)], gravity=(0.0, 0.0, 0.0))
+    linkage = Mechanism(links, loops=[loops.AxisLoop("c", "end", "ground", z)], gravity=(0.0, 0.0, 0.0))
     outputs = {"energy": linkage.energy(), **loop_diagnostics(linkage)}
     dynamics = tx.compile(linkage.system(controls=[], outputs=outputs))
     half = np.arctan2(np.sin(0.5 * (beta + alpha)) / np.sin(0.5 * (beta - alpha)), np.tan(-0.5))

@@ -11,7 +11,7 @@ import numpy as np
 import twistax as tx
 
 from ..harness.expected import at_most
-from ..harness.measurement import Measurement, Section, quick
+from ..harness.measurement import MeasuredCase, Section, quick
 
 _METHODS: dict[str, Any] = {
     "RK4": tx.RKMK(tx.tableaus.RK4),
@@ -102,7 +102,7 @@ def _drift(by: str, which: int) -> float:
     return _drifted(by)[which]
 
 
-def _slopes(by: str, steps_taken: str, **how: Any) -> Measurement:
+def _slopes(by: str, steps_taken: str, **how: Any) -> MeasuredCase:
     what = f"derivatives that are numbers, of a failed integration in a batch, {steps_taken}"
     return quick(what, by, at_most(0), _numbers_among_slopes, by, **how)
 

@@ -11,7 +11,7 @@ from ...trajectory import Collocation, Mesh, Problem, Status, TrajectoryResult
 from ..harness.expected import at_most, between
 from ..harness.measurement import Section, quick, slow
 from ..sections import problems
-from ..sections.problems import stated
+from ..sections.problems import problem_of
 
 #: A cost that is said to be the least may be off by so much, relative.
 _OFF = 1e-3
@@ -27,14 +27,14 @@ def _to_rest(nodes: int, by_place: bool = False) -> float:
     p, v, u = tx.State("p"), tx.State("v"), tx.Control("u", min=-1.0, max=1.0)
     final: Any = [(p - 1.0) ** 2 <= 0.0, v == 0.0] if by_place else [p == 1.0, v**2 <= 0.0]
     options: dict[str, Any] = {"nodes": nodes, "initial": {p: 0.0, v: 0.0}, "final": final}
-    return _claimed(stated({p: v, v: u}, tx.Minimize(tx.Time()), final_time=(0.1, 6.0), **options).solve(), 2.0)
+    return _claimed(problem_of({p: v, v: u}, tx.Minimize(tx.Time()), final_time=(0.1, 6.0), **options).solve(), 2.0)
 
 
 def _lagging(**options: Any) -> Problem:
     """A control behind a lag of 50 1/s, in 20 intervals of 0.1 s; the least cost is 0.36266."""
     x, z, u = tx.State("x"), tx.State("z"), tx.Control("u", min=-1.0, max=1.0)
     options |= {"nodes": 21, "final_time": 2.0, "initial": {x: 1.0, z: 0.0}}
-    return stated({x: z, z: -50.0 * (z - u)}, tx.Minimize(running=x**2 + 0.01 * u**2), **options)
+    return problem_of({x: z, z: -50.0 * (z - u)}, tx.Minimize(running=x**2 + 0.01 * u**2), **options)
 
 
 _LEAST = 0.36266

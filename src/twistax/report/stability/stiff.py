@@ -14,7 +14,7 @@ from ...scenes import SCENES, Scene, actuator_lag, stiff_attitude
 from ...scenes.scene import about, rotation_angle
 from ..figures.derivatives import fourth_order, weighted_end
 from ..harness.expected import Expected, at_most, between, ends, simulated
-from ..harness.measurement import Measurement, Section, quick, slow
+from ..harness.measurement import MeasuredCase, Section, quick, slow
 from ..harness.rows import plain
 
 _HOLD, _LAG, _JOINT = stiff_attitude.STIFF_ATTITUDE, actuator_lag.ACTUATOR_LAG, SCENES["stiff-joint"]
@@ -33,13 +33,13 @@ def _error(scene: Scene, of: Scene, **options: Any) -> float:
     return scene.error(_end(scene, of, **options))
 
 
-def _held(rate: float, what: str, method: Method, expected: Expected, **how: Any) -> Measurement:
+def _held(rate: float, what: str, method: Method, expected: Expected, **how: Any) -> MeasuredCase:
     """The error of the attitude hold at a rate, rad; one system, so that every rate is the same compiled program."""
     what, scene = f"rate {plain(rate)}/s, {what}", stiff_attitude.scene(rate)
     return quick(what, _NAMES[method], expected, _error, scene, _HOLD, method=method, **how)
 
 
-def _long(rate: float, dt: float, method: Method, expected: Expected, slow: bool = False) -> Measurement:
+def _long(rate: float, dt: float, method: Method, expected: Expected, slow: bool = False) -> MeasuredCase:
     what, line = f"steps of {dt:g} s: step x rate {plain(rate * dt)}", f"{_NAMES[method]}, steps of {dt:g} s"
     return _held(rate, what, method, expected, slow=slow, place=(line, rate * dt), dt=dt)
 
@@ -49,7 +49,7 @@ def _order_at(rate: float) -> float:
     return float(np.log2(_error(scene, _HOLD, dt=0.1) / _error(scene, _HOLD, dt=0.05)))
 
 
-def _slow(what: str, expected: Expected, *how: Any, **options: Any) -> Measurement:
+def _slow(what: str, expected: Expected, *how: Any, **options: Any) -> MeasuredCase:
     return slow(what, "Radau IIA 5", expected, *how, **options)
 
 
@@ -175,7 +175,7 @@ def _why(label: str, bar: float | None) -> str:
     return "The coordinates hold the step; the error is that of the method, as for any long step."
 
 
-def _turn(label: str, turn: float, bar: float | None) -> Measurement:
+def _turn(label: str, turn: float, bar: float | None) -> MeasuredCase:
     what, by = f"{turn:g} rad a step, {_STEPS} steps", label if label == "Magnus 6" else f"DOP853, {label}"
     expected = ends(tx.Result.NON_FINITE, before=0.0) if bar is None else at_most(bar, "rad")
     return quick(what, by, expected, _turned, label, _STEPS * turn, steps=_STEPS, place=(label, turn))

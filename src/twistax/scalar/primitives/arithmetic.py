@@ -134,7 +134,7 @@ def _dot_general(reader: Reader, eqn: Any, a: Nodes, b: Nodes) -> list[Nodes] | 
 
 
 def _full_precision(p: Mapping[str, Any]) -> bool:
-    """Whether the processor's own products are meant: an algorithm may round the factors."""
+    """Whether products have full precision; other algorithms round the factors."""
     precision = p["precision"]
     both = precision if isinstance(precision, tuple) else (precision,)
     return all(one is None or isinstance(one, lax.Precision) for one in both)
@@ -274,7 +274,6 @@ def _lu(reader: Reader, eqn: Any, a: Nodes) -> list[Nodes] | None:
 
 
 def _lu_of(g: Graph, a: Nodes, index: np.dtype[Any]) -> tuple[Nodes, Nodes, Nodes]:
-    """Those of one matrix."""
     n, A = a.shape[0], a.copy()
     rows = [g.constant(i, index) for i in range(n)]
     pivots, order = list(rows), list(rows)

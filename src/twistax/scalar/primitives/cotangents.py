@@ -1,4 +1,4 @@
-"""Cotangents on the graph, each a product that is multiplied out only where necessary."""
+"""Cotangents on the graph, products that are multiplied only where necessary."""
 
 from __future__ import annotations
 

@@ -33,20 +33,20 @@ Tangents: TypeAlias = Sequence[Sequence[int | None]]
 
 
 def up_to(entries: float) -> Callable[[Any], bool]:
-    """Whether an equation reads and makes arrays of at most so many entries."""
+    """A test whether all arrays that an equation reads and makes have at most so many entries."""
     return lambda eqn: max((v.aval.size for v in (*eqn.invars, *eqn.outvars)), default=0) <= entries
 
 
-#: It calls a library.
+#: Of primitives that call a library.
 NEVER = up_to(-1)
-#: Beyond, XLA shares the work of an operation between threads, or compiles it in ways of its own.
+#: XLA splits larger operations between threads, or compiles them in other ways.
 SMALL = up_to(4096)
-#: What moves numbers, or holds other equations.
+#: Of primitives that only move numbers, or contain other equations.
 ALWAYS = up_to(math.inf)
 
 
 def default(name: str) -> Callable[[Mapping[str, Any]], bool]:
-    """Whether a parameter is left out."""
+    """A test whether a parameter is left out."""
     return lambda params: params.get(name) is None
 
 
@@ -117,7 +117,7 @@ def _names(takes: str) -> list[set[str]]:
     return [set(form.split()) for form in takes.split("|")]
 
 
-#: The entry of what only moves numbers, or holds other equations, whatever their type and the size of arrays.
+#: The entry of a primitive that only moves numbers, or contains other equations, of any type and size.
 moving = functools.partial(Entry, any_type=True, inside=ALWAYS, moves=True)
 
 # ---- operations on scalars -------------------------------------------------------------------------------------------
@@ -208,7 +208,7 @@ class Operation(Entry):
         partials, results = self.partials(g, arguments, node), []
         for tangents in directions:
             pairs = zip(partials, tangents, strict=True)
-            terms = [_moved(g, p, t) for p, t in pairs if p is not None and t is not None]
+            terms = [_weighted(g, p, t) for p, t in pairs if p is not None and t is not None]
             results.append(functools.reduce(g.add, terms) if terms else None)
         return results
 
@@ -221,7 +221,7 @@ class Operation(Entry):
         return [None if p is None else cotangent.through(g, p) for p in self.partials(g, arguments, node)]
 
 
-def _moved(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
+def _weighted(g: Graph, slope: int | tuple[int, int], tangent: int) -> int:
     """A derivative times a tangent."""
     weight, rate = slope if isinstance(slope, tuple) else (g.one, slope)
     return g.mul(weight, g.over(tangent, rate))

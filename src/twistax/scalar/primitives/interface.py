@@ -18,11 +18,11 @@ Nodes: TypeAlias = NDArray[Any]
 
 @dataclasses.dataclass(frozen=True)
 class Limits:
-    """Up to which size parts are unrolled that a library does as well: beyond, the compiler's time outweighs it.
+    """The sizes up to which library calls and loops are unrolled: larger ones take the compiler too long.
 
     Attributes:
-        pivoted: matrices whose LU needs pivots: choosing them takes more than the elimination itself.
-        table: tables read at a place known only at run time, by comparing with each place.
+        pivoted: of matrices with pivoted LU, where the choice of pivots takes more than the elimination.
+        table: of tables that are read at a place known only at run time, by comparison with each place.
         equations: loops, all iterations together, and branches.
     """
 

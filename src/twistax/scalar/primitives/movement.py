@@ -19,7 +19,7 @@ _LONGEST_SORTED = 16
 
 
 def _moving(name: str, takes: str, function: Callable[..., Any], inside: Any = SMALL, **more: Any) -> Entry:
-    """By a function of the parameters and of arrays, of numbers as of nodes, that gives an array or a list of them."""
+    """An entry by a function of the parameters and of arrays, of numbers or of nodes; it returns one or a list."""
 
     def read(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes]:
         moved = function(eqn.params, *arrays)
@@ -60,7 +60,7 @@ def _pad(reader: Reader, eqn: Any, a: Nodes, value: Nodes) -> list[Nodes]:
 
 
 def _sort(reader: Reader, eqn: Any, *arrays: Nodes) -> list[Nodes] | None:
-    """Short vectors in the order of the first one, by exchanges of neighbours: equals keep their order."""
+    """Short vectors sorted by the first one, stably, by exchanges of neighbours."""
     g, n = reader.graph, arrays[0].size
     if arrays[0].ndim != 1 or n > _LONGEST_SORTED:
         return None

@@ -1,4 +1,4 @@
-"""The operations on scalars, a row each."""
+"""The table of operations on scalars."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def _python(function: Any) -> Forms:
 
 
 def _named(name: str, number: Any, arity: int = 1, *, array: Any = None, **more: Any) -> Operation:
-    """Called the same in JAX, the C library and CasADi where nothing else is said."""
+    """An operation with one name in JAX, the C library and CasADi, unless given otherwise."""
     operands = ", ".join(["$a", "$b"][:arity])
     by_name = {
         "exact": True,
@@ -206,7 +206,7 @@ def _power_node(g: Graph, x: int, n: int) -> int:
 
 
 def _greater(g: Graph, a: int, b: int) -> int:
-    """Zero is greater than no magnitude: what is structurally zero never becomes a pivot."""
+    """a > b; false for the structural zero a, so that it never becomes a pivot."""
     never = a == g.zero and g.operation(b) is OPERATIONS["abs"]
     return g.constant(False, _BOOL) if never else on(g, "gt", a, b)
 

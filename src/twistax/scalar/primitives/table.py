@@ -1,4 +1,4 @@
-"""The table of primitives: an entry says all that this package knows of a primitive of JAX.
+"""The table of primitives of JAX: readers and writers take all that they know of one from its entry.
 
 What is not in it, or has parameters that its entry does not know, stays a call of JAX, with the same numbers. Here are
 the entries of calls, loops and branches, and of functions with a derivative of their own.
@@ -169,5 +169,5 @@ def entry_of(eqn: Any) -> Entry | None:
 
 
 def say_unread(error: Unread) -> None:
-    """Tell the user, once, that an operation stays a call of JAX."""
+    """Log once that an operation stays a call of JAX."""
     say_once(f"{error}, which this twistax does not know: that operation runs as JAX has it")

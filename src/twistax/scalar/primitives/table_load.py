@@ -1,4 +1,4 @@
-"""The load of a number from a table of numbers that are known, at a computed place: one operation of JAX.
+"""The load of an entry of a constant table at a computed place, as one operation of JAX.
 
 Written as an index into a constant array it would be a gather, whose table is an operand like any other: scalar
 programs would make a node of each of its numbers, and choose among them.
@@ -58,7 +58,6 @@ _load_p = Primitive("table_load")
 
 
 def _taken(place: jax.Array, *, table: Table, offset: int, dtype: np.dtype[Any]) -> jax.Array:
-    """By a gather."""
     return jnp.asarray(table.numbers(dtype)).at[place + offset].get(mode="promise_in_bounds")
 
 

@@ -1,4 +1,4 @@
-"""Loads from tables of numbers that are known, as operations on scalars: one for each table and offset."""
+"""Loads from constant tables as operations on scalars, one for each table and offset."""
 
 from __future__ import annotations
 

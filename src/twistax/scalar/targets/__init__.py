@@ -1,1 +1,1 @@
-"""What writes a scalar program: as operations of JAX, as C99, as machine code; or evaluates it at once."""
+"""Targets of scalar programs: operations of JAX, C99, machine code, and NumPy."""

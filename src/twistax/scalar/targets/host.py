@@ -12,13 +12,13 @@ from ...jax_inside import Unread
 from ..backends import pure
 from ..graph import TooLarge
 from ..reader import scalarize
-from ..small_call import whole_kernel
+from ..small_call import tracing_kernel
 from .llvm.code import NotNative
 from .llvm.kernel_body import NATIVE_LIMITS, by_numpy, native_form
 
 Result = TypeVar("Result")
 
-#: Larger functions are not evaluated: reading them would take more than about a second.
+#: The most scalars of a function to evaluate: reading takes about a second.
 _LARGEST = 40_000
 
 
@@ -45,7 +45,7 @@ def on_host(function: Callable[..., Result], *arguments: Any) -> Result | None:
 
     types = [jax.ShapeDtypeStruct(a.shape, jax.dtypes.canonicalize_dtype(a.dtype)) for a in values]
     try:
-        with whole_kernel():
+        with tracing_kernel():
             closed = pure(flat, types)
         if closed is None:
             return None

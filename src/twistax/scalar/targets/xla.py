@@ -13,14 +13,14 @@ import numpy as np
 from jax import lax
 
 from ...jax_inside import jaxpr_as_fun
-from ..graph import Call, ScalarGraph
+from ..graph import OpaqueCall, ScalarGraph
 from ..primitives.interface import flat
 from ..primitives.operations import OPERATIONS
 from ..program import ScalarProgram, called_names
-from ..rewriting import emitted_form
+from ..reader import emitted_form
 
-#: Operations that become a function of their own. XLA computes what several results need again for each of them, but
-#: not across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
+#: Operations in a function of its own. XLA recomputes values that several results share for each of them, but not
+#: across functions; in one piece a recursion over 30 links takes twenty times as many operations as written.
 _PIECE = 100
 
 _MUL, _DIV = OPERATIONS["mul"], OPERATIONS["div"]
@@ -44,7 +44,7 @@ class _Piece:
     def __call__(self, *needed: jax.Array) -> list[jax.Array]:
         g = self.graph
         values = dict(zip(self.needs, needed, strict=True))
-        #: The number that XLA would make of those in a product, from factor to factor.
+        #: The product of the constant factors that XLA would form.
         joined: dict[int, float] = {}
         for i in self.nodes:
             operation: Any = g.operation(i)
@@ -86,7 +86,7 @@ def as_function(
     steps = _steps(form)
 
     def function(*arguments: jax.Array) -> list[jax.Array]:
-        # Barriers: XLA would compute all that an array needs again for each of its entries.
+        # Barriers: else XLA recomputes shared values for each entry of an array.
         entries = lax.optimization_barrier([jnp.reshape(a, -1) for a in arguments])
         values: dict[int, jax.Array] = {}
         for i in form.live:
@@ -140,10 +140,10 @@ def without_barriers(program: ScalarProgram) -> Callable[..., list[jax.Array]]:
     return function
 
 
-def _steps(form: ScalarProgram) -> list[_Piece | Call]:
+def _steps(form: ScalarProgram) -> list[_Piece | OpaqueCall]:
     """The program in order: pieces, and what it calls."""
     g = form.graph
-    steps: list[_Piece | Call] = []
+    steps: list[_Piece | OpaqueCall] = []
     called: set[int] = set()
     for i in form.live:
         call = g.call_of(i)

@@ -44,6 +44,7 @@ typedef struct {
   const int32_t *inequalities; /* (N + 1) rows of h_k */
   const int32_t *equalities;  /* (N + 1) rows of e_k */
   const int32_t *point_states; /* (N + 1) entries of z_k, or NULL where z_k is x_k */
+  const int32_t *flat;        /* of v: where z has the entry itself, or -1; NULL: nowhere. Those bounded by 0 are kept equal */
   const double *lower, *upper; /* of v; infinite where there is none; equal where an entry of x_0, u or p is fixed */
   const double *size;         /* of v: units in which the core counts, or NULL for 1 */
   const double *row_size, *equality_size; /* units of the rows h and e, or NULL for 1 */
@@ -76,7 +77,8 @@ typedef struct { /* one iteration */
 typedef struct {
   double cost, error, stationarity, violation, complementarity, barrier, cost_scale;
   double minimum;             /* 1: of a solution, the second-order conditions of a minimum hold */
-  double excess, worth;       /* estimate of the cost less that of the minimum nearby, and what it is measured by */
+  double excess, worth;       /* estimate of the cost less that of the minimum nearby, NaN where there is none, and what it is
+                                 measured by */
   int32_t status, iterations, evaluations, factorizations, corrections, restorations, restoration_iterations,
       filter_resets, inertia_corrections;
   twx_record *log; /* rows for the first `log_rows` iterations, or NULL */

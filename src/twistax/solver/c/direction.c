@@ -45,14 +45,17 @@ void twx_step_of_bounds(twx_work *w, twx_iterate *d) {
   for (size_t i = 0; i < w->rows; i++) d->zs[i] = w->barrier / q->s[i] - q->zs[i] - q->zs[i] / q->s[i] * d->s[i];
 }
 
-/* Source: [WB] (15a); and no entry moves by more than its largest step. */
+/* Source: [WB] (15a); and no entry moves by more than its largest step. To a bound at zero goes no step by more than the
+ * least fraction: what is divided by it changes by as large a factor, and no derivative says what then is. */
 double twx_primal_length(const twx_work *w, const twx_iterate *d) {
   const twx_iterate *q = &w->iterate;
   const double *const largest = w->problem->largest_step;
   double length = 1;
   FOR_FREE(w, i) {
-    if (d->v[i] < 0 && twx_has(w->lower[i])) length = twx_min(length, -w->fraction * twx_below(w, q->v, i) / d->v[i]);
-    if (d->v[i] > 0 && twx_has(w->upper[i])) length = twx_min(length, w->fraction * twx_above(w, q->v, i) / d->v[i]);
+    const double bound = d->v[i] < 0 ? w->lower[i] : w->upper[i];
+    const double distance = d->v[i] < 0 ? twx_below(w, q->v, i) : twx_above(w, q->v, i);
+    const double fraction = bound == 0 ? w->options->boundary_fraction : w->fraction;
+    if (d->v[i] != 0 && twx_has(bound)) length = twx_min(length, fraction * distance / fabs(d->v[i]));
     if (!largest) continue;
     const double limit = largest[i] > 0 ? largest[i] / w->size[i] : -largest[i] * fabs(q->v[i]);
     if (fabs(d->v[i]) > limit) length = twx_min(length, limit / fabs(d->v[i]));

@@ -85,6 +85,18 @@ int32_t twx_differentiate_twice(twx_work *w) {
   return !isfinite(sum);
 }
 
+/* Entries of z that are those of v and have a bound at zero: sums of steps drift apart by rounding, and what is divided by
+ * would change its sign in z. */
+static void keep_signs(twx_work *w) {
+  const twx_problem *p = w->problem;
+  if (p->retract && !p->flat) return;
+  FOR_FREE(w, i) {
+    if (w->lower[i] != 0 && w->upper[i] != 0) continue;
+    if (!p->retract) w->trial.z[i] = w->size[i] * w->trial.v[i];
+    else if (p->flat[i] >= 0) w->trial.z[p->flat[i]] = w->size[i] * w->trial.v[i];
+  }
+}
+
 /* The trial: the iterate moved by a step, its values, and its functions. Other than 0 where these are not finite. */
 int32_t twx_move(twx_work *w, const twx_iterate *step, double length) {
   const twx_problem *p = w->problem;
@@ -97,6 +109,7 @@ int32_t twx_move(twx_work *w, const twx_iterate *step, double length) {
     for (size_t i = 0; i < w->variables; i++) w->trial.z[i] = w->here.z[i] + w->moved[i];
   else if (p->retract(p->user, w->here.z, w->moved, w->trial.z))
     return 1;
+  keep_signs(w);
   if (twx_evaluate(w, &w->trial)) return 1;
   if (w->options->slack_reset > 0) /* a smaller slack costs barrier and gains nothing */
     for (size_t i = 0; i < w->rows; i++) w->trial.s[i] = twx_max(w->trial.s[i], -w->trial.h[i]);

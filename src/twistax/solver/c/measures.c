@@ -61,16 +61,14 @@ twx_measures twx_measure(twx_work *w, double barrier) {
   FOR_FREE(w, i) {
     m.stationarity = twx_max(m.stationarity, fabs(g[i]));
     if (twx_has(w->lower[i]))
-      m.complementarity = twx_max(m.complementarity, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier)), of_bounds += q->zl[i], bounds++,
-          m.gap += twx_below(w, q->v, i) * q->zl[i];
+      m.complementarity = twx_max(m.complementarity, fabs(twx_below(w, q->v, i) * q->zl[i] - barrier)), of_bounds += q->zl[i], bounds++;
     if (twx_has(w->upper[i]))
-      m.complementarity = twx_max(m.complementarity, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier)), of_bounds += q->zu[i], bounds++,
-          m.gap += twx_above(w, q->v, i) * q->zu[i];
+      m.complementarity = twx_max(m.complementarity, fabs(twx_above(w, q->v, i) * q->zu[i] - barrier)), of_bounds += q->zu[i], bounds++;
   }
   for (size_t i = 0; i < w->rows; i++) {
     m.stationarity = twx_max(m.stationarity, fabs(q->y[i] - q->zs[i]));
     m.complementarity = twx_max(m.complementarity, fabs(q->s[i] * q->zs[i] - barrier));
-    multipliers += fabs(q->y[i]), of_bounds += q->zs[i], bounds++, m.gap += q->s[i] * q->zs[i];
+    multipliers += fabs(q->y[i]), of_bounds += q->zs[i], bounds++;
   }
   for (size_t i = 0; i < w->defects; i++) multipliers += fabs(q->lambda[i]);
   for (size_t i = 0; i < (size_t)w->ne; i++) multipliers += fabs(q->ye[i]);

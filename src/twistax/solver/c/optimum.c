@@ -13,27 +13,35 @@ static double worth_of_violations(const twx_work *w) {
 
 /* The largest change of the cost, to first order, where a state moves by as much as it reaches, but at most by its unit. */
 static double worth_of_states(const twx_work *w) {
-  double most = 0;
-  FOR_STAGES(w, k, s) {
-    for (int32_t i = 0; i < s->next; i++) {
-      double reach = 0;
-      for (int32_t other = 0; other <= w->N; other++)
-        if (i < w->stages[other].nx) reach = twx_max(reach, fabs(w->iterate.v[w->stages[other].v + (size_t)i]));
-      most = twx_max(most, fabs(w->iterate.lambda[s->c + (size_t)i]) * (reach > 0 ? twx_min(1, reach) : 1));
-    }
-  }
+  double *const reach = w->t3, most = 0;
+  FOR_STAGES(w, k, s)
+    for (int32_t i = 0; i < s->nx; i++) reach[i] = 0;
+  FOR_STAGES(w, k, s)
+    for (int32_t i = 0; i < s->nx; i++) reach[i] = twx_max(reach[i], fabs(w->iterate.v[s->v + (size_t)i]));
+  FOR_STAGES(w, k, s)
+    for (int32_t i = 0; i < s->next; i++)
+      most = twx_max(most, fabs(w->iterate.lambda[s->c + (size_t)i]) * (reach[i] > 0 ? twx_min(1, reach[i]) : 1));
   return most;
+}
+
+/* What moves of all variables by their units change of the cost at most, to first order. */
+static double worth_of_moves(const twx_work *w) {
+  double sum = 0;
+  FOR_FREE(w, i) sum += fabs(w->gradient[i]);
+  return sum;
 }
 
 /* Sets `minimum`, whether the linear system has the inertia of a minimum but for rounding, and `excess`, the slope of the
  * cost along Newton's step to a barrier of zero with the worth of violations: no unit changes it. Returns whether the
- * excess is small beside the cost, or beside what states are worth where the cost is near zero.
+ * excess is small beside the cost, or beside what states are worth where the cost is near zero; where they are worth
+ * nothing either, as at rest without a task, it is a small share of what moves by the units would change.
  * Source: S. Boyd and L. Vandenberghe, Convex Optimization (2004), 9.5.1, the square of Newton's decrement. */
 int32_t twx_measure_optimum(twx_work *w) {
   const twx_options *o = w->options;
   twx_statistics *t = w->statistics;
   t->minimum = 0, t->excess = INFINITY;
   t->worth = twx_max(TWX_EPSILON * TWX_EPSILON, twx_max(fabs(w->here.cost), twx_min(1, worth_of_states(w))));
+  t->worth = twx_max(t->worth, o->excess_floor * worth_of_moves(w));
   if (twx_differentiate_twice(w)) return 0;
   twx_right_side(w, 0);
   t->minimum = twx_factorize_weighted(w, 0);

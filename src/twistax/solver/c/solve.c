@@ -16,7 +16,7 @@ static twx_status update_barrier(twx_work *w, twx_search *search) {
   for (int32_t first = 1; !search->watching; first = 0) {
     const int32_t tiny = first && search->tiny > 1;
     if (!tiny && twx_measure(w, w->barrier).error > o->barrier_error * w->barrier) break;
-    const double before = w->barrier, least = w->closer * o->barrier_least;
+    const double before = w->barrier, least = w->exactness * o->barrier_least;
     w->barrier = twx_max(least, twx_min(o->barrier_factor * before, pow(before, o->barrier_power)));
     w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
     w->filter_rows = search->by_filter = search->shortened = 0;
@@ -91,8 +91,10 @@ static void keep_best(twx_work *w, const twx_measures *m) {
 /* Keep the iterate that meets the conditions with the smallest excess, if that is acceptable. */
 static void keep_acceptable(twx_work *w) {
   const twx_statistics *t = w->statistics;
-  if (!(t->excess <= w->options->excess_acceptable * t->worth) || (w->nearly > 0 && !(t->excess < w->best_excess))) return;
-  w->best_error = -INFINITY, w->best_excess = t->excess, w->nearly = twx_max(w->nearly, 1);
+  if (!(t->excess <= w->options->excess_acceptable * t->worth)) return;
+  if (w->acceptable_age > 0 && !(t->excess < w->best_excess)) return;
+  w->best_error = -INFINITY, w->best_excess = t->excess;
+  if (w->acceptable_age == 0) w->acceptable_age = 1;
   keep(w);
 }
 
@@ -105,14 +107,23 @@ static void end_at_best(twx_work *w) {
   report(w, &best);
 }
 
+/* The excess of a solve that ended early, where the estimate means something and its time is there: an iterate far from
+ * acceptable after a count of iterations, as a controller's, needs none. */
+static void measure_rest(twx_work *w, twx_status status) {
+  twx_statistics *t = w->statistics;
+  t->minimum = 0, t->excess = NAN, t->worth = 0;
+  const int32_t early = status == TWX_STALLED || status == TWX_ACCEPTABLE || status == TWX_UNBOUNDED_CURVATURE;
+  if (early || (status == TWX_MAX_ITERATIONS && t->error <= w->options->acceptable)) twx_measure_optimum(w);
+}
+
 /* Whether the optimality conditions hold, and the cost is as close to the minimum as asked for. If the units say the
  * first and the estimate does not agree, the search goes on to a smaller barrier. */
 static int32_t is_solution(twx_work *w, const twx_measures *m) {
   const twx_options *o = w->options;
   if (!(m->error <= o->tolerance && m->violation <= o->violation)) return 0;
-  if (!(m->complementarity <= o->complementarity || m->gap <= o->gap * fabs(w->here.cost))) return 0;
+  if (!(m->complementarity <= o->complementarity)) return 0;
   if (twx_measure_optimum(w)) return 1;
-  if (m->error <= w->closer * o->tolerance) w->closer *= o->closer;
+  if (m->error <= w->exactness * o->tolerance) w->exactness *= o->excess_decrease;
   keep_acceptable(w);
   return 0;
 }
@@ -130,7 +141,7 @@ static twx_status iterate(twx_work *w) {
     keep_best(w, &m);
     acceptable = m.error <= o->acceptable && m.complementarity <= 10 * w->barrier ? acceptable + 1 : 0;
     if (acceptable > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
-    if (w->nearly > 0 && w->nearly++ > o->acceptable_iterations) return TWX_ACCEPTABLE;
+    if (w->acceptable_age > 0 && w->acceptable_age++ > (int32_t)o->acceptable_iterations) return TWX_ACCEPTABLE;
     if (w->here.cost < -o->cost_largest && m.violation <= twx_max(o->tolerance, 1e4 * TWX_EPSILON * largest_variable(w))) return TWX_UNBOUNDED;
     if (w->statistics->iterations >= (int32_t)o->iterations) return TWX_MAX_ITERATIONS;
     if (p->stop && p->stop(p->user, w->statistics->iterations, w->here.z)) return TWX_STOPPED;
@@ -191,10 +202,8 @@ int32_t twx_solve(const twx_problem *problem, const twx_options *options, double
   if (status == TWX_BAD_PROBLEM) return statistics->status = status;
   if (status == TWX_SOLVED) {
     status = iterate(w);
-    if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) {
-      end_at_best(w);
-      if (status != TWX_NON_FINITE && status != TWX_STOPPED) twx_measure_optimum(w);
-    }
+    if (status != TWX_SOLVED && status != TWX_INFEASIBLE && status != TWX_UNBOUNDED) end_at_best(w);
+    if (status != TWX_SOLVED) measure_rest(w, status);
   }
   unscale(w, z, solution);
   return statistics->status = status;

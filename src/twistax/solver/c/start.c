@@ -16,11 +16,21 @@ static int32_t read_bounds(twx_work *w) {
   return 1;
 }
 
+/* The least slack of a start: at most that which the multiplier of a warm start has on the central path. */
+static double least_slack(const twx_work *w, double push, double multiplier) {
+  return w->options->warm_start > 0 && multiplier > 0 ? twx_min(push, w->barrier / multiplier) : push;
+}
+
 /* A value at a distance from its bounds. Source: [WB] 3.6. */
-static double pushed(const twx_options *o, double v, double lower, double upper) {
-  const double share = o->bound_share * (upper - lower);
-  if (twx_has(lower)) v = twx_max(v, lower + twx_min(o->bound_push * twx_max(1, fabs(lower)), share));
-  if (twx_has(upper)) v = twx_min(v, upper - twx_min(o->bound_push * twx_max(1, fabs(upper)), share));
+static double pushed(const twx_work *w, size_t i) {
+  const twx_options *o = w->options;
+  const double lower = w->lower[i], upper = w->upper[i], share = o->bound_share * (upper - lower);
+  const double scale = w->cost_scale * w->size[i]; /* of multipliers, which are in the problem's units still */
+  double v = w->iterate.v[i];
+  if (twx_has(lower))
+    v = twx_max(v, lower + least_slack(w, twx_min(o->bound_push * twx_max(1, fabs(lower)), share), scale * w->iterate.zl[i]));
+  if (twx_has(upper))
+    v = twx_min(v, upper - least_slack(w, twx_min(o->bound_push * twx_max(1, fabs(upper)), share), scale * w->iterate.zu[i]));
   return v;
 }
 
@@ -37,7 +47,7 @@ static int32_t push_inside(twx_work *w) {
     }
     if (twx_has(w->lower[i])) w->lower[i] -= o->bound_relaxation * fabs(w->lower[i]);
     if (twx_has(w->upper[i])) w->upper[i] += o->bound_relaxation * fabs(w->upper[i]);
-    d[i] = pushed(o, v[i], w->lower[i], w->upper[i]) - v[i];
+    d[i] = pushed(w, i) - v[i];
   }
   memset(w->step.s, 0, sizeof(double) * w->rows);
   memcpy(w->trial.z, w->here.z, sizeof(double) * w->points); /* what is reported where the move fails */
@@ -97,7 +107,7 @@ static void start_bounds(twx_work *w) {
   const double constant = o->multiplier_start, range = o->warm_range;
   const int warm = o->warm_start > 0;
   for (size_t i = 0; i < w->rows; i++) {
-    q->s[i] = twx_max(twx_max(warm ? q->s[i] : 0, -w->here.h[i]), o->slack_push);
+    q->s[i] = twx_max(twx_max(warm ? q->s[i] : 0, -w->here.h[i]), least_slack(w, o->slack_push, q->y[i]));
     const double central = w->barrier / q->s[i];
     q->zs[i] = warm ? within(q->y[i], central / range, central * range) : constant > 0 ? constant : central;
   }
@@ -132,7 +142,7 @@ void twx_least_squares_multipliers(twx_work *w) {
 
 static void set_barrier(twx_work *w) {
   const twx_options *o = w->options;
-  w->closer = 1, w->nearly = 0, w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
+  w->exactness = 1, w->acceptable_age = 0, w->barrier = o->barrier_start, w->fraction = twx_max(o->boundary_fraction, 1 - w->barrier);
   w->identity = w->last_identity = w->softness = 0, w->weight = 0, w->filter_rows = 0;
 }
 

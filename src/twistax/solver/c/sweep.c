@@ -196,7 +196,7 @@ static double remainder_of(twx_work *w, const twx_residual *r, const twx_iterate
                               twx_max(size_of_entries(ne, left->e), size_of_entries(w->defects, left->c)));
   const double whole = twx_max(twx_max(twx_max(size_of_entries(w->variables, r->v), size_of_entries(w->rows, r->h)), size_of_entries(w->rows, r->s)),
                                twx_max(size_of_entries(ne, r->e), size_of_entries(w->defects, r->c)));
-  return size / twx_max(1e-300, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->closer * w->options->tolerance));
+  return size / twx_max(1e-300, twx_min(w->options->refinement_error * whole, w->options->refinement_share * w->exactness * w->options->tolerance));
 }
 
 static void add(size_t count, double *to, double factor, const double *from) {

@@ -56,8 +56,8 @@ typedef struct {
   double *p, *k, *border, *t0, *t1, *t2, *t3;      /* of a sweep; scratch */
   double *filter;
   int32_t filter_rows;
-  double closer;     /* factor of the tolerances to which the barrier falls */
-  double nearly;     /* iterations since the excess was acceptable */
+  double exactness;  /* factor of the tolerance and of the least barrier, 1 until the excess asks for less */
+  int32_t acceptable_age; /* iterations since the first iterate with an acceptable excess; 0: there is none */
   double barrier, fraction, identity, last_identity, violation_small, violation_large, softness, weight;
   double softening, border_softness, local_softness; /* of equalities that depend on each other */
 } twx_work;
@@ -122,7 +122,6 @@ TWX_INTERNAL void twx_solve_system(twx_work *w, const twx_residual *right, twx_i
 /* measures.c */
 typedef struct {
   double error, stationarity, violation, complementarity;
-  double gap; /* sum of the products of slacks and their multipliers */
 } twx_measures;
 TWX_INTERNAL double twx_violation(const twx_work *w, const twx_values *at, int32_t largest);
 TWX_INTERNAL double twx_barrier_of_bounds(const twx_work *w, const twx_values *at, double barrier);

@@ -15,8 +15,7 @@ from ...errors import ModelError
 from ...expr import Inputs
 from ...scalar.graph import Limits
 from ...scalar.program import ScalarProgram, called_names
-from ...scalar.reader import scalarize
-from ...scalar.rewriting import emitted_form
+from ...scalar.reader import emitted_form, scalarize
 from ..functions import Functions
 from ..jacobian import blocks_in_arrays
 

@@ -22,7 +22,7 @@ from ...solver.kernels import Argument
 from ..start_units import StartUnits
 from ..strategy.warm import WarmStart
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 
@@ -53,7 +53,7 @@ class ProgramStart(NamedTuple):
 class Reached(NamedTuple):
     """The end of a solver: the point, multipliers in the problem's units, and the largest rotation of a node, rad."""
 
-    point: Point
+    point: Iterate
     dynamics: Array  # (intervals, n)
     rows: Array  # (rows,)
     turn: float
@@ -72,7 +72,7 @@ class NonlinearProgram:
         with_copies: whether each stage has a p of its own.
     """
 
-    def __init__(self, staged: Staged, instance: Given, *, with_copies: bool) -> None:
+    def __init__(self, staged: Staged, instance: Instance, *, with_copies: bool) -> None:
         self._staged, self._transcription = (staged := staged.alone(instance)), staged.transcription
         self._transcription.use_charts()
         stages = self._transcription.stages
@@ -163,10 +163,10 @@ class NonlinearProgram:
 
     # ---- starts and ends ------------------------------------------------------------------------------------------
 
-    def start(self, start: Point | WarmStart, instance: Given, units: StartUnits | None) -> ProgramStart:
+    def start(self, start: Iterate | WarmStart, instance: Instance, units: StartUnits | None) -> ProgramStart:
         """Set the point about which the program is stated, and the units: these or those of the problem."""
         staged, point = self._staged, start.point if isinstance(start, WarmStart) else start
-        staged.set_given(instance)
+        staged.set_instance(instance)
         self._latest: tuple[Array, Evaluated] | None = None
         self._z = staged.flat(point)
         self._v = staged.coordinates(self._z)

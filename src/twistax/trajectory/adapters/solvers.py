@@ -24,7 +24,7 @@ from ..strategy.core_solver import CoreSolver
 from ..strategy.outcome import Callback, Outcome
 from ..strategy.status import Status
 from ..strategy.warm import WarmStart
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from .program import NonlinearProgram
 
 #: Passes of a solver; the first barrier parameter and distance from limits of a warm pass; a turn that counts as none,
@@ -46,8 +46,8 @@ class SolvedBy(Protocol):
     def run(
         self,
         core: CoreSolver,
-        start: Point | WarmStart,
-        instance: Given,
+        start: Iterate | WarmStart,
+        instance: Instance,
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
@@ -111,8 +111,8 @@ class _Casadi:
     def run(
         self,
         core: CoreSolver,
-        start: Point | WarmStart,
-        instance: Given,
+        start: Iterate | WarmStart,
+        instance: Instance,
         max_iterations: int,
         callback: Callback | None,
     ) -> Outcome:
@@ -123,7 +123,7 @@ class _Casadi:
                 return begun
         count, due = 0, time.monotonic() + (self.max_seconds or np.inf)
 
-        def search(begin: Point | WarmStart) -> Outcome:
+        def search(begin: Iterate | WarmStart) -> Outcome:
             nonlocal count
             run = _Run(core, instance, max_iterations - count, due)
             outcome = self._search(run, begin, _counted(callback, count))
@@ -132,7 +132,7 @@ class _Casadi:
 
         return dataclasses.replace(strategies.at_a_minimum(core, search, search(start)), iterations=count)
 
-    def _search(self, run: _Run, start: Point | WarmStart, callback: Callback | None) -> Outcome:
+    def _search(self, run: _Run, start: Iterate | WarmStart, callback: Callback | None) -> Outcome:
         """Passes of the solver: repeated about moved nodes as long as they rotate, and with other scaling after a
         failure.
 
@@ -171,7 +171,7 @@ class _Casadi:
                 units = core.units(reached.point, instance)
         return run.at_rest(outcome)
 
-    def _prepared(self, core: CoreSolver, instance: Given) -> Any:
+    def _prepared(self, core: CoreSolver, instance: Instance) -> Any:
         key = type(self), repr(sorted(self.options.items())), self.max_seconds is None
         if key not in core.made:
             if self.copies not in core.made:
@@ -185,7 +185,7 @@ class _Run:
     """The limits of one search: remaining iterations and the end time."""
 
     core: CoreSolver
-    instance: Given
+    instance: Instance
     left: int
     due: float
 

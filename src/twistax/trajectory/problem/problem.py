@@ -27,8 +27,8 @@ from ..strategy.redundant_rows import redundant_rows
 from ..strategy.stiffness import IMPLICIT
 from ..strategy.strategies import Strategy
 from ..transcription.border import Border, boxes_of
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.mesh import Remeshed
-from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
 from .bridges.lifted_functionals import InPhase
 from .by_node import only_once
@@ -385,7 +385,7 @@ class Problem:
         """A controller for this problem as C99; see `Controller.to_c`, and `Controller` for the options."""
         return self.controller(warm, **options).to_c(directory, name=name)
 
-    def core(self, tolerance: float, point: Point, instance: Given) -> CoreSolver:
+    def core(self, tolerance: float, point: Iterate, instance: Instance) -> CoreSolver:
         """The solver of this thread. Kernels compile once; the solver's memory serves one solve at a time."""
         key = (tolerance, threading.get_ident(), 0)
         while key in self._cores and self._cores[key].busy:

@@ -32,7 +32,7 @@ from ..strategy.stiffness import IMPLICIT_NAME, LARGEST, stiffness
 from ..strategy.strategies import Strategy
 from ..strategy.strategies import solved as with_strategies
 from ..strategy.warm import WarmStart, warm_start, with_ends
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from .cases import Cases, started_cases
 from .start import axes
 
@@ -164,7 +164,7 @@ def _with_line(problem: Any, options: SolveOptions, line: Progress) -> Any:
 
 def _on_one_mesh(
     problem: Any, options: SolveOptions, budget: Budget, report: Callback | None
-) -> tuple[Any, Point, Given]:
+) -> tuple[Any, Iterate, Instance]:
     """The best result of all tries, the first guess, and the data of the problem."""
     between, tolerance = options.between, options.needed
     with in_double():
@@ -182,7 +182,7 @@ def _on_one_mesh(
         options.progress.note("running")
         outcomes: list[Outcome] = []
 
-        def run(start: Point | WarmStart, instance: Given) -> Outcome:
+        def run(start: Iterate | WarmStart, instance: Instance) -> Outcome:
             core.busy = True  # what a callback solves or looks at has another solver
             try:
                 if options.solver is None:
@@ -196,7 +196,7 @@ def _on_one_mesh(
         for attempt in range(options.guesses):
             if budget.ended is not None:
                 break
-            start: Point | WarmStart = plain if warm is None else warm
+            start: Iterate | WarmStart = plain if warm is None else warm
             if options.seed is not None or attempt > 0:
                 rng = np.random.default_rng([options.seed or 0, attempt])
                 start = perturbed(core, plain, instance, rng)
@@ -219,7 +219,7 @@ def _is_by_implicit_steps(problem: Any, options: SolveOptions) -> bool:
 
 
 def _by_implicit_steps(
-    problem: Any, result: Any, start: Point, instance: Given, again: dict[str, Any]
+    problem: Any, result: Any, start: Iterate, instance: Instance, again: dict[str, Any]
 ) -> tuple[Any, str]:
     """The result, or a better one with implicit steps if explicit steps are unstable; and a remark for its message."""
     at_once = result.status is Status.INFEASIBLE and result.iterations <= 1
@@ -290,7 +290,7 @@ def solved_many(problem: Any, arguments: Mapping[str, Any], options: SolveOption
     return many_results(problem, tried)
 
 
-def sizes_of_controls(problem: Any, core: CoreSolver, point: Point, instance: Given) -> list[dict[str, Array]]:
+def sizes_of_controls(problem: Any, core: CoreSolver, point: Iterate, instance: Instance) -> list[dict[str, Array]]:
     """Typical sizes of the controls of each phase by name, measured at a start."""
     units, by_phase = core.units(point, instance, with_rows=False), []
     for part, segment, sizes in zip(problem.parts, problem.shooting.segments, units.parts):

@@ -13,7 +13,7 @@ from ...checks import listed, short
 from ...errors import InputError, ModelError
 from ...expr import State
 from ...system import name_of
-from ..transcription.points import Given, PhaseEnds, Point
+from ..transcription.iterate import Instance, Iterate, PhaseEnds
 from .conditions import Ends
 from .guess import resample, with_stated
 
@@ -21,8 +21,8 @@ from .guess import resample, with_stated
 class Started(NamedTuple):
     """The start of a solve, its data, its parameters and the ends of its phases."""
 
-    point: Point
-    instance: Given
+    point: Iterate
+    instance: Instance
     params: dict[str, Array]
     ends: list[Ends]
 
@@ -38,7 +38,7 @@ def started(
     final_time_guess: Any = None,
     free: Mapping[Any, Any] | None = None,
     sizes: Sequence[Mapping[str, Array]] | None = None,
-    begin: Point | None = None,
+    begin: Iterate | None = None,
 ) -> Started:
     """The start and the data of a solve with these arguments, as NumPy arrays in double precision.
 
@@ -70,7 +70,7 @@ def started(
     )
     fixed = finals[0] if problem.alone else PhaseEnds(initials, finals)
     margins = np.zeros(len(problem.shooting.exists))
-    return Started(begin, Given(dict(values), fixed, limits, margins), values, ends)
+    return Started(begin, Instance(dict(values), fixed, limits, margins), values, ends)
 
 
 def _by_phase(problem: Any, what: str, value: Any) -> list[Any]:
@@ -121,7 +121,7 @@ def _start(
         segment = problem.shooting.segments[index]
         us[segment.stages, : segment.shooting.m] = point.us
         xs.append(point.xs)
-    return Point(tuple(xs), us, point.border)
+    return Iterate(tuple(xs), us, point.border)
 
 
 def _between(problem: Any, index: int, ends: Sequence[Ends], durations: Array) -> dict[str, Array]:

@@ -16,9 +16,9 @@ from ...system import entry_names, name_of
 from ..hessians.options import checked_hessian
 from ..strategy.warm import other_problem
 from ..transcription.border import Border, boxes_of, times_of
+from ..transcription.iterate import Iterate
 from ..transcription.mesh import mesh_of
 from ..transcription.methods import transcription_of
-from ..transcription.points import Point
 from ..transcription.shooting import Shooting
 from .bridges.bridge import Bridge, Path, Statement, place_of
 from .bridges.continuous_controls import ContinuousControls
@@ -279,7 +279,7 @@ class StatedPhase:
         durations: Array,
         limits: Array,
         sizes: Mapping[str, Array] = {},
-    ) -> Point:
+    ) -> Iterate:
         """The point that guesses give, with these durations, within limits of the border.
 
         Bounds of norms and of magnitudes, and extremes, fit controls; those that are zero count with their sizes.
@@ -297,7 +297,7 @@ class StatedPhase:
         border = self.border.start(durations, params, {**values, **guess}, limits)
         path.params = {**params, **self.border.params(border)}
         flat = [np.zeros((count, 0)), *(path.us[c.name].reshape(count, -1) for c in controls)]
-        return Point(path.xs, np.concatenate([*flat, *self.path_bounds.columns(path, self)], axis=1), border)
+        return Iterate(path.xs, np.concatenate([*flat, *self.path_bounds.columns(path, self)], axis=1), border)
 
     def shown_along(self, path: Path) -> Array:
         """(intervals, rows) the path rows as users wrote them, at the nodes before the last."""

@@ -27,7 +27,7 @@ from ...expr import (
 from ...system import entry_names, need_finite
 from ...system.dynamics import Dynamics
 from .controls import is_rate
-from .terms import linear_terms, without_norms
+from .terms import linear_terms, norm_bound, without_norms
 
 
 @dataclasses.dataclass(frozen=True, eq=False)
@@ -119,6 +119,7 @@ class PathRows:
     residuals: tuple[Expr, ...]  # <= 0 or = 0
     names: tuple[str, ...]  # of every row; of a constraint that became two rows, twice
     cones: frozenset[str]  # names of rows that squares state in place of norms
+    norm_bounds: tuple[tuple[str, float] | None, ...]  # of rows |a|^2 / (c s) <= c s the name of s, and c
     equality: Array  # which rows are equalities
     reads: tuple[Reads, ...]  # of every row
     states: tuple[frozenset[str], ...]  # that every row reads
@@ -158,6 +159,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
     functions = dynamics.functions
     residuals: list[Expr] = []
     rows: list[_Row] = []
+    norm_bounds: list[tuple[str, float] | None] = []
     cones = {name for name, _ in norms.rows}
     every = [
         (name, *stands_for)
@@ -174,7 +176,9 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
             left = row if finite.all() else row[np.nonzero(finite)]
             residuals.append(left if is_equality else without_end(left))
             entries = itertools.compress(entry_names(name, row.shape), finite.ravel())
-            rows += [_row(entry, list(leaves_of(row)), is_equality, free) for entry in entries]
+            added = [_row(entry, list(leaves_of(row)), is_equality, free) for entry in entries]
+            norm_bounds += [norm_bound(row)] * len(added)
+            rows += added
     bounds = tuple(
         dataclasses.replace(b, reads=Reads.ENDS) if b.leaf in straight else b
         for b in bounds_of((*dynamics.states, *dynamics.controls, *norms.controls))
@@ -187,6 +191,7 @@ def describe_path(dynamics: Dynamics, norms: Any, free: Collection[str], straigh
         residuals=tuple(residuals),
         names=names,
         cones=frozenset(cones),
+        norm_bounds=(*norm_bounds, *[None] * len(bounds)),
         equality=np.array(equality, bool),
         reads=reads,
         states=states,

@@ -41,7 +41,8 @@ def without_norms(residual: Expr) -> list[Expr]:
     """Rows (<= 0 each) that are equivalent to residual <= 0 and smooth, if one norm occurs linearly in it; else the
     residual itself.
 
-    c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c; with c < 0 and a number r, b^2 - a.a <= 0.
+    c |a| + r <= 0 with c > 0 is a.a - b^2 <= 0 and -b <= 0, b = -r / c, or a.a / b - b <= 0 where b is a variable with
+    a limit b >= 0; with c < 0 and a number r, b^2 - a.a <= 0.
     With magnitudes of entries, c > 0, it is c a + r <= 0 and -c a + r <= 0.
     """
     terms = linear_terms(residual)
@@ -59,6 +60,8 @@ def without_norms(residual: Expr) -> list[Expr]:
     number = float(bound.value) if isinstance(bound, Constant) else None
     if factor < 0.0 and (number is None or number < 0.0):
         return [residual]
+    if factor > 0.0 and _is_never_negative(bound):
+        return [bound_row(norm, bound)]
     squares = _square(norm) - bound * bound if factor > 0.0 else bound * bound - _square(norm)
     sides = [] if number is not None and number >= 0.0 else [-bound]
     return [row.canonicalize() for row in (squares, *sides)]
@@ -69,7 +72,17 @@ def bound_rows(s: Control, size: Expr) -> list[Expr]:
     return [bound_row(size, s)] if is_norm(size) else without_norms((size - s).canonicalize())
 
 
-def bound_row(size: Expr, s: State | Control) -> Expr:
+def _is_never_negative(bound: Expr) -> bool:
+    """Whether it is a positive multiple of a scalar state or control whose lower limit is not negative."""
+    terms = linear_terms(bound)
+    return len(terms) == 1 and terms[0][0] > 0.0 and _has_limit_at_zero(terms[0][1])
+
+
+def _has_limit_at_zero(leaf: Expr) -> bool:
+    return isinstance(leaf, (State, Control)) and leaf.shape == () and leaf.min is not None and float(leaf.min) >= 0.0
+
+
+def bound_row(size: Expr, s: Expr) -> Expr:
     """A residual, <= 0 where size <= s, s > 0: |a|^2 / s - s for a norm.
 
     Its multiplier stays finite as s goes to zero. That of a square goes like 1 / s, and steps halve s.
@@ -77,6 +90,18 @@ def bound_row(size: Expr, s: State | Control) -> Expr:
     interior-point methods for nonlinear programming, Mathematical Programming 95 (2003), section 2.
     """
     return (_square(size) / s - s if is_norm(size) else size - s).canonicalize()
+
+
+def norm_bound(row: Expr) -> tuple[str, float] | None:
+    """The name of the s in a row |a|^2 / (c s) - c s, as `bound_row` makes it, and c; None of any other row."""
+    terms = linear_terms(row)
+    if len(terms) != 2 or not isinstance(terms[0][1], Div) or not isinstance(terms[1][1], (State, Control)):
+        return None
+    (factor, quotient), (negative, s) = terms
+    below = linear_terms(quotient.children()[1])
+    if factor <= 0.0 or len(below) != 1 or below[0][0] != -negative or below[0][1].key() != s.key() or s.shape != ():
+        return None
+    return s.name, -negative
 
 
 def values_of(sizes: Sequence[Expr], us: Mapping[str, Any], params: Mapping[str, Any]) -> list[np.ndarray]:

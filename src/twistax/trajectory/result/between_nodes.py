@@ -19,7 +19,7 @@ from ..strategy.integration import CoreRollout
 from ..strategy.outcome import Outcome
 from ..strategy.status import Status
 from ..strategy.warm import WarmStart
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.staged import Staged
 from .quality import params_of
 from .replay import times_along
@@ -35,9 +35,9 @@ _SAMPLES, _ROUNDS, _MORE = 40, 12, 1.2
 def hold_between_nodes(
     problem: Any,
     outcome: Outcome,
-    instance: Given,
+    instance: Instance,
     params: dict[str, Array],
-    run: Callable[[WarmStart, Given], Outcome],
+    run: Callable[[WarmStart, Instance], Outcome],
     between: float,
     staged: Staged,
 ) -> Outcome:
@@ -96,7 +96,7 @@ def _beside(over: Array) -> Array:
     return np.maximum(closed[:-2], closed[2:])
 
 
-def _excess(problem: StatedPhase, point: Point, params: dict[str, Array], rollout: CoreRollout) -> Array:
+def _excess(problem: StatedPhase, point: Iterate, params: dict[str, Array], rollout: CoreRollout) -> Array:
     """(intervals, rows) the largest value of every inequality along a rollout; minus infinity for equalities."""
     intervals = problem.nodes - 1
     trajectory = Trajectory(**trajectory_at(problem, point, params))

@@ -13,7 +13,7 @@ from numpy import ndarray as Array
 from ...checks import short
 from ...errors import InputError
 from ..strategy.status import Status
-from ..transcription.points import Point
+from ..transcription.iterate import Iterate
 from .quality import Attempts, Optimality, params_of
 from .result import TrajectoryResult, best_result
 
@@ -108,7 +108,7 @@ def many_results(problem: Any, tried: Sequence[Attempts]) -> TrajectoryResults:
     )
 
 
-def _states_and_controls(part: Any, points: Sequence[Point]) -> tuple[dict[str, Array], dict[str, Array]]:
+def _states_and_controls(part: Any, points: Sequence[Iterate]) -> tuple[dict[str, Array], dict[str, Array]]:
     split = part.shooting.local.controls.split
     xs, us = zip(*(part.seen(point.xs, split(np.asarray(point.us))) for point in points))
     return (

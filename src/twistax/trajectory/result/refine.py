@@ -20,8 +20,8 @@ from numpy import ndarray as Array
 
 from ..strategy.status import Status
 from ..strategy.warm import WarmStart
+from ..transcription.iterate import Iterate
 from ..transcription.mesh import Mesh, Remeshed
-from ..transcription.points import Point
 from ..transcription.row_layout import RowLayout
 from ..transcription.shooting import PhaseSegment
 from .trajectory import Trajectory, trajectory_at
@@ -149,7 +149,7 @@ def _changes(part: StatedPhase, us: Array, ts: Array) -> Array:
     return changes
 
 
-def _marked(trajectory: Trajectory, point: Point) -> Array:
+def _marked(trajectory: Trajectory, point: Iterate) -> Array:
     """The smallest set of intervals with a given share of all changes, at least half of all intervals.
 
     None of a phase without controls.
@@ -185,7 +185,7 @@ def _start(problem: Any, result: Any, splits: Sequence[Array]) -> WarmStart:
     alone = old.segments[0].alone
     return WarmStart(
         problem,
-        Point(xs[0] if alone else tuple(xs), np.asarray(warm.point.us)[parent], np.asarray(warm.point.border)),
+        Iterate(xs[0] if alone else tuple(xs), np.asarray(warm.point.us)[parent], np.asarray(warm.point.border)),
         _costates(warm.dynamics, split),
         new.rows_of_all(rows),
         scales._replace(

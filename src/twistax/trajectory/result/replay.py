@@ -17,7 +17,7 @@ from ...integrators import Method, ZeroOrderHold, integrate
 from ...integrators.ambient import AmbientSystem
 from ..problem.statement import largest_by_name, violations
 from ..strategy.integration import CoreRollout
-from ..transcription.points import Point
+from ..transcription.iterate import Iterate
 
 
 @dataclasses.dataclass(frozen=True)
@@ -114,7 +114,7 @@ def _by_the_core(result: Any, steps: int) -> dict[str, Array]:
     staged = solved.core(1e-6, started.point, started.instance).staged
     start, planned = _start(result), result.xs | result.added
     xs = {name: np.concatenate([first[None], planned[name][1:]]) for name, first in start.items()}
-    point = Point(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
+    point = Iterate(xs, np.concatenate([np.zeros((problem.nodes - 1, 0)), *columns], axis=1), border)
     data = staged.numbers.vector(started.instance)
     rolling = problem.transcription.rolling(steps)
     return CoreRollout(staged.parts[0], rolling, staged.border.size, data).states(point)

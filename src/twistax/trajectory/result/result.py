@@ -14,7 +14,7 @@ from numpy import ndarray as Array
 from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ...jax_inside import in_double
 from ..strategy.outcome import Outcome
-from ..transcription.points import Values
+from ..transcription.iterate import Values
 from ..transcription.shooting import PhaseSegment
 from .pictures import animated, drawn
 from .quality import Attempts, Quality, params_of

@@ -12,8 +12,8 @@ import numpy as np
 from ...expr import Control, Expr, Inputs, Leaf, State, evaluate_all, leaves_of
 from ...jax_inside import in_double
 from ...scalar.walk import walk
+from ..transcription.iterate import Iterate
 from ..transcription.methods import Collocation
-from ..transcription.points import Point
 
 if TYPE_CHECKING:
     from ..problem.stated_phase import StatedPhase
@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 _SHOWN = 80
 
 
-def singular(problem: StatedPhase, point: Point, params: Mapping[str, Any], durations: Any) -> str | None:
+def singular(problem: StatedPhase, point: Iterate, params: Mapping[str, Any], durations: Any) -> str | None:
     """What names the first expression without a finite value or slope at the first or last node; a remedy.
 
     The first one is that whose operands are finite: 1 / v where v is zero. A node before the last has the control after

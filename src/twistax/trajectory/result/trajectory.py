@@ -17,7 +17,7 @@ from ...integrators import FirstOrderHold, PiecewisePolynomial, ZeroOrderHold
 from ...jax_inside import in_double
 from ..problem.statement import largest_by_name, violations
 from ..strategy.outcome import Outcome
-from ..transcription.points import Point
+from ..transcription.iterate import Iterate
 from .pictures import animated, drawn
 from .replay import Replay, replayed
 
@@ -129,7 +129,7 @@ class Trajectory:
             return replayed(self, method, steps, rtol, atol)
 
 
-def trajectory_at(problem: StatedPhase, point: Point, params: dict[str, Array]) -> dict[str, Any]:
+def trajectory_at(problem: StatedPhase, point: Iterate, params: dict[str, Array]) -> dict[str, Any]:
     """The fields of a `Trajectory` at a point."""
     controls = problem.shooting.local.controls.split(np.asarray(point.us))
     ts, (xs, us) = times_of(problem, point), problem.seen(point.xs, controls)
@@ -144,7 +144,7 @@ def trajectory_at(problem: StatedPhase, point: Point, params: dict[str, Array]) 
     }
 
 
-def times_of(problem: StatedPhase, point: Point) -> Array:
+def times_of(problem: StatedPhase, point: Iterate) -> Array:
     """The times of the nodes."""
     return np.asarray(problem.continuous.times(point.xs, problem.shooting.times(np.asarray(point.border))))
 

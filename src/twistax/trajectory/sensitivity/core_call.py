@@ -22,7 +22,7 @@ from ..problem.problem import Problem
 from ..strategy.core_solver import CoreSolver
 from ..strategy.measure import COST
 from ..strategy.status import Status
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 
 
 class SolveInputs(NamedTuple):
@@ -43,7 +43,9 @@ class CoreCall:
         instance: parameters, ends and limits of the problem as stated.
     """
 
-    def __init__(self, problem: Problem, core: CoreSolver, start: Point, instance: Given, max_iterations: int) -> None:
+    def __init__(
+        self, problem: Problem, core: CoreSolver, start: Iterate, instance: Instance, max_iterations: int
+    ) -> None:
         self._problem, self._tolerance = problem, core.tolerance
         self.units = units = core.units(start, instance)
         self._staged = staged = core.staged.alone(instance)  # a copy: solves of the problem do not change it
@@ -104,12 +106,12 @@ class CoreCall:
             z, v, lower, upper = (a.at[len(a) - border].set(final_time) for a in (z, v, lower, upper))
         return SolveInputs(data, z, v, lower, upper)
 
-    def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Given, mesh_tolerance: float) -> Status:
+    def judged(self, core: CoreSolver, values: Mapping[str, Any], instance: Instance, mesh_tolerance: float) -> Status:
         """The status that `problem.solve` gives a result, by the solver of this thread."""
         numbers = {name: float(values[name]) for name in MEASURES}
         arrays = {name: np.asarray(a) for name, a in values.items() if name not in MEASURES}
         status = CoreStatus(int(numbers.pop("status")))
-        core.staged.set_given(instance)
+        core.staged.set_instance(instance)
         result = CoreSolution(status=status, **arrays, statistics=numbers, log=np.zeros((0, 10)))
         outcome = core.measure.outcome(result, self.units, instance)
         if core.measure.violated_at_once(outcome.point, instance, self.units) > core.tolerance:

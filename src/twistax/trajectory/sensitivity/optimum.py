@@ -30,9 +30,9 @@ from ...solver.transcription import Transcription
 from ..problem.problem import Problem
 from ..start_units import StartUnits
 from ..strategy.core_solver import CoreSolver
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.jax_values import JaxValues
 from ..transcription.kernels import PhaseFunctions
-from ..transcription.points import Given, Point
 from ..transcription.shooting import Shooting
 from ..transcription.vectors import Numbers
 from .core_call import SolveInputs
@@ -97,7 +97,7 @@ class OptimalityConditions:
         self,
         problem: Problem,
         core: CoreSolver,
-        instance: Given,
+        instance: Instance,
         names: Mapping[str, tuple[str, ...]],
         units: StartUnits,
     ) -> None:
@@ -174,16 +174,16 @@ class OptimalityConditions:
         if not len(self._determined):
             return jnp.zeros(())
         numbers = self._numbers
-        instance = Given(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
+        instance = Instance(numbers.params(data), numbers.final(data, 0), numbers.limits(data))
         point = self.point(jnp.append(z, jnp.zeros(len(self._places), z.dtype)))
         rows = self._jax_values(point, instance).rows[self._determined]
         violated = jnp.where(self.shooting.equality[self._determined], jnp.abs(rows), rows)
         return jnp.max(violated / jnp.asarray(self._sizes_of_decided, rows.dtype), initial=0.0)
 
-    def point(self, z: Any) -> Point:
+    def point(self, z: Any) -> Iterate:
         """The point of z."""
         xs, us, border, _ = self._split(z, self._part.point.size)
-        return Point(self._part.point.split(xs), us, border)
+        return Iterate(self._part.point.split(xs), us, border)
 
     def _split(self, values: Any, width: int) -> tuple[Any, Any, Any, Any]:
         """Of numbers in the order of stages those of nodes, of controls, of the border, and what it is solved for."""
@@ -297,8 +297,8 @@ class OptimalityConditions:
         data = _replaced(jnp.asarray(self._data, changed.dtype), self._places, changed)
         numbers = self._numbers
         by_node = {name: jnp.asarray(rows, data.dtype) for name, rows in self._by_node.items()}
-        instance = Given(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
-        values = self._jax_values(Point(self._part.point.split(xs), us, border), instance, d)
+        instance = Instance(numbers.params(data) | by_node, numbers.final(data, 0), numbers.limits(data))
+        values = self._jax_values(Iterate(self._part.point.split(xs), us, border), instance, d)
         return values.cost, values.defects.reshape(-1), *(values.rows[places] for places in self._rows)
 
 

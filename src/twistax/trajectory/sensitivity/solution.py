@@ -19,7 +19,7 @@ from ..problem.problem import Problem
 from ..strategy.accuracy import MESH
 from ..strategy.core_solver import CoreSolver
 from ..strategy.status import Status
-from ..transcription.points import Given
+from ..transcription.iterate import Instance
 from .core_call import CoreCall, SolveInputs
 from .optimum import Move, OptimalityConditions, Optimum
 
@@ -101,7 +101,7 @@ class _Reference(NamedTuple):
 
     problem: Problem
     core: CoreSolver
-    instance: Given
+    instance: Instance
     call: CoreCall
     coarse: str  # what is said of its mesh if that is too coarse
 

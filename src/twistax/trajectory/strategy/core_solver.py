@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+import functools
 from collections.abc import Callable, Sequence
 from typing import Any, NamedTuple
 
@@ -15,7 +16,7 @@ from ..hessians.options import by_updates
 from ..hessians.quasi_newton import StageUpdates
 from ..start_units import StartUnits
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given, Point, Step
+from ..transcription.iterate import Instance, Iterate, Step
 from ..transcription.staged import Staged
 from .budget import Budget
 from .integration import CloseIntegration
@@ -35,15 +36,16 @@ _TURN, _CHANGE = 1.5, 0.2
 _FITTED_AT, _MISFIT = (7, 30, 80), 10.0
 #: The first barrier parameter of a warm start over its error, and the limits of that parameter.
 _WARM_SHARE, _WARM_LEAST, _WARM_MOST = 1e-2, 1e-9, 0.1
-#: Options that change nothing of a start: it is only measured.
-_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-14, "bound_push": 0.0, "warm_range": 1e300}
+#: Options that change nothing of a start: it is only measured, however large its error is.
+_AS_IT_IS = {"iterations": 0, "barrier_start": 1e-14, "slack_push": 1e-20, "bound_push": 0.0, "warm_range": 1e300}
+_AS_IT_IS |= {"acceptable": 1e300}
 
 
 class _Start(NamedTuple):
     """The start of a run, the data of its problem, and its units."""
 
-    point: Point
-    instance: Given
+    point: Iterate
+    instance: Instance
     units: StartUnits
 
 
@@ -63,7 +65,7 @@ class CoreSolver:
         made: IPOPT's and Fatrop's form of the problem, by solver.
     """
 
-    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given, tolerance: float) -> None:
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Instance, tolerance: float) -> None:
         self.staged, self.tolerance, self._problems = staged, tolerance, problems
         self.transcribed = staged.transcribed
         self.busy, self.made = False, dict[Any, Any]()
@@ -79,27 +81,29 @@ class CoreSolver:
         self._exactly |= {"bound_relaxation": min(1e-8, _LEAST * tolerance)}
         self._exactly |= {"excess": _CLOSER * tolerance, "excess_acceptable": tolerance, "acceptable": tolerance / COST}
 
-    def alone(self, instance: Given) -> CoreSolver:
+    def alone(self, instance: Instance) -> CoreSolver:
         """The same for another thread: kernels are shared, memory is not."""
         return CoreSolver(self.staged.alone(instance), self._problems, instance, self.tolerance)
 
-    def units(self, point: Point, instance: Given, *, is_guess: bool = False, with_rows: bool = True) -> StartUnits:
+    def units(
+        self, point: Iterate, instance: Instance, *, is_guess: bool = False, with_rows: bool = True
+    ) -> StartUnits:
         """Units at a start; the durations of a guess may be far too long."""
-        self.staged.set_given(instance)
+        self.staged.set_instance(instance)
         return StartUnits(self.staged, point, instance.limits if is_guess else None, with_rows=with_rows)
 
     def options(self, max_iterations: int) -> dict[str, float]:
         """Options of the core for a start that is no warm one."""
         return {**self._exactly, "iterations": max_iterations}
 
-    def moved(self, point: Point, step: Step) -> Point:
+    def moved(self, point: Iterate, step: Step) -> Iterate:
         """A point after a step."""
         return self.staged.point(moved(self.staged.transcription, self.staged.flat(point), self.staged.step(*step)))
 
     def run_once(
         self,
-        start: Point | WarmStart,
-        instance: Given,
+        start: Iterate | WarmStart,
+        instance: Instance,
         max_iterations: int,
         budget: Budget | None = None,
         *,
@@ -119,7 +123,7 @@ class CoreSolver:
         point = _arrays(start.point if isinstance(start, WarmStart) else start)
         known = start.units if isinstance(start, WarmStart) and not as_stated else None
         if known is not None and known.fit(self.staged, point):
-            self.staged.set_given(instance)
+            self.staged.set_instance(instance)
             units = copy.copy(known)
         else:
             units = self.units(point, instance, is_guess=is_guess and not isinstance(start, WarmStart))
@@ -134,21 +138,23 @@ class CoreSolver:
         check = _IterationCheck(budget or Budget(max_iterations))
         if not isinstance(start, WarmStart):
             return self._from_point(begin, options, check, _FITTED_AT if rescaling and not as_stated else ())
-        warm, violated = self._warm(begin, start.dynamics, start.rows)
-        if violated <= self.tolerance:
-            outcome = self._as_it_is(warm, begin)
-            if outcome.status is Status.SOLVED and outcome.errors.gap <= self.tolerance:
-                return outcome
-        return self.measure.outcome(self._call(begin, {**options, **_near(violated)}, warm, check), units, instance)
+        warm, distance = self._warm(begin, start.dynamics, start.rows)
+        if distance <= self.tolerance:
+            for units_of in (units,) if known is None else (units, known):  # it was solved in those that it has
+                outcome = self._as_it_is(warm, begin._replace(units=units_of))
+                if outcome.status is Status.SOLVED:
+                    return outcome
+                distance = max(distance, outcome.errors.stationarity / COST)
+        return self.measure.outcome(self._call(begin, {**options, **_near(distance)}, warm, check), units, instance)
 
-    def measured(self, point: Point, dynamics: Array, rows: Array, instance: Given) -> Outcome:
+    def measured(self, point: Iterate, dynamics: Array, rows: Array, instance: Instance) -> Outcome:
         """The optimality errors of a point with multipliers, in units that fit it."""
         start = _Start(point, instance, self.units(point, instance))
         return self._as_it_is(self._warm(start, dynamics, rows)[0], start)
 
     def _as_it_is(self, warm: CoreSolution, start: _Start) -> Outcome:
         """The optimality errors of a warm start."""
-        result = self._call(start, {**self._exactly, **_AS_IT_IS, "tolerance": self.tolerance}, warm)
+        result = self._call(start, {**self._exactly, **_AS_IT_IS}, warm)
         return self.measure.outcome(result, start.units, start.instance, warm=True)
 
     def _from_point(
@@ -167,9 +173,9 @@ class CoreSolver:
                     return False
                 del left[0]
                 point = self.staged.point(z.copy())
-                limits = used.instance.limits
-                if StartUnits(self.staged, point, limits, with_rows=False).distance(used.units) > np.log(_MISFIT):
-                    fresh = _Start(point, used.instance, StartUnits(self.staged, point, limits))
+                measured = functools.partial(StartUnits, self.staged, point, used.instance.limits, before=used.units)
+                if measured(with_rows=False).distance(used.units) > np.log(_MISFIT):
+                    fresh = _Start(point, used.instance, measured())
                 return fresh is not None
 
             check.extra = is_misfit
@@ -225,9 +231,11 @@ class CoreSolver:
         return CoreSolution(CoreStatus.SOLVED, z, v, slacks, lam, y, ye, zl, zu, {}, np.zeros((0, 10))), violated
 
 
-def _near(violated: float) -> dict[str, float]:
-    """Options that keep the iterates near a warm start: the larger its violation, the larger the initial barrier."""
-    barrier = float(np.clip(_WARM_SHARE * violated, _WARM_LEAST, _WARM_MOST))
+def _near(distance: float) -> dict[str, float]:
+    """Options that keep the iterates near a warm start: the larger its violation, and where there is none the gradient
+    of its Lagrangian, the larger the initial barrier.
+    """
+    barrier = float(np.clip(_WARM_SHARE * distance, _WARM_LEAST, _WARM_MOST))
     push = min(max(barrier, 1e-12) ** 0.5, 1e-2)
     return {"barrier_start": barrier, "slack_push": push, "bound_push": push}
 
@@ -250,8 +258,8 @@ class _IterationCheck:
 
 
 def _arrays(tree: Any) -> Any:
-    if isinstance(tree, Point):
-        return Point(*(_arrays(a) for a in tree))
+    if isinstance(tree, Iterate):
+        return Iterate(*(_arrays(a) for a in tree))
     if isinstance(tree, tuple):
         return tuple(map(_arrays, tree))
     return {name: np.asarray(a) for name, a in tree.items()} if isinstance(tree, dict) else np.asarray(tree)

@@ -15,8 +15,8 @@ from ...integrators import RKMK, tableaus
 from ...solver.kernels import Argument
 from ...solver.transcription import INEQUALITY, NONE, CorePhase, Scheme, Transcription
 from ..transcription.evaluation import Evaluated, moved
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.methods import Collocation, MultipleShooting
-from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 
@@ -50,7 +50,7 @@ class CloseIntegration:
         problems: those of its phases.
     """
 
-    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Given) -> None:
+    def __init__(self, staged: Staged, problems: Sequence[Any], instance: Instance) -> None:
         self._staged, data = staged, staged.numbers.vector(instance)
         self._phases = [_looking(part, p.transcription.finer.scheme) for part, p in zip(staged.parts, problems)]
         self._transcription = Transcription(self._phases, staged.border.size, data)
@@ -58,14 +58,14 @@ class CloseIntegration:
         self._at_nodes = Transcription(at_nodes, staged.border.size, data)
         self._signs = np.zeros((0, 0))
 
-    def at(self, z: Array, instance: Given) -> tuple[Closely, ...]:
+    def at(self, z: Array, instance: Instance) -> tuple[Closely, ...]:
         """The accurate integrations of all phases at a point of the problem."""
         self._transcription.set_data(self._staged.numbers.vector(instance))
         seen = Evaluated(self._transcription, z)
         middles = self._middles(z)
         return tuple(self._phase(k, seen, middles[k]) for k in range(len(self._phases)))
 
-    def determined_rows(self, z: Array, instance: Given) -> Array:
+    def determined_rows(self, z: Array, instance: Instance) -> Array:
         """(rows,) values of the node rows that ends or other rows determine; other entries are meaningless."""
         transcription, rows = self._at_nodes, []
         transcription.set_data(self._staged.numbers.vector(instance))
@@ -157,7 +157,7 @@ class CoreRollout:
         )
         self._transcription = Transcription([alone], parameters, data)
 
-    def states(self, point: Point) -> dict[str, Array]:
+    def states(self, point: Iterate) -> dict[str, Array]:
         """All states at the sample times, (intervals * samples + 1, ...), from the first node of the phase."""
         base, *planned = self._part.point.joined(point.xs, 1)
         samples = [base[None]]

@@ -15,14 +15,15 @@ that change, over the change of the objective, is of order one where it has.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Sequence
+import itertools
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import jax
 import numpy as np
 from numpy import ndarray as Array
 
-from ..transcription.points import Given
+from ..transcription.iterate import Instance
 from ..transcription.staged import Staged
 from .accuracy import Accuracy, Exceeded, FlatRow
 from .integration import CloseIntegration, Closely
@@ -45,12 +46,18 @@ class Judge:
 
     def __init__(self, close: CloseIntegration, staged: Staged) -> None:
         self._close, self._staged, self._shooting = close, staged, staged.transcribed
-        shooting = self._shooting
-        cones = [shooting.named(part, name) for part in shooting.segments for name in part.shooting.path.cones]
         #: Rows |a|^2 <= b^2 in place of |a| <= b: their multipliers grow like 1 / b as b goes to zero.
-        self._cones = np.isin(np.asarray(shooting.names, str), cones)
+        self._cones = self._named(lambda path: path.cones)
+        #: Rows |a|^2 / s <= s: their slope by s is at least one, whatever moves of a change.
+        self._norm_bounds = self._named(lambda path: itertools.compress(path.names, path.norm_bounds))
 
-    def judged(self, outcome: Outcome, instance: Given, mesh_tolerance: float, tolerance: float) -> Outcome:
+    def _named(self, names_of: Callable[[Any], Iterable[str]]) -> Array:
+        """Which rows have some of the names of a path."""
+        named, segments = self._shooting.named, self._shooting.segments
+        names = [named(part, name) for part in segments for name in names_of(part.shooting.path)]
+        return np.isin(np.asarray(self._shooting.names, str), names)
+
+    def judged(self, outcome: Outcome, instance: Instance, mesh_tolerance: float, tolerance: float) -> Outcome:
         """The outcome with its accuracy, and with the status that follows from it.
 
         Args:
@@ -77,7 +84,7 @@ class Judge:
             return None
         # Others have a share of the barrier for their multiplier, and a whole move may change them without end.
         binds = self._shooting.equality | (np.abs(outcome.scaled_rows) * scales.rows >= outcome.slack)
-        weights = np.where(binds, weights, 0.0)
+        weights = np.where(binds & ~self._norm_bounds, weights, 0.0)
         step, sizes = self._staged.step(scales.d, scales.u, scales.border), np.zeros_like(weights)
         for length, seen in ((_SMALL, 1.0), (1.0, ~self._cones)):  # a whole move shows what is flat to several orders
             look = self._close.changes(z, step, length)

@@ -8,7 +8,7 @@ from numpy import ndarray as Array
 from ...solver.core import CoreSolution, CoreStatus
 from ..start_units import StartUnits
 from ..transcription.evaluation import Evaluated
-from ..transcription.points import Given, Point, Values
+from ..transcription.iterate import Instance, Iterate, Values
 from ..transcription.staged import Staged
 from .integration import CloseIntegration
 from .outcome import Errors, Outcome, Scales
@@ -46,7 +46,7 @@ class Measure:
         """Whether the ends alone determine a row."""
         return bool((self._transcribed.determined & ~self._transcribed.redundant).any())
 
-    def violated_at_once(self, point: Point, instance: Given, units: StartUnits) -> float:
+    def violated_at_once(self, point: Iterate, instance: Instance, units: StartUnits) -> float:
         """The largest scaled violation of rows that the ends alone determine, so that no trajectory changes them."""
         if not self.has_determined_rows:
             return 0.0
@@ -79,7 +79,12 @@ class Measure:
 
     @np.errstate(all="ignore")
     def outcome(
-        self, result: CoreSolution, units: StartUnits, instance: Given, status: Status | None = None, warm: bool = False
+        self,
+        result: CoreSolution,
+        units: StartUnits,
+        instance: Instance,
+        status: Status | None = None,
+        warm: bool = False,
     ) -> Outcome:
         """The outcome of a run, with the status of the core unless another one is known."""
         staged, problem, numbers = self._staged, self._transcribed, result.statistics
@@ -105,6 +110,7 @@ class Measure:
             float(gap / units.cost),
             float(numbers["excess"] / numbers["worth"]) if numbers["worth"] > 0.0 else np.nan,
         )
+        ended = status or self._status(result, float(violated.max(initial=0.0)), errors)
         return Outcome(
             point=point,
             values=Values(at.cost[0], defects, rows),
@@ -115,9 +121,9 @@ class Measure:
             slack=slack,
             violations=np.concatenate([(np.abs(defects) / scales.d[1:]).ravel(), violated]),
             scales=scales,
-            status=status or self._status(result, float(violated.max(initial=0.0)), errors),
+            status=ended,
             iterations=max(int(numbers["iterations"]), int(not warm)),
-            saddle=result.status in (CoreStatus.SOLVED, CoreStatus.ACCEPTABLE) and not numbers["minimum"],
+            saddle=ended in (Status.SOLVED, Status.ACCEPTABLE) and not numbers["minimum"],
             units=units,
         )
 

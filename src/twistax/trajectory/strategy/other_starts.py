@@ -6,7 +6,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given, Point, Step
+from ..transcription.iterate import Instance, Iterate, Step
 from .core_solver import CoreSolver
 from .outcome import Scales
 
@@ -15,7 +15,7 @@ from .outcome import Scales
 _MOVES, _LARGEST_GAP, _SHARES = (0.4, 0.15), 30.0, tuple(0.5**k for k in range(11))
 
 
-def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.Generator) -> Point:
+def perturbed(solver: CoreSolver, point: Iterate, instance: Instance, rng: np.random.Generator) -> Iterate:
     """A point with a random step in every free entry of states, controls and shared unknowns.
 
     The step is halved until gaps of the dynamics there are finite and no more than a few times those at the point: what
@@ -43,8 +43,8 @@ def perturbed(solver: CoreSolver, point: Point, instance: Given, rng: np.random.
 
 
 def beside(
-    solver: CoreSolver, point: Point, scales: Scales, size: float, seed: int, controls_alone: bool = False
-) -> Point:
+    solver: CoreSolver, point: Iterate, scales: Scales, size: float, seed: int, controls_alone: bool = False
+) -> Iterate:
     """The point after a random step; of the controls alone if that is asked for and there are controls."""
     rng, problem = np.random.default_rng(seed), solver.transcribed
     u = np.where(problem.free.u, size * rng.normal(size=problem.free.u.shape) * scales.u, 0.0)

@@ -11,7 +11,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..start_units import StartUnits
-from ..transcription.points import Point, Values
+from ..transcription.iterate import Iterate, Values
 from .accuracy import Accuracy, FlatRow
 from .status import Status
 
@@ -43,7 +43,7 @@ class Errors(NamedTuple):
 class Outcome:
     """The end of a run of the solver."""
 
-    point: Point
+    point: Iterate
     values: Values
     errors: Errors
     dynamics: Array  # (intervals, n) multipliers in the problem's units

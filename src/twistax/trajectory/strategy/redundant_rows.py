@@ -10,7 +10,7 @@ import numpy as np
 from numpy import ndarray as Array
 
 from ..transcription.evaluation import Evaluated, moved
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 
@@ -18,7 +18,7 @@ from ..transcription.staged_phase import StagedPhase
 _SAMPLES, _MOVE = 2, 0.3
 
 
-def redundant_rows(staged: Staged, start: Point, instance: Given) -> list[Array]:
+def redundant_rows(staged: Staged, start: Iterate, instance: Instance) -> list[Array]:
     """For each phase the inequalities at nodes whose slopes lie in the span of those of the equalities there.
 
     They count if it is so at all samples, with these parameters and with others: the next solve may have those.
@@ -27,7 +27,7 @@ def redundant_rows(staged: Staged, start: Point, instance: Given) -> list[Array]
     return [_of_part(staged, number, samples) for number in range(len(staged.parts))]
 
 
-def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluated]:
+def _samples(staged: Staged, start: Iterate, instance: Instance) -> Iterator[Evaluated]:
     """Derivatives at random points, with these parameters and with perturbed ones."""
     rng, free, z = np.random.default_rng(0), staged.transcribed.free, staged.flat(start)
     points = list[Array]()
@@ -38,12 +38,12 @@ def _samples(staged: Staged, start: Point, instance: Given) -> Iterator[Evaluate
         points.append(moved(staged.transcription, z, step))
     changed = [jax.tree.map(lambda a, i=i: _stirred(np.random.default_rng(i), a), instance.params) for i in range(2)]
     for params in (instance.params, *changed):
-        staged.set_given(instance.with_params(params))
+        staged.set_instance(instance.with_params(params))
         for point in points:
             at = Evaluated(staged.transcription, point)
             if at.differentiate():
                 yield at
-    staged.set_given(instance)
+    staged.set_instance(instance)
 
 
 def _stirred(rng: np.random.Generator, values: Any) -> Array:

@@ -12,8 +12,8 @@ from numpy import ndarray as Array
 from ...integrators import tableaus
 from ...solver.kernels import Argument
 from ...solver.transcription import Scheme
+from ..transcription.iterate import Instance, Iterate
 from ..transcription.methods import Collocation
-from ..transcription.points import Given, Point
 from ..transcription.staged import Staged
 
 #: The product of an eigenvalue of the rates and a step above which RK4 is not stable.
@@ -29,13 +29,13 @@ _AMPLIFIES = 1.2
 _RADII, _ANGLES = np.linspace(0.02, 5.0, 250), 181
 
 
-def stiffness(staged: Staged, point: Point, instance: Given) -> float:
+def stiffness(staged: Staged, point: Iterate, instance: Instance) -> float:
     """The largest product of an eigenvalue of the rates' Jacobian, at a node, and a substep; of explicit phases."""
     explicit = [z for part, z in zip(staged.parts, _modes(staged, point, instance)) if not part.phase.method.implicit]
     return max((float(np.abs(z).max(initial=0.0)) for z in explicit), default=0.0)
 
 
-def amplification(staged: Staged, point: Point, instance: Given) -> list[Array]:
+def amplification(staged: Staged, point: Iterate, instance: Instance) -> list[Array]:
     r"""For each phase (intervals,) the factor by which a substep amplifies a mode that does not grow; 1 if it is small.
 
     A Runge-Kutta method multiplies a mode with eigenvalue $\lambda$ by $R(z) = \det(I - z A + z 1 b^T) / \det(I - z A)$
@@ -88,13 +88,13 @@ def _stability_function_of(a_bytes: bytes, b_bytes: bytes) -> _StabilityFunction
     return function._replace(radius=float(_RADII[max(int(bad.argmax()) - 1, 0)] if bad.any() else _RADII[-1]))
 
 
-def _modes(staged: Staged, point: Point, instance: Given, least: Sequence[float] | None = None) -> list[Array]:
+def _modes(staged: Staged, point: Iterate, instance: Instance, least: Sequence[float] | None = None) -> list[Array]:
     """For each phase (intervals, n) eigenvalues of the rates' Jacobian at the first node times a substep, or zero.
 
     Args:
         least: of each phase, a radius within which eigenvalues may count as zero.
     """
-    staged.set_given(instance)
+    staged.set_instance(instance)
     data, every, border = staged.numbers.vector(instance), list[Array](), np.asarray(point.border)
     for part, segment, radius in zip(staged.parts, staged.transcribed.segments, least or [0.0] * len(staged.parts)):
         phase, here, n, size = part.phase, segment.of(point), part.shooting.n, part.shooting.size

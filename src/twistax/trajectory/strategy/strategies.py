@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from ..start_units import StartUnits
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from . import other_starts
 from .budget import Budget
 from .core_solver import CoreSolver
@@ -23,7 +23,7 @@ from .warm import WarmStart
 
 #: No unit of the objective at the end of a run is a smaller share of the one before.
 _SMALL = 1e-6
-#: Units of controls that are so many times as large, or as small, as those at a result were worth nothing.
+#: A failed run is repeated from its end where units there are so many times as large, or as small.
 _FAR = 1e3
 #: Iterations that one run may take: those left of the default are for other strategies.
 _MOST = 500
@@ -43,7 +43,7 @@ class Strategy(enum.Enum):
     """
 
     RESCALING = (
-        "scales are measured anew within a run, and where they do not fit its result; failed runs keep the first"
+        "units are measured anew within a run and at the end of a failed one, which is then repeated in its first units"
     )
     STATED_SCALES = "a run that fails is repeated in the units of the statement"
     PERTURBED_STARTS = "a run that fails is repeated from two starts beside its own"
@@ -60,13 +60,13 @@ class Strategy(enum.Enum):
 
 def solved(
     solver: CoreSolver,
-    start: Point | WarmStart,
-    instance: Given,
+    start: Iterate | WarmStart,
+    instance: Instance,
     budget: Budget,
     strategies: Collection[Strategy] = tuple(Strategy),
 ) -> Outcome:
     """A solve from a start, with units that fit its result, continued to a minimum if one is near."""
-    return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Point)).run(
+    return _Search(solver, budget, strategies, limited=bool(strategies) and isinstance(start, Iterate)).run(
         start, instance
     )
 
@@ -81,7 +81,7 @@ class _Search:
     def __init__(self, solver: CoreSolver, budget: Budget, strategies: Collection[Strategy], *, limited: bool) -> None:
         self._solver, self._budget, self._strategies, self._limited = solver, budget, strategies, limited
 
-    def run(self, start: Point | WarmStart, instance: Given) -> Outcome:
+    def run(self, start: Iterate | WarmStart, instance: Instance) -> Outcome:
         """Apply the strategies in turn until the search reaches an optimum."""
         result = self._near(start, instance)
         at_once = result.status is Status.INFEASIBLE and result.iterations <= 1  # before the first step
@@ -107,7 +107,7 @@ class _Search:
         return result.status in ends and not self._budget.is_spent and strategy in self._strategies
 
     def _once(
-        self, start: Any, instance: Given, floor: float = 0.0, rescaling: bool = True, **options: bool
+        self, start: Any, instance: Instance, floor: float = 0.0, rescaling: bool = True, **options: bool
     ) -> Outcome:
         budget = self._budget
         most = min(_MOST, budget.left) if self._limited else budget.left
@@ -117,20 +117,31 @@ class _Search:
         is_stopped = result.status is Status.STOPPED
         return dataclasses.replace(result, status=budget.ended or result.status) if is_stopped else result
 
-    def _fitting(self, start: Any, instance: Given) -> Outcome:
-        if Strategy.RESCALING in self._strategies:
-            return in_fitting_units(self._solver, self._once, start, instance)
-        return self._once(start, instance)
+    def _fitting(self, start: Any, instance: Instance) -> Outcome:
+        """A run; one that fails goes on from its end in the units there, if those of its start were far off.
 
-    def _at_minimum(self, result: Outcome, instance: Given) -> Outcome:
+        What it changes: an exponential of a state that is far away at the start has a unit of 1e21.
+        """
+        result = self._once(start, instance)
+        if not self._may_repeat(result, Strategy.RESCALING):
+            return result
+        fresh, used = self._solver.units(result.point, instance), result.scales
+        floor = _SMALL * float(used.cost)
+        if max(fresh.cost, floor) >= float(used.cost) and not _are_far(self._solver, fresh, used):
+            return result
+        again = self._once(result.point, instance, floor, is_guess=False)
+        return again if again.status in AT_OPTIMUM else result
+
+    def _at_minimum(self, result: Outcome, instance: Instance) -> Outcome:
         if Strategy.LEAVING_SADDLES not in self._strategies:
             return result
-        return at_a_minimum(self._solver, lambda start: self._fitting(start, instance), result)
+        solve = lambda start: self._fitting(start, instance)  # noqa: E731
+        return at_a_minimum(self._solver, solve, result, lambda: self._budget.is_spent)
 
-    def _near(self, start: Any, instance: Given) -> Outcome:
+    def _near(self, start: Any, instance: Instance) -> Outcome:
         return self._at_minimum(self._fitting(start, instance), instance)
 
-    def _at_fitted_durations(self, result: Outcome, start: Point, instance: Given) -> Outcome:
+    def _at_fitted_durations(self, result: Outcome, start: Iterate, instance: Instance) -> Outcome:
         """The optimum from durations that fit the limited controls; the present result if there is none."""
         units = self._solver.units(start, instance, is_guess=True)
         durations = units.fitted_durations(self._solver.staged, start, instance.limits)
@@ -138,22 +149,6 @@ class _Search:
             return result
         other = self._near(start.with_border(durations), instance)
         return other if other.status in AT_OPTIMUM else result
-
-
-def in_fitting_units(solver: CoreSolver, solve: Callable[..., Outcome], start: Any, instance: Given) -> Outcome:
-    """Solve, and once more in units that fit the end of a failed run, if those of its start were far off.
-
-    What it changes: an exponential of a state that is far away at the start has a unit of 1e21.
-    """
-    result = solve(start, instance)
-    if result.status in (*AT_OPTIMUM, Status.NON_FINITE, Status.UNBOUNDED):
-        return result
-    fresh, used = solver.units(result.point, instance), result.scales
-    floor = _SMALL * float(used.cost)
-    if max(fresh.cost, floor) >= float(used.cost) and not _are_far(solver, fresh, used):
-        return result
-    again = solve(result.point, instance, floor, is_guess=False)
-    return again if again.status in AT_OPTIMUM else result
 
 
 def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
@@ -166,12 +161,23 @@ def _are_far(solver: CoreSolver, fresh: StartUnits, used: Scales) -> bool:
     return bool((np.abs(np.log(np.concatenate(ratios))) > np.log(_FAR)).any())
 
 
-def at_a_minimum(solver: CoreSolver, solve: Callable[[Point], Outcome], result: Outcome) -> Outcome:
-    """The result; from a saddle point, a better one that searches from perturbed points reach."""
+def at_a_minimum(
+    solver: CoreSolver,
+    solve: Callable[[Iterate], Outcome],
+    result: Outcome,
+    is_over: Callable[[], bool] = lambda: False,
+) -> Outcome:
+    """The result; from a saddle point, a better one that searches from perturbed points reach.
+
+    Args:
+        is_over: whether no further search may start.
+    """
     seed = 0
     while result.saddle and result.status in (Status.SOLVED, Status.ACCEPTABLE):
         better = None
         for size in _AWAY:
+            if is_over():
+                break
             other = solve(other_starts.beside(solver, result.point, result.scales, size, seed, controls_alone=True))
             seed += 1
             lower = other.cost < result.cost - solver.tolerance * float(result.scales.cost)

@@ -10,7 +10,7 @@ from numpy import ndarray as Array
 
 from ...system import entry_names
 from ..transcription.evaluation import Evaluated
-from ..transcription.points import Given
+from ..transcription.iterate import Instance
 from ..transcription.staged import Staged
 from ..transcription.staged_phase import StagedPhase
 from .warm import WarmStart
@@ -50,7 +50,7 @@ class Undetermined(NamedTuple):
 
 
 def undetermined(
-    staged: Staged, warm: WarmStart, instance: Given, derivatives: Sequence[Mapping[str, str]]
+    staged: Staged, warm: WarmStart, instance: Instance, derivatives: Sequence[Mapping[str, str]]
 ) -> list[Undetermined]:
     """The controls that a solution does not determine, to second order.
 
@@ -62,7 +62,7 @@ def undetermined(
     Args:
         derivatives: of each phase: name of a held derivative of a control -> what it is.
     """
-    staged.set_given(instance)
+    staged.set_instance(instance)
     scales, sizes = warm.scales, _control_sizes(staged, warm)
     choices = _Moves(staged, warm, sizes)
     if choices.count > _MOST:

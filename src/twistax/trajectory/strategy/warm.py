@@ -14,7 +14,7 @@ from ...errors import TrajectoryError
 from ...jax_inside import in_double
 from ..start_units import StartUnits
 from ..strategy.integration import CoreRollout
-from ..transcription.points import Given, Point
+from ..transcription.iterate import Instance, Iterate
 from .outcome import Scales
 
 
@@ -32,7 +32,7 @@ class WarmStart:
     """
 
     problem: Any
-    point: Point
+    point: Iterate
     dynamics: Array  # (intervals, n)
     rows: Array  # (rows,)
     scales: Scales
@@ -73,7 +73,7 @@ class WarmStart:
         inner, end = np.split(self.rows, [shooting.intervals * shooting.rows_per_interval])
         return dataclasses.replace(
             self,
-            point=Point(last.point.split(np.stack(nodes[steps:])), us, point.border),
+            point=Iterate(last.point.split(np.stack(nodes[steps:])), us, point.border),
             dynamics=_moved_on(self.dynamics, steps),
             rows=np.concatenate([_moved_on(inner.reshape(shooting.intervals, -1), steps).ravel(), end]),
         )
@@ -101,7 +101,7 @@ def warm_start(value: Any) -> WarmStart:
     return warm
 
 
-def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> WarmStart:
+def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Instance) -> WarmStart:
     """The warm start at other ends, and within the limits of times and free parameters.
 
     Raises:
@@ -113,7 +113,7 @@ def with_ends(warm: WarmStart, problem: Any, ends: Any, instance: Given) -> Warm
     expected += [np.shape(a) for a in (shooting.exists, problem.border.limits[:, 0])]
     if shapes != expected:
         raise other_problem()
-    start = Point(_at_ends(problem, point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
+    start = Iterate(_at_ends(problem, point.xs, ends), point.us, np.clip(point.border, *np.asarray(instance.limits).T))
     same = warm.problem is problem and all(np.array_equal(warm.params[n], a) for n, a in instance.params.items())
     return dataclasses.replace(warm, point=start, units=warm.units if same else None)
 

@@ -19,7 +19,7 @@ from ...scalar.fast import fast
 from ...scalar.targets.llvm.backend import Auto, Native, installed
 from ...solver.transcription import Scheme
 from ...system.dynamics import Arrays
-from .points import Given, Point, Values
+from .iterate import Instance, Iterate, Values
 from .shooting import Shooting
 
 #: Newton steps of collocation at most, and the size of a step, relative, after which one more is the last.
@@ -51,7 +51,7 @@ class JaxValues:
         self._gap, self._end = compiled(shooting.local.gap), compiled(shooting.end_at)
         self._nodes = {k: compiled(functools.partial(shooting.node_at, k)) for k in shooting.conditions}
 
-    def __call__(self, point: Point, instance: Given, d: jax.Array | None = None) -> Values:
+    def __call__(self, point: Iterate, instance: Instance, d: jax.Array | None = None) -> Values:
         """Cost, defects and rows at a point, or a step d (nodes, n) of its nodes away in their charts."""
         phase, params = self._shooting, instance.params
         d = jnp.zeros((phase.nodes, phase.n), point.us.dtype) if d is None else d

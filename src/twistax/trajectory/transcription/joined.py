@@ -24,7 +24,7 @@ from numpy import ndarray as Array
 from ...expr import Expr, Inputs, evaluate_all
 from ...system.dynamics import Arrays
 from ..problem.statement import PathRows
-from .points import Step
+from .iterate import Step
 from .shooting import PhaseSegment, Shooting, Transcribed
 
 
@@ -92,7 +92,7 @@ class Join:
 class Joined(Transcribed):
     """A problem of several phases.
 
-    Points have the states of each phase in a tuple; `Given.final` likewise.
+    Points have the states of each phase in a tuple; `Instance.final` likewise.
     """
 
     def __init__(self, shootings: Sequence[Shooting], joins: Sequence[Join], names: Sequence[str]) -> None:

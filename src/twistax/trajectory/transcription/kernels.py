@@ -16,8 +16,8 @@ from ...expr.transformations.without_numbers import Structure
 from ...solver.kernels import Argument, SmoothKernels
 from ...solver.transcription import JoinKernels, PhaseKernels
 from ..problem.conditions import Conditions
+from .iterate import Instance
 from .joined import Join
-from .points import Given
 from .shooting import Shooting
 from .vectors import Flat, Numbers
 
@@ -215,7 +215,7 @@ class PhaseFunctions:
     def _end(self, known: Known, params: Any, parts: Sequence[Any]) -> jax.Array:
         phase = self._shooting.made_of(**dict(zip(("conditions", "rows", "limits", "final"), parts, strict=True)))
         z, data, numbers = known[Argument.Z], known[Argument.DATA], self._numbers
-        instance = Given(params, numbers.final(data, phase.phase), numbers.limits(data))
+        instance = Instance(params, numbers.final(data, phase.phase), numbers.limits(data))
         return phase.end_at(z, (self._base(known), jnp.zeros(phase.border.size, z.dtype)), instance)
 
     def _node(self, conditions: Conditions) -> Traced:

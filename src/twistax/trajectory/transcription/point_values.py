@@ -13,11 +13,11 @@ from numpy import ndarray as Array
 from ...expr import Control, Expr, Inputs, Leaf, Parameter, State, Time, evaluate_all, leaves_of
 from ...expr.transformations.without_numbers import Structure
 from ...solver.kernels import Argument, SmoothKernels
-from ...system.functions import Kept
+from ...system.functions import Cache
 from .vectors import Flat
 
 #: The functions that were used last, by the keys of their expressions.
-_KEPT = Kept(128)
+_CACHE = Cache(128)
 
 
 class PointValues:
@@ -43,7 +43,7 @@ class PointValues:
     @classmethod
     def of(cls, exprs: Sequence[Expr]) -> PointValues:
         """Those of expressions that were met before are kept."""
-        kept: PointValues = _KEPT.get(tuple(expr.key() for expr in exprs), lambda: cls(exprs))
+        kept: PointValues = _CACHE.get(tuple(expr.key() for expr in exprs), lambda: cls(exprs))
         return kept
 
     def __call__(self, ts: Array, x: Mapping[str, Any], u: Mapping[str, Any], params: Mapping[str, Any]) -> Array:

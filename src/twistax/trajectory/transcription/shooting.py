@@ -30,10 +30,10 @@ from ..problem.by_node import ByNode
 from ..problem.conditions import Conditions, Ends
 from ..problem.statement import Labels, Objective, PathRows
 from .border import Border
+from .iterate import Instance, Iterate, Step
 from .local import Local
 from .mesh import Mesh
 from .methods import Collocation, MultipleShooting
-from .points import Given, Point, Step
 from .row_layout import row_layout
 
 
@@ -46,11 +46,11 @@ class PhaseSegment(NamedTuple):
     stages: slice
     alone: bool = False
 
-    def of(self, point: Point) -> Point:
+    def of(self, point: Iterate) -> Iterate:
         """The part of a point that belongs to the phase."""
         if self.alone:
             return point
-        return Point(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
+        return Iterate(point.xs[self.number], point.us[self.stages, : self.shooting.m], point.border)
 
 
 class Transcribed(ABC):
@@ -267,7 +267,7 @@ class Shooting(Transcribed):
         x = self.dynamics.group.retract(base, d)
         return conditions.values(begin + share * length, x, params | self.border.params(b))
 
-    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Given) -> jax.Array:
+    def end_at(self, z: jax.Array, last: tuple[Arrays, jax.Array], data: Instance) -> jax.Array:
         """The rows of the end and the final cost, from the last node and the shared unknowns; controls are zero."""
         base, b = last[0], last[1] + z[self.n :]
         q, share = jnp.concatenate([z[: self.n], jnp.zeros(self.m, z.dtype), b]), jnp.ones((), z.dtype)

@@ -7,6 +7,7 @@ points. Rows are inequalities h, equalities e, and lower and upper bounds of v.
 from __future__ import annotations
 
 import copy
+import dataclasses
 from collections.abc import Sequence
 from typing import Any
 
@@ -15,8 +16,8 @@ from numpy import ndarray as Array
 
 from ...jax_inside import in_double
 from ...solver.transcription import EQUALITY, INEQUALITY, Transcription
+from .iterate import Instance, Iterate
 from .kernels import PhaseFunctions, point_of
-from .points import Given, Point
 from .shooting import Transcribed
 from .staged_phase import StagedPhase
 from .vectors import Numbers
@@ -41,7 +42,7 @@ class Staged:
         places_alone: groups of inequalities and equalities, of which no two stand in one stage.
     """
 
-    def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Given) -> None:
+    def __init__(self, transcribed: Transcribed, problems: Sequence[Any], instance: Instance) -> None:
         self.transcribed, self.border = transcribed, transcribed.border
         points = [point_of(problem.shooting) for problem in problems]
         self.numbers = Numbers(points, instance, [problem.shooting.by_node for problem in problems])
@@ -57,8 +58,8 @@ class Staged:
             ]
         self._assemble(instance)
 
-    def _assemble(self, instance: Given) -> None:
-        self._instance: Given | None = None
+    def _assemble(self, instance: Instance) -> None:
+        self._instance: Instance | None = None
         phases = [part.phase for part in self.parts]
         self.transcription = Transcription(phases, self.border.size, self.numbers.vector(instance))
         stages = self.transcription.stages
@@ -81,6 +82,9 @@ class Staged:
                     in_v.append(at_v[:, part.shooting.dynamics.group.slices[name]].ravel())
                     in_z.append(at_z[:, part.point.places(name)].ravel())
         self.plain = np.concatenate(in_z), np.concatenate(in_v)
+        flat = np.full(stages.variables, -1, np.int32)
+        flat[self.plain[1]] = self.plain[0]
+        self.transcription.functions = dataclasses.replace(self.transcription.functions, flat=flat)
         self.curved = np.ones(stages.points, bool)
         self.curved[self.plain[0]] = False
         self._margins = np.zeros(len(self.transcribed.exists))
@@ -114,20 +118,20 @@ class Staged:
         # Padding of smaller phases has no place either.
         self._places = transcribed.rows_of_all([place - nothing for place in places]).astype(int) + nothing
 
-    def drop(self, rows: Sequence[Array], instance: Given) -> None:
+    def drop(self, rows: Sequence[Array], instance: Instance) -> None:
         """Remove rows of each phase that other rows determine; they are only checked."""
         self.transcribed.drop(rows)
         for part in self.parts:
             part.describe()
         self._assemble(instance)
 
-    def alone(self, instance: Given) -> Staged:
+    def alone(self, instance: Instance) -> Staged:
         """A copy for another thread: it shares kernels, not memory."""
         other = copy.copy(self)
         other._assemble(instance)
         return other
 
-    def set_given(self, instance: Given) -> None:
+    def set_instance(self, instance: Instance) -> None:
         """Set the data of the problem."""
         if instance is self._instance:
             return
@@ -140,7 +144,7 @@ class Staged:
 
     # ---- points ---------------------------------------------------------------------------------------------------
 
-    def flat(self, point: Point) -> Array:
+    def flat(self, point: Iterate) -> Array:
         """z of a point."""
         z, states = np.zeros(self.transcription.stages.points), self._states(point)
         for part, at, xs in zip(self.parts, self._nodes_z, states):
@@ -148,12 +152,12 @@ class Staged:
         z[self._us_z], z[self._shared[1] :] = np.asarray(point.us)[self._us], np.ravel(point.border)
         return z
 
-    def point(self, z: Array) -> Point:
+    def point(self, z: Array) -> Iterate:
         """The point of z."""
         us = np.zeros((self.transcribed.intervals, self.transcribed.m))
         us[self._us] = z[self._us_z]
         xs = [part.point.split(z[at]) for part, at in zip(self.parts, self._nodes_z)]
-        return Point(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
+        return Iterate(xs[0] if self.transcribed.segments[0].alone else tuple(xs), us, z[self._shared[1] :])
 
     def coordinates(self, z: Array) -> Array:
         """v of a point z: states that are flat, controls and shared unknowns as they are, others zero."""
@@ -191,12 +195,12 @@ class Staged:
         flat: Array = np.asarray(dynamics)[np.arange(self.transcribed.n) < counts[:, None]]
         return flat
 
-    def _states(self, point: Point) -> Sequence[Any]:
+    def _states(self, point: Iterate) -> Sequence[Any]:
         return [point.xs] if self.transcribed.segments[0].alone else point.xs
 
     # ---- limits and rows ------------------------------------------------------------------------------------------
 
-    def limits(self, v: Array, instance: Given) -> tuple[Array, Array]:
+    def limits(self, v: Array, instance: Instance) -> tuple[Array, Array]:
         """Lower and upper bounds of coordinates v; equal where an entry is fixed."""
         lower, upper = np.full(len(v), -np.inf), np.full(len(v), np.inf)
         lower[self._shared[0] :], upper[self._shared[0] :] = np.asarray(instance.limits).T

@@ -11,7 +11,7 @@ from numpy import ndarray as Array
 
 from ...expr import Control, State
 from ...groups import Euclidean
-from .points import Given, PhaseEnds
+from .iterate import Instance, PhaseEnds
 
 #: A turn, in rad, after which a rotation's tangent space looks different.
 _TURN = 0.5
@@ -65,7 +65,7 @@ class Numbers:
         key: equal where numbers are laid out alike.
     """
 
-    def __init__(self, points: Sequence[Flat], instance: Given, by_node: Sequence[Any]) -> None:
+    def __init__(self, points: Sequence[Flat], instance: Instance, by_node: Sequence[Any]) -> None:
         self._by_node = by_node
         with_rows = {name for part in by_node for name in part.leaves}
         self._params = Flat({name: np.shape(value) for name, value in instance.params.items() if name not in with_rows})
@@ -73,11 +73,11 @@ class Numbers:
         sizes = [self._params.size, *(p.size for p in points for _ in range(2)), math.prod(self._limits)]
         self._ends = np.cumsum([0, *sizes]).tolist()
         self.size = self._ends[-1]
-        self._last: tuple[Given | None, Array] = None, np.zeros(0)
+        self._last: tuple[Instance | None, Array] = None, np.zeros(0)
         self.names = tuple(self._params.shapes)
         self.key = (*(tuple(p.shapes.values()) for p in (self._params, *points)), self._limits)
 
-    def vector(self, instance: Given) -> Array:
+    def vector(self, instance: Instance) -> Array:
         """The numbers of a solve."""
         known, vector = self._last
         if known is instance:

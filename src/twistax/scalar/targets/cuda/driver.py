@@ -141,7 +141,7 @@ class Driver:
 
 @functools.cache
 def driver() -> Driver:
-    """The driver. Raises BuildError where there is none that serves."""
+    """The driver. Raises BuildError where there is none of a sufficient version."""
     return Driver()
 
 
@@ -201,7 +201,7 @@ class DeviceCode:
 
 
 def _unload(cuda: Driver, ordinals: Sequence[int], library: ctypes.c_void_p) -> None:
-    """Once nothing runs that may use it."""
+    """Unload a library after all work on the devices."""
     with contextlib.suppress(BuildError):
         for ordinal in ordinals:
             with cuda.current(ordinal):

@@ -35,7 +35,7 @@ class _Code:
 
 
 class _DeviceCodeHandle:
-    """The code of a kernel of CUDA devices. What comes from the cache was seen to be right, by the same driver."""
+    """The code of a kernel of CUDA devices. Code from the cache has passed the self-test with the same driver."""
 
     def __init__(self, target: str, module: Module, text: str, body: KernelBody) -> None:
         cuda = driver()

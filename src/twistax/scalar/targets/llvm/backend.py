@@ -1,4 +1,4 @@
-"""The backends whose functions run as machine code of their own, on processors and on CUDA devices."""
+"""The backends whose functions run as native code, and their targets: this processor and CUDA devices."""
 
 from __future__ import annotations
 
@@ -9,41 +9,126 @@ import importlib.util
 import math
 import time
 import weakref
-from collections.abc import Callable, Collection
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Collection, Mapping
 from typing import Any
 
 import jax
 
 from ....checks import instance, whole
 from ....errors import ModelError
-from ....jax_inside import ClosedJaxpr
+from ....jax_inside import ClosedJaxpr, backends
 from ....progress import say_once
 from ...backends import ANY_SIZE, XLA, Backend, Emission, Shapes, Step, StepCompiler, pure
-from ...batch import Rows
 from ...graph import TooLarge
 from ...jax_primitive import Derived, call_program
 from ...loops import MakeKernel, Repeated, Ring
-from ...program import ScalarProgram
+from ...program import Rows, ScalarProgram
 from ...walk import uncollected
+from ..cuda.driver import driver
+from ..cuda.kernel import CudaKernel
+from ..cuda.ptx import libdevice
 from .code import NotNative
 from .iterations import Iterations
-from .kernel import Kernel
+from .kernel import HostKernel, Kernel
 from .kernel_body import NATIVE_LIMITS, KernelBody, Straight, native_form
 from .loop import LoopBody
-from .machine_code import BuildError
+from .machine_code import BuildError, Processor
 from .self_test import check_kernel
-from .targets import TARGETS, notes, on_all_platforms
 
-#: Listeners of `jax.monitoring` hear it of each kernel, with the seconds it took: to write, compile and check it, or to
-#: read it from the cache.
+#: An event of `jax.monitoring` for each kernel, with the seconds to write, compile and check it, or to read it from the
+#: cache.
 KERNEL_EVENT = "/twistax/kernel"
 
 _XLA = XLA()
-#: Operations of functions that XLA compiles for many seconds.
+#: XLA takes many seconds to compile functions of more operations.
 _LONG = 5000
-#: The forms of programs, between the check that they have one and the first kernel.
+#: Native forms of programs, between the check that there is one and the first kernel.
 _FORMS: weakref.WeakKeyDictionary[ScalarProgram, ScalarProgram] = weakref.WeakKeyDictionary()
 _MISSING = "llvmlite is not installed"
+
+
+# ---- targets ---------------------------------------------------------------------------------------------------------
+
+
+class Target(ABC):
+    """A platform."""
+
+    @property
+    @abstractmethod
+    def present(self) -> bool:
+        """Whether this process has such devices. Programs that are lowered for other platforms run by XLA."""
+
+    @property
+    @abstractmethod
+    def note(self) -> str:
+        """How native programs run here, for `explain`; empty on the processor."""
+
+    @abstractmethod
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        """The kernel of a kernel body.
+
+        Args:
+            kind: the class of the body, which takes a program in native form, the lanes, and `more`.
+            single: whether it is for one member.
+            threads: of the processor, at most; None: all.
+        Raises:
+            ImportError: llvmlite is not installed.
+            BuildError: it could not be compiled.
+        """
+
+
+class Host(Target):
+    """This processor: as many members side by side as a vector has lanes."""
+
+    present, note = True, ""
+
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        processor = Processor.host()
+        return HostKernel(kind(form, 1 if single else processor.lanes(form.graph.dtype), *more), processor, threads)
+
+
+class Cuda(Target):
+    """Devices of CUDA: a thread for each member."""
+
+    @property
+    def present(self) -> bool:
+        return "cuda" in backends()
+
+    @property
+    def note(self) -> str:
+        try:
+            major, minor = driver().capability
+        except BuildError as error:
+            return f"as XLA has them on CUDA devices: {error}"
+        rest = "" if libdevice() else ", but by XLA where they call the C library: libdevice.10.bc is not installed"
+        return f"in threads on CUDA devices of capability {major}.{minor}{rest}"
+
+    def kernel(
+        self, kind: type[KernelBody], form: ScalarProgram, more: tuple[Any, ...], single: bool, threads: int | None
+    ) -> Kernel:
+        return CudaKernel(kind(form, 1, *more))
+
+
+#: By the names that JAX has for platforms.
+TARGETS: Mapping[str, Target] = {"cpu": Host(), "cuda": Cuda()}
+
+
+def on_all_platforms() -> bool:
+    """Whether kernels can be made for all platforms of this process."""
+    return all(name in TARGETS for name in backends())
+
+
+def notes() -> str:
+    """How native programs run on the devices of this process."""
+    return "".join(f"; {target.note}" for target in TARGETS.values() if target.present and target.note)
+
+
+# ---- backends --------------------------------------------------------------------------------------------------------
 
 
 def installed() -> bool:
@@ -74,7 +159,7 @@ class KernelRunner:
         return self.built(Straight, form, (), single, platform)
 
     def without_kernel(self, function: Step, shapes: Shapes) -> str | None:
-        """Why a function cannot be part of a kernel; None where it can."""
+        """The reason why a function cannot be part of a kernel; None where it can."""
         if not installed():
             return None
         closed = pure(function, shapes)
@@ -96,7 +181,8 @@ class KernelRunner:
         try:
             with uncollected():
                 kernel = target.kernel(kind, form, more, single, self.threads)
-                check_kernel(kernel)
+                if not kernel.handle.checked:
+                    check_kernel(kernel)
         except (ImportError, BuildError, jax.errors.JaxRuntimeError) as error:
             say_once(f"no native kernel, XLA compiles the function instead: {error}")
             return None
@@ -155,7 +241,7 @@ class Native(Backend):
 
     @property
     def runner(self) -> KernelRunner:
-        """What runs its programs."""
+        """Runs its programs."""
         return KernelRunner(self.least, self.threads)
 
     def _kernels(self, program: ScalarProgram) -> tuple[Derived | None, str]:
@@ -275,8 +361,8 @@ class _KernelSteps(StepCompiler):
         return None if program is None else Derived(program, None, dataclasses.replace(self.runner, least=0))
 
     def _whole_step(self, step: Step, shapes: Shapes) -> ScalarProgram | None:
-        """A step that has a native form, all of its stages unrolled; None: it has none, or runs elsewhere."""
-        # Where there are no kernels a step written out whole compiles for long and runs no faster.
+        """The program of a step that has a native form, all stages unrolled; None: it has none, or no kernels run."""
+        # Without kernels an unrolled step takes long to compile and runs no faster.
         if not installed() or not on_all_platforms():
             return None
         closed = pure(step, shapes)

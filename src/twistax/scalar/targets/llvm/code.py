@@ -45,13 +45,13 @@ class Module:
         self.by_columns = False
         #: Tables of numbers, by name.
         self.tables: dict[str, str] = {}
-        #: Whether it is a long straight program, or writes much: more of LLVM's work takes time and gains nothing.
+        #: Whether it is a long straight program, or writes much: higher levels of LLVM take time and gain nothing.
         self.long = False
-        #: Bits of vectors into which LLVM puts operations of one member that are alike; 0: it does not look for them.
+        #: Bits of vectors for equal operations within one member; 0: LLVM does not search for them.
         self.packed = 0
         #: Functions of the C library that are called.
         self.library: set[str] = set()
-        #: Where functions of other modules are that are called.
+        #: The addresses of functions of other modules.
         self.addresses: dict[str, int] = {}
 
     def numbers(self, array: np.ndarray[Any, Any]) -> str:
@@ -82,7 +82,7 @@ class Code:
         self.module = module
         self.lanes = lanes
         self.lines: list[str] = []
-        #: Angles of which sine and cosine are there.
+        #: Angles whose sine and cosine are computed.
         self.sines: dict[str, tuple[str, ...]] = {}
         self._numbers = itertools.count(1)
 

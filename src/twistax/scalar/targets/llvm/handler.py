@@ -20,7 +20,7 @@ API = (0, 3)
 #: XLA's numbers of the types, `XLA_FFI_DataType`.
 _DATA_TYPES = {"double": 12, "float": 11, "i64": 5, "i32": 4, "i1": 1}
 
-#: What is called of LLVM and of the C library.
+#: Declarations of functions of LLVM and of the C library.
 _DECLARED = {
     "declare ptr @malloc(i64)",
     "declare void @free(ptr)",

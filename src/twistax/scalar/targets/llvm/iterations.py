@@ -13,8 +13,8 @@ from .code import NAMES, Code
 from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
-#: Where the marks of rows lie from where a step comes to, in the check of a kernel: within it, there, and beyond.
-_ABOUT = np.array([-1e-3, 0.0, 1e3])
+#: Distances of the marks of rows from the end of a step in the self-test of a kernel: before it, at it, beyond it.
+_MARK_OFFSETS = np.array([-1e-3, 0.0, 1e3])
 
 
 class Iterations(KernelBody):
@@ -32,7 +32,7 @@ class Iterations(KernelBody):
         row: takes (reach, *record, mark), gives a row.
     """
 
-    tried = len(_ABOUT)
+    tried = len(_MARK_OFFSETS)
 
     def __init__(self, program: ScalarProgram, lanes: int, state: int, row: ScalarProgram | None = None) -> None:
         number, *rest = arguments_of(program)
@@ -50,8 +50,8 @@ class Iterations(KernelBody):
         self._shift = len(heads) - 1
         #: The first argument of the step that is state.
         self._first_state = len(rest) - state + 1
-        #: Whether the step says if another iteration follows.
-        self._says = len(program.outputs) > state
+        #: Whether a result of the step decides if another iteration follows.
+        self._decides = len(program.outputs) > state
         arguments = [*heads, *rest, *tails]
         always = {*range(len(heads)), *range(self._first_state + self._shift, len(arguments))}
         needed = {k + self._shift for k in needed_by(program) if k > 0}
@@ -72,10 +72,10 @@ class Iterations(KernelBody):
         now = {place: code.name() for place in states}
         count, live = code.name(), code.name()
 
-        def own(argument: int, entry: int) -> str:
+        def value_of(argument: int, entry: int) -> str:
             return count if argument == 0 else now.get((argument, entry)) or read(argument + self._shift, entry)
 
-        scalars = Scalars(code, step, own)
+        scalars = Scalars(code, step, value_of)
         changing = step.depending([0, *range(self._first_state, len(step.inputs))])
         scalars.compute([i for i in step.live if i not in changing])
         filling = None if self._row is None else _Filling(code, self._row, rows, self.arguments, len(self.results) - 1)
@@ -87,12 +87,12 @@ class Iterations(KernelBody):
         end = code.loop(carried)
         values = scalars.compute(step.flat)
         new_states, record = values[: len(states)], values[len(states) :]
-        more = record[0] if self._says else _finite(code, kind, new_states)
-        good = live if self._says else code.instruction("and", "i1", live, more)
+        more = record[0] if self._decides else _finite(code, kind, new_states)
+        good = live if self._decides else code.instruction("and", "i1", live, more)
         ends = [code.select(kind, good, new, now[place]) for place, new in zip(states, new_states, strict=True)]
         ends.append(code.instruction("add", counter, count, code.convert("zext", "i1", counter, good)))
         going_on = code.instruction("and", "i1", code.emit(f"icmp slt {counters} {ends[-1]}, {stop}"), good)
-        if self._says:
+        if self._decides:
             going_on = code.instruction("and", "i1", going_on, more)
         if filling is not None:
             ends.append(filling.write(number, live, record[1:]))
@@ -111,7 +111,7 @@ class Iterations(KernelBody):
             changed[0] = np.full_like(changed[0], self.tried)
             changed[3] = np.zeros_like(changed[3])
             after = by_numpy(self.program, [first, *changed[4:-2]])
-            changed[-2] = (after[len(self.results) - 2] + _ABOUT).astype(changed[-2].dtype)
+            changed[-2] = (after[len(self.results) - 2] + _MARK_OFFSETS).astype(changed[-2].dtype)
         return changed
 
     def plain(self, arguments: Sequence[NDArray[Any]], rounded: Rounded = np.asarray) -> list[NDArray[Any]]:
@@ -124,12 +124,12 @@ class Iterations(KernelBody):
             filled = [arguments[3], rest[-1]]
         while live.any():
             results = by_numpy(self.program, [k, *fixed, *state], rounded)
-            more = results[count] if self._says else live
-            for values in [] if self._says else results:
+            more = results[count] if self._decides else live
+            for values in [] if self._decides else results:
                 live = live & np.isfinite(values).all(1, keepdims=True)
             state = [np.where(live, new, old) for new, old in zip(results, state, strict=False)]
             if self._row is not None:
-                filled = _by_numpy_too(self._row, results[count + 1 :], live, rest[-2], filled, rounded)
+                filled = _rows_by_numpy(self._row, results[count + 1 :], live, rest[-2], filled, rounded)
             k = k + live
             live = live & more & (k < stop)
         return [*state, k, *filled]
@@ -143,7 +143,7 @@ class _Filling:
     ) -> None:
         self._code, self._row = code, row
         self._marks, self._table = rows[f"a{len(arguments) - 2}"], rows[f"r{table}"]
-        self._mark, self._own = Array((), row.types[0]), Array(row.outputs[0].shape, row.types[0])
+        self._mark, self._row_array = Array((), row.types[0]), Array(row.outputs[0].shape, row.types[0])
         self._counter = NAMES[arguments[3].dtype]
         length = rows["a0"].read(0)
         self._length = length if self._counter == "i32" else code.convert("sext", "i32", self._counter, length)
@@ -152,11 +152,11 @@ class _Filling:
         self.first = rows["a3"].read(0)
 
     def write(self, number: str, live: str, record: list[str]) -> str:
-        """Adds the loop of an iteration after which row `number` is the first that is not filled; the number after it.
+        """Add the loop after an iteration, from row `number` on; gives the number of the next row that is not filled.
 
         Args:
             live: which members took the iteration.
-            record: what it left for rows; first how far it came.
+            record: the further results of the iteration, from which rows are made; the first is how far it came.
         """
         code, counter, kind = self._code, self._counter, NAMES[self._mark.dtype]
         places = [(k, j) for k, array in enumerate(self._row.inputs[:-1]) for j in range(array.size)]
@@ -174,7 +174,7 @@ class _Filling:
         code.lines += [f"br i1 {code.any(due)}, label %{fill}, label %{done}", f"{fill}:"]
         scalars = Scalars(code, self._row, lambda argument, entry: known.get((argument, entry), mark))
         values = scalars.compute(self._row.flat)
-        window = self._table.window(self._starts(place, self._own.size), self._own)
+        window = self._table.window(self._starts(place, self._row_array.size), self._row_array)
         if code.lanes > 1:
             values = [code.select(kind, due, value, window.read(j)) for j, value in enumerate(values)]
         window.write(values)
@@ -190,7 +190,7 @@ class _Filling:
         return [code.entry("i64", start, lane) for lane in range(code.lanes)]
 
 
-def _by_numpy_too(
+def _rows_by_numpy(
     row: ScalarProgram,
     record: list[NDArray[Any]],
     live: NDArray[Any],
@@ -198,7 +198,7 @@ def _by_numpy_too(
     filled: list[NDArray[Any]],
     rounded: Rounded,
 ) -> list[NDArray[Any]]:
-    """The number of the next row and the table, after an iteration."""
+    """The number of the next row, and the table, after an iteration, by NumPy."""
     number, table = filled
     every, last, size = np.arange(len(table)), marks.shape[1] - 1, row.outputs[0].size
     table = table.copy()

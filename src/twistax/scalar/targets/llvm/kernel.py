@@ -28,10 +28,10 @@ from .machine_code import MachineCode, Processor, compiled, load, written_by
 #: "As many threads as there are".
 _ALL = 2**31
 
-#: How many places for kernels are made together.
+#: The number of handler slots in a module.
 _SLOTS_AT_ONCE = 64
 
-#: Seconds for which code stays after its last kernel is gone: an asynchronous call of XLA may still run it.
+#: Seconds before retired code is freed: an asynchronous call of XLA may still run it.
 _RETIREMENT = 30.0
 
 
@@ -53,7 +53,7 @@ class CodeHandle(Protocol):
 class HostCodeHandle:
     """The machine code that kernels of one target share.
 
-    What comes from the cache was seen to be right, under the same versions of all that runs it.
+    Code from the cache has passed the self-test, under the same versions of twistax, JAX and llvmlite.
     """
 
     def __init__(self, target: str, text: str, module: Module, names: Sequence[str]) -> None:
@@ -74,17 +74,17 @@ class HostCodeHandle:
             self._unchecked = None
 
 
-#: The kernels that are in use, by the name of their target; and code that is not, with the time since when.
+#: The code of kernels in use, by the name of their target; and retired code, with the time of its retirement.
 _CODE: weakref.WeakValueDictionary[str, CodeHandle] = weakref.WeakValueDictionary()
 _RETIRED: list[tuple[float, ctypes.c_void_p, Any]] = []
 
-#: The address of the place where the handler of a target finds its kernel. XLA keeps targets as long as the process
-#: lives, so what it keeps are small handlers that look there.
+#: By target, the address of the handler slot with the address of its kernel. XLA keeps targets as long as the process
+#: lives, so they are small handlers that read their slot.
 _SLOTS: dict[str, int] = {}
 _FREE: list[tuple[int, int]] = []
 _HANDLERS: list[MachineCode] = []
 
-#: XLA registers a name once: threads that make the same kernel wait for the first.
+#: XLA registers a name once: other threads that make the same kernel wait.
 _LOCK = threading.Lock()
 
 

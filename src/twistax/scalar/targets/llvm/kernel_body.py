@@ -15,7 +15,7 @@ from ...primitives.entry import Operation
 from ...primitives.interface import flat
 from ...primitives.table import OPERATIONS
 from ...program import ScalarProgram, called_names
-from ...rewriting import emitted_form
+from ...reader import emitted_form
 from .code import NAMES, Code, Module, NotNative
 from .lanes import Array, Rows
 from .pieces import LONG, PieceValues, Scratch
@@ -27,7 +27,7 @@ NATIVE_LIMITS = Limits(pivoted=8, table=64, equations=100_000)
 #: The value of an entry of an argument.
 Read: TypeAlias = Callable[[int, int], str]
 
-#: Values as some other order of operations may round them.
+#: A function that perturbs values as another order of operations may round them.
 Rounded: TypeAlias = Callable[[NDArray[Any]], NDArray[Any]]
 
 #: Entries of results above which LLVM's order of instructions takes seconds: its time grows with their square.
@@ -132,7 +132,7 @@ class Scalars:
         return [list(by_depth[k]) for k in sorted(by_depth)]
 
 
-# ---- tiles -----------------------------------------------------------------------------------------------------------
+# ---- kernel bodies----------------------------------------------------------------------------------------------------
 
 
 class BatchFunction(ABC):
@@ -194,14 +194,16 @@ class KernelBody(BatchFunction):
 
     def _moved(self, code: Code) -> dict[str, Rows]:
         """The rows of all arrays, in a function that has their heads."""
-        places = ["0"]  # the row of a lane: its own, or the last one
+        places = ["0"]  # the row of a lane: its own, or the last one where there are fewer rows than lanes
         for lane in range(1, self.lanes):
             places.append(code.call("i64", "llvm.umin.i64", ("i64", "%last"), ("i64", str(lane))))
-        return {
-            name: Rows(code, array, f"%{name}", stride, places, stride if code.module.by_columns else "1")
-            for name, array in self.arrays.items()
-            for stride in (f"%{name}.stride",)
-        }
+        rows = dict[str, Rows]()
+        for name, array in self.arrays.items():
+            stride = f"%{name}.stride"  # entries from one row to the next; zero where all lanes share one
+            starts = [code.emit(f"mul nuw nsw i64 {place}, {stride}") for place in places]
+            pointers = [code.emit(f"getelementptr {array.stored}, ptr %{name}, i64 {start}") for start in starts]
+            rows[name] = Rows(code, array, pointers, stride if code.module.by_columns else "1")
+        return rows
 
     @abstractmethod
     def body(self, code: Code, rows: Mapping[str, Rows]) -> None:

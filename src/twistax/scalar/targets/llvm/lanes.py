@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -48,36 +48,26 @@ COUNT = Array((), np.dtype(np.int32))
 
 
 class Rows:
-    """The rows of one array from a pointer on: as many as there are lanes, or fewer, and the last one fills the rest.
+    """The rows of one array, one for each lane.
 
     Args:
-        base: the pointer.
-        stride: entries from one row to the next; zero where all share one.
-        places: the number of the row of each lane.
+        pointers: to the first entry of the row of each lane.
         entry_stride: entries of memory from one entry of a row to the next.
     """
 
-    def __init__(
-        self, code: Code, array: Array, base: str, stride: str, places: list[str], entry_stride: str = "1"
-    ) -> None:
+    def __init__(self, code: Code, array: Array, pointers: Iterable[str], entry_stride: str = "1") -> None:
         self._code = code
         self._array = array
-        # Parts of vectors are moved whole only where a row has as many numbers, or masks are free.
+        # Blocks of entries move as vectors only if a row has a full block, or masks are free.
         self._blocks = array.kind in ("double", "float") and (array.size >= code.lanes or code.module.processor.masks)
-        self._pointers = [
-            code.emit(
-                f"getelementptr {array.stored}, ptr {base}, i64 {code.emit(f'mul nuw nsw i64 {place}, {stride}')}"
-            )
-            for place in places
-        ]
+        self._pointers = list(pointers)
         self._align, self._entry_stride = array.dtype.itemsize, entry_stride
         self._read: dict[int, str] = {}
 
     def window(self, starts: Sequence[str], array: Array) -> Rows:
         """Part of each row: an array from an entry on, for each lane, that is known only at run time."""
-        window = Rows(self._code, array, "", "", [], self._entry_stride)
-        window._pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
-        return window
+        pointers = [self._moved(p, start) for p, start in zip(self._pointers, starts, strict=True)]
+        return Rows(self._code, array, pointers, self._entry_stride)
 
     def read(self, entry: int) -> str:
         """The value of an entry in all rows."""

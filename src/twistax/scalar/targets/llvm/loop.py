@@ -16,11 +16,11 @@ from .code import NAMES, Code
 from .kernel_body import KernelBody, Rounded, Scalars, arguments_of, by_numpy, needed_by
 from .lanes import COUNT, Array, Rows
 
-#: The most operations that are put into vectors within one member: it takes LLVM twice as long.
+#: The most operations that LLVM puts into vectors within one member, which takes twice as long to compile.
 _PACKED = 3000
-#: Of many instructions each, without a branch. Four of them gain by themselves; sixteen fill wide vectors.
+#: Functions of many instructions without a branch. Four of them pay off in vectors; sixteen fill wide ones.
 _LONG = {"exp", "expm1", "logistic", "tanh"}
-#: How much of what goes round is computed alike where that gains: products of matrices, not steps of a rigid body.
+#: The least share of carried values with the same operations for vectors to pay off: products of matrices have it.
 _MOST = 0.75
 
 
@@ -122,7 +122,7 @@ class LoopBody(KernelBody):
 
 
 def _width(program: ScalarProgram, carried: Sequence[int]) -> int:
-    """Bits of vectors within one member; 0 where they do not pay."""
+    """Bits of vectors within one member; 0 where they do not pay off."""
     long = sum(count for name, count in program.counts().items() if name in _LONG)
     if program.operations > _PACKED:
         return 0

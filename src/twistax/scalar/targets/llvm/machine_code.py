@@ -69,8 +69,8 @@ class Processor:
         return [bits for bits in (128, 256, 512) if bits <= cls.host().bits]
 
 
-#: How much LLVM does to instructions, 0 to 3: at 0 it takes a fifth of the time, and code runs for two to four times as
-#: long.
+#: LLVM's level of optimisation of instructions, 0 to 3: at 0 it takes a fifth of the time, and code runs two to four
+#: times as long.
 LEVEL = 2
 
 _LOCK = threading.Lock()
@@ -202,7 +202,6 @@ def load(
 
 
 def _target_machine(processor: Processor, level: int) -> Any:
-    """What LLVM writes for."""
     import llvmlite.binding as llvm
 
     llvm.initialize_native_target()
@@ -214,7 +213,7 @@ def _target_machine(processor: Processor, level: int) -> Any:
 
 def _address(symbol: str) -> int:
     """The address of a function of the C library, looked up because LLVM ends the process for a missing one."""
-    # Names of files are looked for, which takes time, only where the process itself has no such function.
+    # Search libraries, which takes time, only if the process itself has no such function.
     for name in (None, "m", "c"):
         try:
             function = getattr(ctypes.CDLL(name and ctypes.util.find_library(name)), symbol)

@@ -1,6 +1,6 @@
 """A long straight program as several functions: LLVM's time grows faster than the length of a function.
 
-What a piece computes for a later one passes through memory, where most would stand anyway: there are few registers.
+Values that later pieces need pass through memory, where most would be anyway: there are few registers.
 """
 
 from __future__ import annotations
@@ -11,11 +11,11 @@ from ...primitives.interface import flat
 from ...program import ScalarProgram
 from .code import NAMES, Code
 
-#: Operations in a piece: half as many compile a little sooner, and run a tenth slower and more.
+#: Operations in a piece. Half as many compile slightly faster, and run at least a tenth slower.
 _LENGTH = 2000
-#: Programs of fewer operations stay whole: they run a tenth faster so.
+#: Programs of fewer operations are not split: they run a tenth faster.
 LONG = 20_000
-#: The most bytes that pass on the stack.
+#: The most bytes on the stack; more are allocated.
 STACK = 32_768
 
 #: A piece of a program: its nodes, and of each result the blocks, by their first entries, that are complete with it.
@@ -50,7 +50,7 @@ class Scratch:
             self.pieces[number][1].append((result, start))
             for i in nodes:
                 last[i] = max(last.get(i, 0), number)
-        #: The place of what passes on; places are used again.
+        #: By node, its place in memory; places are reused.
         self.slots: dict[int, int] = {}
         self.size = 0
         free: list[int] = []

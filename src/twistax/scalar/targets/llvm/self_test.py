@@ -15,29 +15,27 @@ from .kernel import Kernel
 from .lanes import Array
 from .machine_code import BuildError
 
-#: Relative to the largest entry of a result: what is wrong differs by far more than rounding.
+#: Relative to the largest entry of a result. Wrong code differs by far more than rounding.
 _TOLERANCE = {np.dtype(np.float64): 1e-9, np.dtype(np.float32): 1e-3}
 
-#: Arguments are of size one: of a result smaller than this nothing but rounding may be left, as of a compensated sum.
+#: Arguments are of size one. A smaller result may be rounding alone, as that of a compensated sum.
 _LEAST = 1e-3
 
-#: The platforms on which a call through JAX was right in this process.
+#: The platforms on which a call through JAX has passed in this process.
 _CALLED: set[str] = set()
 
 
 def check_kernel(kernel: Kernel) -> None:
     """Compare a kernel with NumPy on random rows; the first time on a platform in a process also through JAX.
 
-    Once for each kernel: what was seen to be right is kept, also for other processes.
+    That it passed is stored with its code, as `kernel.handle.checked`, also for other processes.
 
     Raises:
         BuildError: they differ.
     """
     body = kernel.body
-    if kernel.handle.checked:
-        return
     random = np.random.default_rng(0)
-    # What reads no arguments gives one row by itself.
+    # A kernel that reads no arguments gives one row.
     rows = kernel.checked_rows if body.read else 1
     arguments = body.exercised([_drawn(random, (rows, math.prod(a.of_length(body.tried))), a) for a in body.arguments])
     expected, nearby = body.plain(arguments), [body.plain([_moved(a) for a in arguments])]
@@ -48,7 +46,7 @@ def check_kernel(kernel: Kernel) -> None:
         return all(_agree(values, expected[k], [near[k] for near in nearby]) for k, values in pairs)
 
     if not agrees():
-        # Of nearly singular constants the arguments, moved once, may say nothing: each operation is moved.
+        # With nearly singular constants one change of the arguments may not show rounding: each operation is rounded.
         nearby += [body.plain(arguments, functools.partial(_rounded, random)) for _ in range(4)]
         if not agrees():
             raise BuildError("its results differ from those of NumPy")

@@ -5,19 +5,19 @@ from __future__ import annotations
 from typing import Any, NamedTuple
 
 
-class Point(NamedTuple):
+class Iterate(NamedTuple):
     """An iterate: states, controls and shared unknowns."""
 
     xs: Any  # states by name (nodes, ...); of several phases a tuple of such dicts
     us: Any  # (intervals, m)
     border: Any  # (g,) durations and free parameters
 
-    def with_border(self, border: Any) -> Point:
+    def with_border(self, border: Any) -> Iterate:
         """The same states and controls with other durations and free parameters."""
         return self._replace(border=border)
 
 
-class Given(NamedTuple):
+class Instance(NamedTuple):
     """The data of a solve: parameters, ends of phases and limits."""
 
     params: Any
@@ -25,11 +25,11 @@ class Given(NamedTuple):
     limits: Any  # (g, 2) of the border
     margins: Any = 0.0  # (rows,) by which rows are tightened
 
-    def with_params(self, params: Any) -> Given:
+    def with_params(self, params: Any) -> Instance:
         """The same with other values of parameters."""
         return self._replace(params=params)
 
-    def with_margins(self, margins: Any) -> Given:
+    def with_margins(self, margins: Any) -> Instance:
         """The same with rows tightened by other margins."""
         return self._replace(margins=margins)
 
