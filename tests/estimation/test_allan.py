@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import twistax as tx
-from twistax.estimation import allan
+from twistax.estimation import AllanVariance, allan
 
 PERIOD = 0.01
 
@@ -31,6 +31,20 @@ def test_densities_of_a_simulated_gyroscope(seed: int) -> None:
     assert result.quantization < 0.1 * density * np.sqrt(PERIOD)
     near = result.taus < 10.0
     np.testing.assert_allclose(result.fitted()[near], result.deviations[near], rtol=0.1)
+
+
+def test_deviations_of_each_noise() -> None:
+    """The lines of IEEE Std 952, annex C."""
+    taus = np.array([0.1, 1.0, 10.0])
+    lines = {
+        "density": 0.7 / np.sqrt(taus),
+        "walk": 0.7 * np.sqrt(taus / 3.0),
+        "instability": np.full(3, 0.7 * np.sqrt(2.0 * np.log(2.0) / np.pi)),
+        "quantization": 0.7 * np.sqrt(3.0) / taus,
+    }
+    for name, line in lines.items():
+        numbers = {**dict.fromkeys(lines, 0.0), name: 0.7}
+        np.testing.assert_allclose(AllanVariance(taus, taus, **numbers).fitted(), line, rtol=1e-12)
 
 
 def test_rounded_readings_are_quantised() -> None:

@@ -3,6 +3,7 @@
 from itertools import pairwise
 from typing import Any
 
+import jax.numpy as jnp
 import numpy as np
 import pytest
 from scipy.linalg import expm, logm
@@ -102,6 +103,15 @@ def test_a_linear_problem_takes_one_step_to_the_smoother_of_the_filter() -> None
     assert int(estimate.iterations) <= 3
 
 
+@pytest.mark.parametrize(("loss", "cost"), [(HuberLoss(2.0), 8.0), (CauchyLoss(2.0), 4.0 * np.log(3.25))])
+def test_weights_are_the_derivatives_of_losses(loss: RobustLoss, cost: float) -> None:
+    """At three deviations, with a width of two; near zero both are squares."""
+    s, h = jnp.asarray(9.0), 1e-5
+    np.testing.assert_allclose(loss.cost(s), cost, rtol=1e-12)
+    np.testing.assert_allclose(loss.weight(s), (loss.cost(s + h) - loss.cost(s - h)) / (2.0 * h), rtol=1e-8)
+    np.testing.assert_allclose(loss.cost(jnp.asarray(1e-6)), 1e-6, rtol=1e-6)
+
+
 def hat(w: np.ndarray) -> np.ndarray:
     return np.array([[0.0, -w[2], w[1]], [w[2], 0.0, -w[0]], [-w[1], w[0], 0.0]])
 
@@ -112,21 +122,26 @@ def log(R: np.ndarray) -> np.ndarray:
 
 
 def test_the_gradient_of_the_posterior_vanishes_on_a_group() -> None:
-    """Attitudes from a vector and a rate with isotropic noise; the density in NumPy, its gradient by differences."""
+    """Attitudes from a vector and a rate; the density in NumPy, its gradient by differences."""
     q = tx.State("q", group=tx.SO3)
     rate, field = np.array([0.4, -0.7, 1.1]), np.array([0.3, -0.2, 0.9])
-    dynamics = tx.compile(tx.System(rates={q: rate + tx.Noise("n", shape=(3,), density=0.5)}))
+    density = np.array([0.2, 0.5, 0.9])
+    dynamics = tx.compile(tx.System(rates={q: rate + tx.Noise("n", shape=(3,), density=density)}))
     ts, rng = 0.5 * np.arange(4), np.random.default_rng(1)
     values = np.stack([expm(hat(-rate * t)) @ field for t in ts]) + 0.1 * rng.normal(size=(4, 3))
     start = {"q": expm(hat(np.array([0.8, -0.5, 0.3])))}
     smoother = BatchSmoother(dynamics, [tx.Measurement("field", q.T @ field, covariance=0.01)], tolerance=1e-10)
     estimate = smoother.run({"field": (ts, values)}, start, 0.5)
     turn = expm(hat(rate * 0.5))
+    nodes, weights = np.polynomial.legendre.leggauss(12)
+    turns = [expm(-hat(rate) * 0.25 * (node + 1.0)) for node in nodes]
+    Q = sum(0.25 * weight * back @ np.diag(density**2) @ back.T for weight, back in zip(weights, turns))
 
     def cost(d: np.ndarray) -> float:
         R = [r @ expm(hat(e)) for r, e in zip(np.asarray(estimate.xs["q"]), d.reshape(4, 3))]
         total = log(start["q"].T @ R[0]) @ log(start["q"].T @ R[0]) / 0.5
-        total += sum(np.sum(log((a @ turn).T @ b) ** 2) for a, b in pairwise(R)) / (0.25 * 0.5)
+        misses = [log((a @ turn).T @ b) for a, b in pairwise(R)]
+        total += sum(e @ np.linalg.solve(Q, e) for e in misses)
         return 0.5 * float(total + sum(np.sum((z - r.T @ field) ** 2) for z, r in zip(values, R)) / 0.01)
 
     np.testing.assert_allclose(estimate.cost, cost(np.zeros(12)), rtol=1e-9)

@@ -62,10 +62,10 @@ class StochasticModel:
         system = dynamics.system
         self.process = system.noises
         in_measurements = {noise.name: noise for m in self.measurements.values() for noise in m.noises}
-        for noise in self.process:
-            if noise.name in in_measurements:
+        for leaf in self.process:
+            if leaf.name in in_measurements:
                 raise ModelError(
-                    f"Noise {noise.name!r} is in rates and in a measurement: the filter expects them independent.\n"
+                    f"Noise {leaf.name!r} is in rates and in a measurement: the filter expects them independent.\n"
                     "  fix: a Noise of another name in the measurement"
                 )
         noises = [*self.process, *in_measurements.values()]
